@@ -1,0 +1,244 @@
+"""Kane's method by automatic differentiation.
+
+A mechanical system is a set of inertial terms and loads over coordinates q and speeds u:
+
+    sum over terms  P^T (dp/dt)  =  sum over loads  P^T f  +  A^T lambda       (Kane's equations)
+                         A u'   +  (dA/dt) u  =  0                              (constraints)
+
+with p a momentum, P = d(rate)/du the partial rates (Kane's partial velocities) and A = dg/du for
+constraints g(q, u) = 0. Momenta and rates may be resolved in any turning frame; partial rates are
+Jacobians and time derivatives are directional derivatives along q', so nothing is differentiated
+by hand. Time enters as a coordinate with q' = 1.
+
+Every speed has a role:
+  free        its equation gives its acceleration;
+  dependent   eliminated through the constraints;
+  prescribed  its acceleration is given; the residual of its equation is the driving load;
+  held        always zero; the residual of its equation is the reaction.
+
+Source  Kane & Levinson, Dynamics: Theory and Applications, 1985, chapters 4 to 6.
+"""
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+from casadi import SX
+
+
+def _none() -> SX:
+    return SX(0, 1)
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """A momentum and the rate it goes with, both resolved in one frame.
+
+    Attributes:
+        rate: Velocity or angular velocity, (k, 1); linear in the speeds.
+        momentum: Its linear or angular momentum, (k, 1).
+        frame_rate: Angular velocity of the frame of both, in its own axes; None when at rest.
+    """
+
+    rate: SX
+    momentum: SX
+    frame_rate: SX | None = None
+
+
+@dataclass(frozen=True)
+class Load:
+    """A force with its point's velocity, or a torque with its body's angular velocity."""
+
+    rate: SX
+    force: SX
+
+
+@dataclass(frozen=True)
+class System:
+    """A mechanical system, declared once; every formulation is derived from it.
+
+    Attributes:
+        q, q_dot: Coordinates and their rates in terms of q and the speeds, (n, 1).
+        free, dependent, prescribed, held: Symbols of the speeds by role, columns.
+        prescribed_dot: Accelerations of the prescribed speeds.
+        inertias, loads: What resists and what drives.
+        constraints: g(q, u) = 0, linear in the speeds.
+    """
+
+    q: SX
+    q_dot: SX
+    free: SX
+    inertias: tuple[Inertia, ...]
+    loads: tuple[Load, ...] = ()
+    dependent: SX = field(default_factory=_none)
+    prescribed: SX = field(default_factory=_none)
+    prescribed_dot: SX = field(default_factory=_none)
+    held: SX = field(default_factory=_none)
+    constraints: SX = field(default_factory=_none)
+
+    @property
+    def unknown(self) -> SX:
+        """The speeds whose accelerations are unknown: free, then dependent."""
+        return ca.vertcat(self.free, self.dependent)
+
+    def at_rest(self, expression: SX) -> SX:
+        """Put the held speeds to zero, after every partial derivative has been taken."""
+        return ca.substitute(expression, self.held, SX.zeros(self.held.numel()))
+
+    def known_rate(self, expression: SX) -> SX:
+        """Return the part of an expression's time derivative that holds no unknown acceleration."""
+        along = ca.vertcat(self.q, self.prescribed)
+        return ca.jtimes(expression, along, ca.vertcat(self.q_dot, self.prescribed_dot))
+
+
+@dataclass(frozen=True)
+class Accelerations:
+    """Accelerations of the free and the dependent speeds; `relation` is J of u_D = J u_I."""
+
+    free: SX
+    dependent: SX
+    relation: SX
+
+    @property
+    def unknown(self) -> SX:
+        """Both, in the order of `System.unknown`."""
+        return ca.vertcat(self.free, self.dependent)
+
+
+def body(
+    mass: SX, inertia: SX, velocity: SX, omega: SX, frame_rate: SX | None = None
+) -> tuple[Inertia, ...]:
+    """Return the inertial terms of a rigid body.
+
+    Args:
+        mass: kg.
+        inertia: About the mass centre, in the frame of `omega`, (3, 3), kg.m2.
+        velocity: Of the mass centre, in that frame, (3, 1), m/s.
+        omega: Angular velocity of the body, in that frame, (3, 1), rad/s.
+        frame_rate: Angular velocity of the frame; the body's own when None. It may be another
+            one where the inertia looks the same in it (wheels).
+    """
+    turning = omega if frame_rate is None else frame_rate
+    return (
+        Inertia(velocity, mass * velocity, turning),
+        Inertia(omega, inertia @ omega, turning),
+    )
+
+
+def gyrostat(
+    mass: SX, inertia: SX, velocity: SX, omega: SX, rotor_inertia: SX, axis: SX, spin: SX
+) -> tuple[Inertia, ...]:
+    """Return the inertial terms of a rigid body that carries an axisymmetric rotor.
+
+    Args:
+        mass, inertia, velocity, omega: Of body and rotor together, locked; see `body`.
+        rotor_inertia: Of the rotor about its axis, kg.m2.
+        axis: Unit vector of that axis, fixed in the body, (3, 1).
+        spin: Rate of the rotor relative to the body, rad/s.
+    """
+    momentum = inertia @ omega + rotor_inertia * spin * axis
+    return (
+        Inertia(velocity, mass * velocity, omega),
+        Inertia(omega, momentum, omega),
+        Inertia(spin, rotor_inertia * (spin + ca.dot(axis, omega))),
+    )
+
+
+def speed_relation(system: System) -> SX:
+    """Return J of u_D = J u_I from the constraints, (n_D, n_I)."""
+    independent = ca.jacobian(system.constraints, system.free)
+    dependent = ca.jacobian(system.constraints, system.dependent)
+    return system.at_rest(-ca.solve(dependent, independent))
+
+
+def accelerations(system: System) -> Accelerations:
+    """Solve Kane's equations for the free speeds, the dependent speeds being eliminated.
+
+    The partial rates are projected on the free speeds before the mass matrix is formed.
+    """
+    free, dependent = system.free, system.dependent
+    relation, offset = SX(0, free.numel()), _none()
+    if dependent.numel():
+        relation = speed_relation(system)
+        matrix = ca.jacobian(system.constraints, dependent)
+        offset = -ca.solve(matrix, system.known_rate(system.constraints))
+
+    def project(expression: SX) -> SX:
+        return ca.jacobian(expression, free) + ca.jacobian(expression, dependent) @ relation
+
+    mass = SX.zeros(free.numel(), free.numel())
+    force = SX.zeros(free.numel())
+    for term in system.inertias:
+        partial = project(term.rate)
+        mass += partial.T @ project(term.momentum)
+        rate = _known_momentum_rate(system, term)
+        force -= partial.T @ (rate + ca.jacobian(term.momentum, dependent) @ offset)
+    for load in system.loads:
+        force += project(load.rate).T @ load.force
+    mass, force = system.at_rest(mass), system.at_rest(force)
+    free_dot = ca.solve(ca.triu2symm(ca.triu(mass)), force)  # one half of M is enough
+    return Accelerations(free_dot, relation @ free_dot + system.at_rest(offset), relation)
+
+
+def imbalance(system: System, unknown_dot: SX, rows: SX) -> SX:
+    """Return P^T (dp/dt - f): the load that is missing in the equations of some speeds.
+
+    Args:
+        system: The mechanical system.
+        unknown_dot: Accelerations of `System.unknown`.
+        rows: The speeds whose equations are wanted.
+    """
+    missing = SX.zeros(rows.numel())
+    for term in system.inertias:
+        rate = ca.jtimes(term.momentum, system.unknown, unknown_dot)
+        rate += _known_momentum_rate(system, term)
+        missing += ca.jacobian(term.rate, rows).T @ rate
+    for load in system.loads:
+        missing -= ca.jacobian(load.rate, rows).T @ load.force
+    return system.at_rest(missing)
+
+
+def constraint_acceleration(system: System, unknown_dot: SX) -> SX:
+    """Return the time derivative of the constraints."""
+    rate = ca.jtimes(system.constraints, system.unknown, unknown_dot)
+    return system.at_rest(rate + system.known_rate(system.constraints))
+
+
+def multiplier_equations(system: System, free_dot: SX, multipliers: SX) -> SX:
+    """Return the index-1 residuals: Kane's equations of the free speeds, then the constraints.
+
+    Args:
+        system: A system without dependent speeds.
+        free_dot: Symbols of the unknown accelerations.
+        multipliers: Symbols of the unknown constraint loads, which do power against `constraints`.
+    """
+    partial = system.at_rest(ca.jacobian(system.constraints, system.free))
+    motion = imbalance(system, free_dot, system.free) - partial.T @ multipliers
+    return ca.vertcat(motion, constraint_acceleration(system, free_dot))
+
+
+def constraint_loads(system: System, unknown_dot: SX) -> SX:
+    """Return the loads of the constraints that `accelerations` eliminated."""
+    partial = system.at_rest(ca.jacobian(system.constraints, system.dependent))
+    return ca.solve(partial.T, imbalance(system, unknown_dot, system.dependent))
+
+
+def reactions(system: System, unknown_dot: SX, multipliers: SX | None = None) -> SX:
+    """Return the loads that drive the prescribed and hold the held speeds, in that order.
+
+    Args:
+        system: The mechanical system.
+        unknown_dot: Accelerations of `System.unknown`.
+        multipliers: Loads of the constraints; needed where the system has any.
+    """
+    rows = ca.vertcat(system.prescribed, system.held)
+    load = imbalance(system, unknown_dot, rows)
+    if multipliers is None:
+        return load
+    return load - system.at_rest(ca.jacobian(system.constraints, rows)).T @ multipliers
+
+
+def _known_momentum_rate(system: System, term: Inertia) -> SX:
+    rate = system.known_rate(term.momentum)
+    if term.frame_rate is not None:
+        rate += ca.cross(term.frame_rate, term.momentum)
+    return rate

@@ -1,0 +1,93 @@
+"""Units: exact conversion factors and what FMI needs to know of each unit.
+
+SI inside; a number is converted once, where it is first written: ``6 * INCH`` is a length in metre.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+INCH = 0.0254  # m, exact
+FOOT = 12 * INCH  # m, exact
+POUND = 4.4482216152605  # N, exact
+SLUG = POUND / FOOT  # kg, 1 lbf.s2/ft
+FOOT_POUND = FOOT * POUND  # N.m
+DEGREE = pi / 180  # rad
+RPM = pi / 30  # rad/s
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as factor times a product of SI base units.
+
+    Attributes:
+        factor: One of this unit in SI base units.
+        base: Exponents by FMI's names of base units: kg, m, s, rad.
+    """
+
+    factor: float
+    base: tuple[tuple[str, int], ...]
+
+
+def _unit(factor: float = 1.0, **base: int) -> Unit:
+    return Unit(factor, tuple(base.items()))
+
+
+# Torque per angle is kept apart from torque: kg.m2/s2 with and without the radian.
+UNITS: dict[str, Unit] = {
+    "1": _unit(),
+    "s": _unit(s=1),
+    "ms": _unit(1e-3, s=1),
+    "rad": _unit(rad=1),
+    "deg": _unit(DEGREE, rad=1),
+    "rev": _unit(2 * pi, rad=1),
+    "rad/s": _unit(rad=1, s=-1),
+    "deg/s": _unit(DEGREE, rad=1, s=-1),
+    "rpm": _unit(RPM, rad=1, s=-1),
+    "rad/s2": _unit(rad=1, s=-2),
+    "deg/s2": _unit(DEGREE, rad=1, s=-2),
+    "m": _unit(m=1),
+    "mm": _unit(1e-3, m=1),
+    "cm": _unit(1e-2, m=1),
+    "in": _unit(INCH, m=1),
+    "ft": _unit(FOOT, m=1),
+    "m/s": _unit(m=1, s=-1),
+    "km/h": _unit(1 / 3.6, m=1, s=-1),
+    "ft/s": _unit(FOOT, m=1, s=-1),
+    "m/s2": _unit(m=1, s=-2),
+    "ft/s2": _unit(FOOT, m=1, s=-2),
+    "kg": _unit(kg=1),
+    "g": _unit(1e-3, kg=1),
+    "slug": _unit(SLUG, kg=1),
+    "kg/m3": _unit(kg=1, m=-3),
+    "slug/ft3": _unit(SLUG / FOOT**3, kg=1, m=-3),
+    "kg.m2": _unit(kg=1, m=2),
+    "slug.ft2": _unit(SLUG * FOOT**2, kg=1, m=2),
+    "kg.m2/s": _unit(kg=1, m=2, s=-1),
+    "N": _unit(kg=1, m=1, s=-2),
+    "lbf": _unit(POUND, kg=1, m=1, s=-2),
+    "N.m": _unit(kg=1, m=2, s=-2),
+    "ft.lbf": _unit(FOOT_POUND, kg=1, m=2, s=-2),
+    "J": _unit(kg=1, m=2, s=-2),
+    "W": _unit(kg=1, m=2, s=-3),
+    "N/m": _unit(kg=1, s=-2),
+    "N.s/m": _unit(kg=1, s=-1),
+    "N.m/rad": _unit(kg=1, m=2, s=-2, rad=-1),
+    "ft.lbf/rad": _unit(FOOT_POUND, kg=1, m=2, s=-2, rad=-1),
+    "N.m.s/rad": _unit(kg=1, m=2, s=-1, rad=-1),
+    "ft.lbf.s/rad": _unit(FOOT_POUND, kg=1, m=2, s=-1, rad=-1),
+}
+
+
+def convert(value: float, unit: str, target: str) -> float:
+    """Convert a number between two units of one kind.
+
+    Raises:
+        ValueError: A unit is unknown, or the two are not of one kind.
+    """
+    for name in (unit, target):
+        if name not in UNITS:
+            raise ValueError(f"unit '{name}' is unknown; known are {', '.join(UNITS)}")
+    source, wanted = UNITS[unit], UNITS[target]
+    if dict(source.base) != dict(wanted.base):
+        raise ValueError(f"'{unit}' cannot be converted to '{target}': not the same kind of unit")
+    return value if source.factor == wanted.factor else value * source.factor / wanted.factor

@@ -1,0 +1,1 @@
+"""C sources of the FMU runtime; `cosim.resources` reads them."""

@@ -1,0 +1,1 @@
+"""Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other."""

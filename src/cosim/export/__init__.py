@@ -1,0 +1,1 @@
+"""Export of a Dae as a Functional Mock-up Unit."""
