@@ -1,0 +1,80 @@
+"""Everything a caller may catch: `CosimError` and its children, each with its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cosim.trajectory import Trajectory
+
+
+class CosimError(Exception):
+    """Root of all errors of this package; `exit_code` is what the command line returns."""
+
+    exit_code = 1
+
+
+class UsageError(CosimError):
+    """A call that contradicts itself or the documentation."""
+
+    exit_code = 2
+
+
+class ParameterError(UsageError):
+    """A value that is not finite, out of bounds, or of the wrong type."""
+
+
+class UnknownName(CosimError):
+    """A model, variable, solver or option that does not exist."""
+
+    exit_code = 3
+
+    @classmethod
+    def among(cls, owner: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:
+        """Say what does not exist and which names come nearest."""
+        names = list(dict.fromkeys(known))
+        near = get_close_matches(name, names, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"it has {_some(names)}"
+        return cls(f"{owner} has no {kind} '{name}'; {hint}")
+
+
+class InitialConditionError(CosimError):
+    """Start values that contradict each other, or that no solution of the constraints has."""
+
+
+class SolverError(CosimError):
+    """A run that ended early; `partial` holds every output up to there."""
+
+    def __init__(self, message: str, partial: Trajectory | None = None) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
+class ExportError(CosimError):
+    """An FMU that could not be written."""
+
+
+class FmuError(CosimError):
+    """An FMU that cannot be read or run."""
+
+
+class SecurityError(FmuError):
+    """A file that would reach beyond its own folder."""
+
+
+class ComparisonError(CosimError):
+    """Two results that differ by more than the bound."""
+
+    exit_code = 4
+
+
+class MissingTool(CosimError):
+    """A compiler or an optional package that is not there; the message says how to get it."""
+
+    exit_code = 5
+
+
+def _some(names: list[str], most: int = 12) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "") if names else "none"

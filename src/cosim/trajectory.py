@@ -1,0 +1,179 @@
+"""`Trajectory`: what every run on either road returns."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.errors import MissingTool, UnknownName
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """What is known of a recorded variable: name, SI unit, display unit, nominal, meaning."""
+
+    name: str
+    unit: str = "1"
+    display_unit: str | None = None
+    nominal: float = 1.0
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Values of variables over time, in SI units.
+
+    Attributes:
+        model: `MODEL/FORMULATION`, or the name in an FMU.
+        time: Output times, s, (n,).
+        columns: The variables.
+        values: One column per variable, (n, len(columns)).
+        stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
+        status: "complete", or where and why the run stopped early.
+    """
+
+    model: str
+    time: Vector
+    columns: tuple[Column, ...]
+    values: Vector
+    stats: Mapping[str, Any] = field(default_factory=dict)
+    status: str = "complete"
+
+    def __post_init__(self) -> None:
+        for array in (self.time, self.values):
+            array.setflags(write=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the variables, without time."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """SI unit by name, time included."""
+        return {"time": "s"} | {column.name: column.unit for column in self.columns}
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run reached its stop time."""
+        return self.status == "complete"
+
+    def column(self, name: str) -> Column:
+        """Return what is known of a variable.
+
+        Raises:
+            UnknownName: It was not recorded.
+        """
+        return self.columns[self._index(name)]
+
+    def __getitem__(self, name: str) -> Vector:
+        """Return the values of a variable (or of "time"), (n,).
+
+        Raises:
+            UnknownName: It was not recorded.
+        """
+        return self.time if name == "time" else self.values[:, self._index(name)]
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def select(self, names: Sequence[str]) -> Trajectory:
+        """Return the same run with these variables only, in this order."""
+        chosen = [self._index(name) for name in names]
+        columns = tuple(self.columns[i] for i in chosen)
+        return replace(self, columns=columns, values=self.values[:, chosen].copy())
+
+    @property
+    def structured(self) -> NDArray[Any]:
+        """A structured array, `time` first, as FMPy's own helpers read it; shape (n,)."""
+        table = np.empty(len(self), dtype=[(name, np.float64) for name in ("time", *self.names)])
+        table["time"] = self.time
+        for name, values in zip(self.names, self.values.T, strict=True):
+            table[name] = values
+        return table
+
+    def to_csv(self, target: str | TextIO) -> None:
+        """Write `time` and every variable with 17 digits; a file name is written at once or not.
+
+        Args:
+            target: File name, replaced atomically, or an open text file.
+        """
+        if not isinstance(target, str):
+            self._write_csv(target)
+            return
+        from cosim.files import write_atomically  # only where a file is wanted
+
+        text = io.StringIO(newline="")
+        self._write_csv(text)
+        write_atomically(target, text.getvalue().encode())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""
+        pandas = _extra("pandas")
+        frame = pandas.DataFrame(self.values, columns=self.names, index=self.time)
+        frame.index.name = "time"
+        frame.attrs = {"model": self.model, "units": self.units, "status": self.status}
+        return frame
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return an `xarray.Dataset` over time; unit and meaning in each variable's `attrs`."""
+        xarray = _extra("xarray")
+        variables = {
+            column.name: (
+                "time",
+                self.values[:, i],
+                {"units": column.unit, "long_name": column.meaning},
+            )
+            for i, column in enumerate(self.columns)
+        }
+        time = ("time", self.time, {"units": "s"})
+        attrs = {"model": self.model, "status": self.status}
+        return xarray.Dataset(variables, {"time": time}, attrs)
+
+    def plot(self, names: Sequence[str] | None = None) -> Figure:
+        """Draw variables over time in their display units, one axis per unit."""
+        from importlib import import_module
+
+        figure: Figure = import_module("cosim.plots").plot_trajectory(self, names)
+        return figure
+
+    def _index(self, name: str) -> int:
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise UnknownName.among(f"{self.model}: run", "variable", name, self.names) from None
+
+    def _write_csv(self, stream: TextIO) -> None:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("time", *self.names))
+        table = np.column_stack((self.time, self.values))
+        writer.writerows([repr_17(value) for value in row] for row in table.tolist())
+
+
+def repr_17(value: float) -> str:
+    """Write a number with 17 significant digits, so that reading returns the same bits."""
+    return f"{value:.17g}"
+
+
+def _extra(package: str) -> Any:
+    from importlib import import_module
+
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise MissingTool(
+            f"{package} is not installed; bring it with: pip install 'cosim-rigid[data]'"
+        ) from error

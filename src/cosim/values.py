@@ -1,0 +1,137 @@
+"""Numbers that users give: checked against what the model says of each variable."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_models.dae import Dae, Start, Variable
+from casadi_models.units import convert
+from cosim.errors import InitialConditionError, ParameterError, UnknownName
+
+Vector = NDArray[np.float64]
+
+_QUANTITY = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan))\s*(\S*)\s*"
+)
+
+
+@dataclass(frozen=True)
+class Values:
+    """Numbers for every state (guesses included), parameter and input, in the DAE's order."""
+
+    x: Vector
+    p: Vector
+    u: Vector
+
+
+def quantity(text: str, variable: Variable) -> float:
+    """Read `VALUE[UNIT]`, e.g. "60deg", as a number in the variable's SI unit.
+
+    Raises:
+        ParameterError: It is not a number, or its unit does not fit.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if not match:
+        raise ParameterError(
+            f"{variable.name}: '{text}' is not a number with a unit; write e.g. 1.5{variable.unit}"
+        )
+    number, unit = float(match[1]), match[2]
+    try:
+        return convert(number, unit, variable.unit) if unit else number
+    except ValueError as error:
+        raise ParameterError(f"{variable.name} = {text}: {error}") from error
+
+
+def number(owner: str, name: str, value: Any, *, positive: bool = False) -> float:
+    """Return a finite real number, or say whose number it should have been.
+
+    Raises:
+        ParameterError: The value is no finite real number, or not positive where it must be.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        raise ParameterError(f"{owner}: {name} = {value!r} is not a real number; give a float")
+    if not isfinite(value):
+        raise ParameterError(f"{owner}: {name} = {value} is not finite; give a finite number")
+    if positive and value <= 0:
+        raise ParameterError(f"{owner}: {name} = {value} is not positive; give a positive number")
+    return float(value)
+
+
+def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
+    """Put a user's numbers in place of the model's start values, parameters and inputs.
+
+    Raises:
+        UnknownName: A name is no state, parameter or input of the model.
+        ParameterError: A number is not finite or out of its bounds, or an inertia is not physical.
+        InitialConditionError: A start value is given that follows from others.
+    """
+    given = dict(overrides or {})
+    settable = {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs)}
+    for name, value in given.items():
+        if name not in settable:
+            raise _unknown(dae, name, settable)
+        given[name] = _checked(dae, settable[name], value)
+    x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
+    p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
+    u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
+    _check_inertias(dae, p)
+    return Values(x, p, u)
+
+
+def _checked(dae: Dae, variable: Variable, value: Any) -> float:
+    if variable.start_kind is Start.CALCULATED:
+        free = [v.name for v in dae.states if v.start_kind is Start.EXACT]
+        raise InitialConditionError(
+            f"{dae.full_name}: the start of {variable.name} is calculated from other start values; "
+            f"set some of {', '.join((*free, *_start_parameters(dae)))} instead"
+        )
+    result = number(dae.full_name, f"{variable.name} [{variable.unit}]", value)
+    if not variable.minimum <= result <= variable.maximum:
+        raise ParameterError(
+            f"{dae.full_name}: {variable.name} = {result:g} {variable.unit} is out of its range "
+            f"{variable.minimum:g} ... {variable.maximum:g} {variable.unit}; give a value within"
+        )
+    return result
+
+
+def _start_parameters(dae: Dae) -> tuple[str, ...]:
+    return tuple(v.name for v in dae.parameters if v.name.endswith("0"))
+
+
+def _unknown(dae: Dae, name: str, settable: Mapping[str, Variable]) -> UnknownName:
+    if any(v.name == name for v in dae.variables):
+        return UnknownName(
+            f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "
+            "set a state's start, a parameter or an input"
+        )
+    return UnknownName.among(dae.full_name, "state, parameter or input", name, settable)
+
+
+def _check_inertias(dae: Dae, p: Vector) -> None:
+    """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
+    if not dae.inertias:
+        return
+    import casadi as ca
+
+    matrices = ca.Function("inertias", [dae.p], [matrix for _, matrix in dae.inertias])(p)
+    blocks: Sequence[Any] = matrices if isinstance(matrices, list | tuple) else [matrices]
+    for (body, _), block in zip(dae.inertias, blocks, strict=True):
+        matrix = np.array(ca.DM(block))
+        if not np.isfinite(matrix).all():
+            raise ParameterError(
+                f"{dae.full_name}: the inertia of {body} is not finite; give smaller parameters"
+            )
+        moments = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+        slack = 1e-9 * np.abs(moments).max()
+        if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack:
+            raise ParameterError(
+                f"{dae.full_name}: the inertia of {body} has principal moments "
+                f"{moments[0]:.6g}, {moments[1]:.6g}, {moments[2]:.6g} kg.m2, which no body has; "
+                "none may be negative or exceed the sum of the other two"
+            )
