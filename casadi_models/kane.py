@@ -84,10 +84,12 @@ class System:
         """Put the held speeds to zero, after every partial derivative has been taken."""
         return ca.substitute(expression, self.held, SX.zeros(self.held.numel()))
 
-    def known_rate(self, expression: SX) -> SX:
-        """Return the part of an expression's time derivative that holds no unknown acceleration."""
-        along = ca.vertcat(self.q, self.prescribed)
-        return ca.jtimes(expression, along, ca.vertcat(self.q_dot, self.prescribed_dot))
+    def rate_of(self, expression: SX, unknown_dot: SX | None = None) -> SX:
+        """Return d/dt of an expression; unknown accelerations count as zero unless given."""
+        along, rate = [self.q, self.prescribed], [self.q_dot, self.prescribed_dot]
+        if unknown_dot is not None:
+            along, rate = [*along, self.unknown], [*rate, unknown_dot]
+        return ca.jtimes(expression, ca.vertcat(*along), ca.vertcat(*rate))
 
 
 @dataclass(frozen=True)
@@ -160,22 +162,25 @@ def accelerations(system: System) -> Accelerations:
     if dependent.numel():
         relation = speed_relation(system)
         matrix = ca.jacobian(system.constraints, dependent)
-        offset = -ca.solve(matrix, system.known_rate(system.constraints))
+        offset = -ca.solve(matrix, system.rate_of(system.constraints))
+    # One forward sweep per free speed, and one along the motion, through shared subexpressions
+    directions = ca.vertcat(SX.eye(free.numel()), relation)
+    known_dot = ca.vertcat(SX.zeros(free.numel()), offset)
 
     def project(expression: SX) -> SX:
-        return ca.jacobian(expression, free) + ca.jacobian(expression, dependent) @ relation
+        return ca.jtimes(expression, system.unknown, directions)
 
     mass = SX.zeros(free.numel(), free.numel())
     force = SX.zeros(free.numel())
     for term in system.inertias:
         partial = project(term.rate)
         mass += partial.T @ project(term.momentum)
-        rate = _known_momentum_rate(system, term)
-        force -= partial.T @ (rate + ca.jacobian(term.momentum, dependent) @ offset)
+        force -= partial.T @ _momentum_rate(system, term, known_dot)
     for load in system.loads:
         force += project(load.rate).T @ load.force
     mass, force = system.at_rest(mass), system.at_rest(force)
-    free_dot = ca.solve(ca.triu2symm(ca.triu(mass)), force)  # one half of M is enough
+    # M is symmetric and positive definite: L D L^T costs a third of the general solution
+    free_dot = ca.ldl_solve(force, *ca.ldl(ca.triu2symm(ca.triu(mass))))
     return Accelerations(free_dot, relation @ free_dot + system.at_rest(offset), relation)
 
 
@@ -189,8 +194,7 @@ def imbalance(system: System, unknown_dot: SX, rows: SX) -> SX:
     """
     missing = SX.zeros(rows.numel())
     for term in system.inertias:
-        rate = ca.jtimes(term.momentum, system.unknown, unknown_dot)
-        rate += _known_momentum_rate(system, term)
+        rate = _momentum_rate(system, term, unknown_dot)
         missing += ca.jacobian(term.rate, rows).T @ rate
     for load in system.loads:
         missing -= ca.jacobian(load.rate, rows).T @ load.force
@@ -199,8 +203,7 @@ def imbalance(system: System, unknown_dot: SX, rows: SX) -> SX:
 
 def constraint_acceleration(system: System, unknown_dot: SX) -> SX:
     """Return the time derivative of the constraints."""
-    rate = ca.jtimes(system.constraints, system.unknown, unknown_dot)
-    return system.at_rest(rate + system.known_rate(system.constraints))
+    return system.at_rest(system.rate_of(system.constraints, unknown_dot))
 
 
 def multiplier_equations(system: System, free_dot: SX, multipliers: SX) -> SX:
@@ -237,8 +240,14 @@ def reactions(system: System, unknown_dot: SX, multipliers: SX | None = None) ->
     return load - system.at_rest(ca.jacobian(system.constraints, rows)).T @ multipliers
 
 
-def _known_momentum_rate(system: System, term: Inertia) -> SX:
-    rate = system.known_rate(term.momentum)
+def kinetic_energy(system: System) -> SX:
+    """Return half the product of momenta and rates, J."""
+    twice = sum((ca.dot(term.rate, term.momentum) for term in system.inertias), SX(0))
+    return system.at_rest(twice / 2)
+
+
+def _momentum_rate(system: System, term: Inertia, unknown_dot: SX) -> SX:
+    rate = system.rate_of(term.momentum, unknown_dot)
     if term.frame_rate is not None:
         rate += ca.cross(term.frame_rate, term.momentum)
     return rate
