@@ -8,6 +8,7 @@ Model   bars slender (no inertia about their own axis), bearings slide along Z, 
 Source  Unit 7, Example 1; equations from Unit 2.
 """
 
+from itertools import pairwise
 from math import pi
 from typing import NamedTuple
 
@@ -16,12 +17,22 @@ from casadi import SX
 
 from casadi_models import kane, rotations
 from casadi_models.dae import Dae, Model
+from casadi_models.joints import free_joint
 from casadi_models.units import FOOT, INCH, POUND
 
 # Corners of the path in units of the segment length (Unit 7, page 1)
 PATH = ((0, 0, 0), (0, 0, 1), (1, 0, 1), (1, 0, 2), (-1, 0, 2), (-1, 0, 3), (0, 0, 3), (0, 0, 4))
 STEEL = 0.284 * POUND / INCH**3 / (32.174 * FOOT)  # kg/m3: weight density over the book's g
 DISPLAY = {"rad": "deg", "rad/s": "rpm", "N": "lbf", "N.m": "ft.lbf", "m": "in", "kg": "slug"}
+
+# Loads on the shaft: name, unit, meaning, size
+LOADS = (
+    ("fx_A", "N", "force of bearing A on the shaft along X'", 100.0),
+    ("fy_A", "N", "force of bearing A on the shaft along Y'", 1.0),
+    ("fx_B", "N", "force of bearing B on the shaft along X'", 100.0),
+    ("fy_B", "N", "force of bearing B on the shaft along Y'", 1.0),
+    ("T", "N.m", "torque of the drive on the shaft about Z", 1.0),
+)
 
 
 class _Shaft(NamedTuple):
@@ -55,14 +66,13 @@ def driven() -> Dae:
         prescribed_dot=shaft.alpha,
         held=ca.vertcat(a, b),
         inertias=kane.body(shaft.mass, shaft.inertia, velocity, rate),
-        loads=(_weight(shaft, velocity, rotations.about(3, phi)),),
+        loads=(kane.Load(velocity, rotations.about(3, phi).T @ _weight(shaft)),),
     )
-    torque, fx_a, fy_a, fx_b, fy_b = ca.vertsplit(kane.reactions(system, SX(0, 1)))
-    for name, force in zip(("fx_A", "fy_A", "fx_B", "fy_B"), (fx_a, fy_a, fx_b, fy_b), strict=True):
-        model.output(name, "N", force, _bearing(name))
-    model.output("T", "N.m", torque, "drive torque on the shaft about Z")
-    height = SX(0)
-    _energies(model, shaft, rate=ca.vertcat(0, 0, omega), velocity=SX.zeros(3), height=height)
+    torque, *forces = ca.vertsplit(kane.reactions(system, SX(0, 1)))
+    for (name, unit, meaning, size), load in zip(LOADS, [*forces, torque], strict=True):
+        model.output(name, unit, load, meaning, nominal=size)
+    spin = ca.vertcat(0, 0, omega)
+    _energies(model, shaft, velocity=SX.zeros(3), omega=spin, height=SX(0))
     return model.freeze()
 
 
@@ -70,68 +80,31 @@ def multipliers() -> Dae:
     """Return the DAE of a free body held by bearings and a drive: 12 states, 11 algebraics."""
     model = _model("multipliers", "free body; bearing forces and drive torque are the multipliers")
     phi, omega = _spin(model)
-    place = ca.vertcat(
-        *(
-            model.state(f"{axis}_G", "m", 0.0, f"{axis} of G from its place, world")
-            for axis in "xyz"
-        )
-    )
-    tilts = [
-        model.state(f"tilt_{i}", "rad", 0.0, f"tilt of the axis about follower axis {i}")
-        for i in (1, 2)
-    ]
-    velocity = ca.vertcat(
-        *(
-            model.state(f"v{axis}_G", "m/s", 0.0, f"velocity of G along {axis}', follower")
-            for axis in "xyz"
-        )
-    )
-    rates = [
-        model.state(f"omega_{i}", "rad/s", 0.0, f"angular velocity about follower axis {i}")
-        for i in (1, 2)
-    ]
     shaft = _shaft(model)
+    joint = free_joint(model, "shaft", 3, phi, omega, acceleration="omega_dot")  # G in the world
 
-    # Body-fixed 1-2-3 angles, the spin last: regular while the axis is near Z.
-    rotation = rotations.about(1, tilts[0]) @ rotations.about(2, tilts[1]) @ rotations.about(3, phi)
-    rate = ca.vertcat(*rates, omega)
-    angle_rates = SX.sym("angle_rates", 3)
-    angles = ca.vertcat(*tilts, phi)
-    _, omega_of = rotations.body_fixed((1, 2, 3), angles, angle_rates)
-    to_angles = ca.solve(ca.jacobian(omega_of, angle_rates), rate)
-    q, q_dot = ca.vertcat(place, angles), ca.vertcat(rotation @ velocity, to_angles)
-
-    arm = 2 * shaft.length * rotations.unit(3)  # from G to B
-    at_a = (velocity + ca.cross(rate, -arm))[:2]
-    at_b = (velocity + ca.cross(rate, arm))[:2]
-    speeds = ca.vertcat(velocity, rate)
-    drive = SX.sym("drive_rate")  # of the drive, to which the shaft is held by the last constraint
+    to_follower = joint.rotation.T
+    at_a, at_b = (
+        to_follower @ joint.velocity + ca.cross(joint.omega, side * rotations.unit(3))
+        for side in (-2 * shaft.length, 2 * shaft.length)
+    )
+    drive = SX.sym("drive_rate")  # the last constraint ties the shaft to the drive
     system = kane.System(
-        q=q,
-        q_dot=q_dot,
-        free=speeds,
+        q=joint.q,
+        q_dot=joint.q_dot,
+        free=joint.speeds,
         prescribed=drive,
         prescribed_dot=shaft.alpha,
-        inertias=kane.body(shaft.mass, shaft.inertia, velocity, rate),
-        loads=(_weight(shaft, velocity, rotation),),
-        constraints=ca.vertcat(at_a, at_b, omega - drive),
+        inertias=(
+            kane.Inertia(joint.velocity, shaft.mass * joint.velocity),
+            kane.Inertia(joint.omega, shaft.inertia @ joint.omega, joint.omega),
+        ),
+        loads=(kane.Load(joint.velocity, _weight(shaft)),),
+        constraints=ca.vertcat(at_a[:2], at_b[:2], omega - drive),
     )
-    accelerations = ca.vertcat(
-        *(
-            model.algebraic(f"{name}_dot", unit, 0.0, f"rate of {name}", nominal=nominal)
-            for name, unit, nominal in [(f"v{a}_G", "m/s2", 1.0) for a in "xyz"]
-            + [(n, "rad/s2", 10.0) for n in ("omega_1", "omega_2", "omega")]
-        )
-    )
-    loads = [
-        model.algebraic(name, "N", 0.0, _bearing(name), nominal=10.0)
-        for name in ("fx_A", "fy_A", "fx_B", "fy_B")
-    ]
-    loads.append(model.algebraic("T", "N.m", 0.0, "drive torque on the shaft about Z"))
-    model.equation(kane.multiplier_equations(system, accelerations, ca.vertcat(*loads)))
-    model.derivative(ca.vertcat(place, *tilts, phi), q_dot)
-    model.derivative(speeds, accelerations)
-    _energies(model, shaft, rate=rate, velocity=velocity, height=place[1])
+    loads = [model.algebraic(n, u, 0.0, m, nominal=size) for n, u, m, size in LOADS]
+    model.equation(kane.multiplier_equations(system, joint.accelerations, ca.vertcat(*loads)))
+    _energies(model, shaft, velocity=joint.velocity, omega=joint.omega, height=joint.shift[1])
     return model.freeze()
 
 
@@ -162,7 +135,7 @@ def _shaft(model: Model) -> _Shaft:
     g = model.parameter("g", "m/s2", 0.0, "gravity along world -Y", display_unit="ft/s2")
     segment = density * pi / 4 * diameter**2 * length
     inertia = SX.zeros(3, 3)
-    for start, end in zip(PATH, PATH[1:], strict=False):
+    for start, end in pairwise(PATH):
         ends = [ca.DM(point) - ca.DM([0, 0, 2]) for point in (start, end)]
         middle, along = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
         size = float(ca.norm_2(along))
@@ -176,15 +149,10 @@ def _point(r: ca.DM) -> ca.DM:
     return ca.dot(r, r) * ca.DM.eye(3) - r @ r.T
 
 
-def _weight(shaft: _Shaft, velocity: SX, rotation: SX) -> kane.Load:
-    return kane.Load(velocity, rotation.T @ ca.vertcat(0, -shaft.mass * shaft.g, 0))
+def _weight(shaft: _Shaft) -> SX:
+    return ca.vertcat(0, -shaft.mass * shaft.g, 0)  # in the world
 
 
-def _bearing(name: str) -> str:
-    return f"force of bearing {name[-1]} on the shaft along {name[1].upper()}'"
-
-
-def _energies(model: Model, shaft: _Shaft, *, rate: SX, velocity: SX, height: SX) -> None:
-    kinetic = (ca.dot(rate, shaft.inertia @ rate) + shaft.mass * ca.dot(velocity, velocity)) / 2
-    potential = shaft.mass * shaft.g * height
-    model.energies(kinetic, potential, nominal=50.0)
+def _energies(model: Model, shaft: _Shaft, *, velocity: SX, omega: SX, height: SX) -> None:
+    kinetic = (ca.dot(omega, shaft.inertia @ omega) + shaft.mass * ca.dot(velocity, velocity)) / 2
+    model.energies(kinetic, shaft.mass * shaft.g * height, nominal=50.0)
