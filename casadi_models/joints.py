@@ -1,0 +1,105 @@
+"""The joint with six freedoms: a body loose from its carrier, to be held by constraints.
+
+Its coordinates measure what the real joint forbids (a displacement and two tilts, all zero where
+it holds) and the one angle that it leaves free. Constraints are then linear in the coordinates
+where they hold; integrators keep linear invariants, so that an index-1 DAE hardly drifts.
+
+Source  Body-fixed turns i, j, k in cyclic order; Kane, Likins & Levinson, Spacecraft Dynamics,
+        1983, appendix II (1-2-3).
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+from casadi import SX, cos, sin
+
+from casadi_models import rotations
+from casadi_models.dae import Model
+
+
+@dataclass(frozen=True)
+class FreeJoint:
+    """The motion of a body relative to its carrier; columns of three unless said otherwise.
+
+    Attributes:
+        shift: Displacement of a point of the body, in the carrier's axes, m.
+        velocity: Its rate of change, m/s.
+        rotation: R of the body in the carrier, (3, 3).
+        omega: Angular velocity relative to the carrier, in the body's axes, rad/s.
+        q, q_dot: Coordinates (shift, tilts, angle) and their rates, (6, 1).
+        speeds, accelerations: Speeds (velocity, omega) and their unknown rates, (6, 1).
+    """
+
+    shift: SX
+    velocity: SX
+    rotation: SX
+    omega: SX
+    q: SX
+    q_dot: SX
+    speeds: SX
+    accelerations: SX
+
+
+def free_joint(
+    model: Model, body: str, axis: int, angle: SX, rate: SX, acceleration: str
+) -> FreeJoint:
+    """Declare the motion of a body loose from its carrier, with unknown accelerations.
+
+    Args:
+        model: Receives ten states, six algebraic unknowns and the derivatives of all twelve states.
+        body: Begins the names of the new variables.
+        axis: Of the angle (1, 2 or 3), in the body.
+        angle: State, rad; regular while the tilts are below 90 deg.
+        rate: State, rad/s; the angular velocity about `axis`, which is the angle's rate where
+            the tilts rest.
+        acceleration: Name for the unknown rate of `rate`.
+    """
+    i, j = axis % 3 + 1, (axis + 1) % 3 + 1  # i, j, axis are in cyclic order
+
+    def states(names: list[str], unit: str, meaning: str) -> SX:
+        """Declare states at rest."""
+        declared = (model.state(f"{body}_{n}", unit, 0.0, f"{meaning} {n[-1]}") for n in names)
+        return ca.vertcat(*declared)
+
+    shift = states(["shift_1", "shift_2", "shift_3"], "m", f"displacement of {body} along axis")
+    tilts = states([f"tilt_{i}", f"tilt_{j}"], "rad", f"tilt of {body} about axis")
+    velocity = states(["v1", "v2", "v3"], "m/s", f"velocity of {body} along axis")
+    w_i, w_j = ca.vertsplit(
+        states([f"w{i}", f"w{j}"], "rad/s", f"angular velocity of {body} about axis")
+    )
+    accelerations = ca.vertcat(
+        *(
+            model.algebraic(f"{body}_v{n}_dot", "m/s2", 0.0, f"rate of {body}_v{n}")
+            for n in (1, 2, 3)
+        ),
+        *(
+            model.algebraic(
+                acceleration if n == axis else f"{body}_w{n}_dot",
+                "rad/s2",
+                0.0,
+                f"angular acceleration of {body} about its axis {n}",
+                nominal=10.0,
+            )
+            for n in (1, 2, 3)
+        ),
+    )
+    a, b = ca.vertsplit(tilts)
+    a_dot = (w_i * cos(angle) - w_j * sin(angle)) / cos(b)
+    b_dot = w_i * sin(angle) + w_j * cos(angle)
+    named = {i: w_i, j: w_j, axis: rate}
+    omega = ca.vertcat(*(named[n] for n in (1, 2, 3)))
+    q = ca.vertcat(shift, tilts, angle)
+    q_dot = ca.vertcat(velocity, a_dot, b_dot, rate - a_dot * sin(b))
+    speeds = ca.vertcat(velocity, omega)
+    model.derivative(q, q_dot)
+    model.derivative(speeds, accelerations)
+    return FreeJoint(
+        shift=shift,
+        velocity=velocity,
+        rotation=rotations.about(i, a) @ rotations.about(j, b) @ rotations.about(axis, angle),
+        omega=omega,
+        q=q,
+        q_dot=q_dot,
+        speeds=speeds,
+        accelerations=accelerations,
+    )
