@@ -18,8 +18,9 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX, cos, sin
 
-from casadi_models import rotations
+from casadi_models import kane, rotations
 from casadi_models.dae import Dae, Model
+from casadi_models.joints import free_joint
 from casadi_models.units import DEGREE, FOOT, FOOT_POUND, INCH, SLUG
 
 DISPLAY = {"rad": "deg", "N": "lbf", "N.m": "ft.lbf", "m": "in", "kg": "slug"}
@@ -128,6 +129,58 @@ def reduced() -> Dae:
     return model.freeze()
 
 
+def two_body() -> Dae:
+    """Return the DAE of frame and bar in bearings, drive and pin: 24 states, 22 algebraics."""
+    model = _model("two_body", "two bodies; loads of bearings, drive and pin are the multipliers")
+    theta, theta_dot, phi, Omega = _motion(model)
+    data = _data(model)
+    frame = free_joint(model, "frame", 3, phi, Omega, "phi_ddot")  # A in the world
+    bar = free_joint(model, "bar", 2, theta, theta_dot, "theta_ddot")  # G in F, from the arm's end
+
+    def of_frame(point: SX) -> SX:
+        """Return the velocity of a point of F, in F."""
+        return frame.rotation.T @ frame.velocity + ca.cross(frame.omega, point)
+
+    at_A, at_B = ca.vertcat(0, 0, 0), ca.vertcat(0, 0, data.column_length)
+    at_arm, at_G = (ca.vertcat(0, reach, data.weld_height) for reach in (data.d / 2, data.d))
+    velocity = of_frame(at_G + bar.shift) + bar.velocity  # of G, in F
+    omega = bar.rotation.T @ frame.omega + bar.omega  # of the bar, in (e1, n2, e3)
+    drive = SX.sym("drive_rate")  # the fifth constraint ties the frame to the drive
+    system = kane.System(
+        q=ca.vertcat(frame.q, bar.q),
+        q_dot=ca.vertcat(frame.q_dot, bar.q_dot),
+        free=ca.vertcat(frame.speeds, bar.speeds),
+        prescribed=drive,
+        prescribed_dot=data.Omega_dot,
+        inertias=(
+            *kane.body(data.column_mass, data.column_inertia, of_frame(at_B / 2), frame.omega),
+            *kane.body(data.arm_mass, data.arm_inertia, of_frame(at_arm), frame.omega),
+            kane.Inertia(velocity, data.m * velocity, frame.omega),
+            kane.Inertia(omega, data.bar_inertia @ omega, omega),
+        ),
+        loads=(kane.Load(theta_dot, data.T2 - data.b * theta_dot),),
+        constraints=ca.vertcat(
+            of_frame(at_A)[:2], of_frame(at_B)[:2], Omega - drive, bar.velocity, bar.omega[[0, 2]]
+        ),
+    )
+    accelerations = ca.vertcat(frame.accelerations, bar.accelerations)
+    loads = _algebraics(
+        model, "f1_A_F f2_A_F f1_B_F f2_B_F M_phi f1_G_F f2_G_F fk_G_F t1_G_B t3_G_B"
+    )
+    model.equation(kane.multiplier_equations(system, accelerations, loads))
+
+    t1, t3 = ca.vertsplit(loads[8:])
+    torque_B = ca.vertcat(t1, data.T2 - data.b * theta_dot, t3)
+    _outputs(model, "f1_G_B f2_G_B f3_G_B", bar.rotation.T @ loads[5:8])
+    _outputs(model, "t1_G_F t2_G_F tk_G_F", bar.rotation @ torque_B)
+    _outputs(model, "t2_G_B", torque_B[1])
+    rate = frame.rotation @ bar.rotation @ omega
+    _outputs(model, "wx_bar wy_bar wz_bar", rate)
+    _outputs(model, "ax_bar ay_bar az_bar", system.rate_of(rate, accelerations))
+    model.energies(kane.kinetic_energy(system), 0, nominal=10.0)
+    return model.freeze()
+
+
 def _model(formulation: str, description: str) -> Model:
     return Model(
         "bar_on_frame",
@@ -193,3 +246,11 @@ def _outputs(model: Model, names: str, column: SX) -> None:
     for name, component in zip(names.split(), ca.vertsplit(column), strict=True):
         unit, meaning, nominal = _FACTS[name]
         model.output(name, unit, component, meaning, nominal=nominal)
+
+
+def _algebraics(model: Model, names: str) -> SX:
+    def declared(name: str) -> SX:
+        unit, meaning, nominal = _FACTS[name]
+        return model.algebraic(name, unit, 0.0, meaning, nominal=nominal)
+
+    return ca.vertcat(*map(declared, names.split()))
