@@ -1,13 +1,13 @@
 """Rotation matrices, angle sequences and quaternions.
 
-`R_AB` turns components: v in A = R_AB @ v in B. Angular velocities are resolved in the turned frame.
+`R_AB` turns components: v in A = R_AB @ v in B. Angular velocities stand in the turned frame.
 """
 
 import casadi as ca
 from casadi import SX, cos, sin
 
 
-def about(axis: int, angle: SX) -> SX:
+def about(axis: int, angle: SX | float) -> SX:
     """Return R_AB of a frame B turned in A about a common axis (1, 2 or 3), right-handed."""
     c, s = cos(angle), sin(angle)
     if axis == 1:
@@ -16,11 +16,13 @@ def about(axis: int, angle: SX) -> SX:
         return _rows((c, 0, s), (0, 1, 0), (-s, 0, c))
     if axis == 3:
         return _rows((c, -s, 0), (s, c, 0), (0, 0, 1))
-    raise ValueError(f"axis {axis} does not exist; use 1, 2 or 3")
+    raise _no_axis(axis)
 
 
 def unit(axis: int) -> SX:
     """Return the unit vector along an axis (1, 2 or 3)."""
+    if axis not in (1, 2, 3):
+        raise _no_axis(axis)
     return SX([float(i == axis) for i in (1, 2, 3)])
 
 
@@ -61,10 +63,14 @@ def quaternion_product(a: SX, b: SX) -> SX:
     return ca.vertcat(scalar, a[0] * b[1:] + b[0] * a[1:] + ca.cross(a[1:], b[1:]))
 
 
-def quaternion_about(axis: int, angle: SX) -> SX:
+def quaternion_about(axis: int, angle: SX | float) -> SX:
     """Return the quaternion of a turn about an axis (1, 2 or 3)."""
     return ca.vertcat(cos(angle / 2), sin(angle / 2) * unit(axis))
 
 
-def _rows(*rows: tuple[object, object, object]) -> SX:
-    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+def _rows(*rows: tuple[SX | float, SX | float, SX | float]) -> SX:
+    return ca.vertcat(*(ca.horzcat(*map(SX, row)) for row in rows))
+
+
+def _no_axis(axis: int) -> ValueError:
+    return ValueError(f"axis {axis} does not exist; use 1, 2 or 3")

@@ -3,11 +3,12 @@
 SI inside; a number is converted once, where it is first written: ``6 * INCH`` is a length in metre.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
 
 INCH = 0.0254  # m, exact
-FOOT = 12 * INCH  # m, exact
+FOOT = 0.3048  # m, exact (12 * 0.0254 is one rounding off)
 POUND = 4.4482216152605  # N, exact
 SLUG = POUND / FOOT  # kg, 1 lbf.s2/ft
 FOOT_POUND = FOOT * POUND  # N.m
@@ -27,13 +28,17 @@ class Unit:
     factor: float
     base: tuple[tuple[str, int], ...]
 
+    def measures_like(self, other: "Unit") -> bool:
+        """Tell whether both measure the same kind of quantity."""
+        return dict(self.base) == dict(other.base)
+
 
 def _unit(factor: float = 1.0, **base: int) -> Unit:
     return Unit(factor, tuple(base.items()))
 
 
 # Torque per angle is kept apart from torque: kg.m2/s2 with and without the radian.
-UNITS: dict[str, Unit] = {
+UNITS: Mapping[str, Unit] = {
     "1": _unit(),
     "s": _unit(s=1),
     "ms": _unit(1e-3, s=1),
@@ -85,9 +90,9 @@ def convert(value: float, unit: str, target: str) -> float:
         ValueError: A unit is unknown, or the two are not of one kind.
     """
     for name in (unit, target):
-        if name not in UNITS:
-            raise ValueError(f"unit '{name}' is unknown; known are {', '.join(UNITS)}")
+        if not (isinstance(name, str) and name in UNITS):
+            raise ValueError(f"unit {name!r} is unknown; known are {', '.join(UNITS)}")
     source, wanted = UNITS[unit], UNITS[target]
-    if dict(source.base) != dict(wanted.base):
+    if not source.measures_like(wanted):
         raise ValueError(f"'{unit}' cannot be converted to '{target}': not the same kind of unit")
     return value if source.factor == wanted.factor else value * source.factor / wanted.factor

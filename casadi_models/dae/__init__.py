@@ -1,0 +1,14 @@
+"""`Dae`: a semi-explicit symbolic DAE that knows its variables; `Model`: the builder of one.
+
+    x' = ode(t, x, z, u, p)      0 = alg(t, x, z, u, p)      outputs = y(t, x, z, u, p)
+
+The symbols and expressions are plain CasADi `SX`; every variable carries unit, display unit,
+meaning, start value, nominal value and bounds, which travel with it to XML, CSV and axis labels.
+"""
+
+from casadi_models.dae.frozen import Dae
+from casadi_models.dae.model import Model
+from casadi_models.dae.starts import StartRule
+from casadi_models.dae.variables import Experiment, Start, Variable
+
+__all__ = ["Dae", "Experiment", "Model", "Start", "StartRule", "Variable"]

@@ -1,0 +1,67 @@
+"""What must be known of a CasADi expression before it may stand in a `Dae`."""
+
+from collections.abc import Container, Iterable, Mapping, Sequence
+from math import isfinite
+
+import casadi as ca
+from casadi import SX
+
+
+def column(expressions: Iterable[SX]) -> SX:
+    """Stack columns into one dense column, (n, 1); n may be 0."""
+    return ca.densify(ca.vertcat(SX(0, 1), *expressions))
+
+
+def share(columns: Sequence[SX]) -> list[SX]:
+    """Let all columns share their common subexpressions."""
+    return [column([shared]) for shared in ca.cse(list(columns))]
+
+
+def symbols(expression: SX) -> dict[int, str]:
+    """Return the names of an expression's symbols under what identifies each of them."""
+    return {symbol.element_hash(): symbol.name() for symbol in ca.symvar(expression)}
+
+
+def refuse_faulty(rows: Mapping[str, SX], known: SX, allowed: str) -> None:
+    """Refuse expressions that use unknown symbols or hold a NaN or an infinity.
+
+    Args:
+        rows: What each expression is, for messages, and the expression; columns.
+        known: The symbols that may stand there.
+        allowed: What those are, for messages.
+
+    Raises:
+        ValueError: Names the first faulty expression.
+    """
+    declared = symbols(known)
+    if _fault(column(rows.values()), declared) is None:
+        return
+    for what, expression in rows.items():
+        fault = _fault(expression, declared)
+        if fault:
+            raise ValueError(f"{what} {fault}; only {allowed} and finite numbers may stand there")
+
+
+def _fault(expression: SX, declared: Container[int]) -> str | None:
+    used = symbols(expression)
+    strangers = [name for identity, name in used.items() if identity not in declared]
+    if strangers:
+        return f"uses {quoted(strangers)}"
+    function = ca.Function("f", ca.symvar(expression), [expression])
+    for i in range(function.n_instructions()):
+        if function.instruction_id(i) == ca.OP_CONST:
+            constant = function.instruction_constant(i)
+            if not isfinite(constant):
+                return f"holds the constant {constant}"
+    return None
+
+
+def is_structurally_regular(residual: SX, unknowns: SX) -> bool:
+    """Tell whether every unknown can be matched to a residual of its own that depends on it."""
+    jacobian = ca.jacobian_sparsity(residual, unknowns)
+    return bool(ca.sprank(jacobian) == unknowns.numel() == residual.numel())
+
+
+def quoted(names: Iterable[str]) -> str:
+    """Join names for a message."""
+    return ", ".join(f"'{name}'" for name in names)

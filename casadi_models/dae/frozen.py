@@ -1,0 +1,95 @@
+"""`Dae`: a semi-explicit symbolic DAE that knows its variables."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae.starts import StartRule
+from casadi_models.dae.variables import Experiment, Variable
+
+
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
+class Dae:
+    """An immutable symbolic DAE in SI units; build one with `Model`.
+
+    Attributes:
+        name: The system, e.g. "bicycle".
+        formulation: Which equations describe it, e.g. "multipliers"; may be empty.
+        description: One line for lists and documentation.
+        source: Where the equations come from.
+        experiment: Default span and output interval.
+        t, x, z, u, p: Symbols: time, states, algebraic unknowns, inputs, parameters; columns.
+        ode, alg, outputs: Expressions: dx/dt, residual of z, outputs; columns.
+        states, algebraics, inputs, parameters, output_variables: One `Variable` per row.
+        start_rules: How calculated start values follow, in the order of evaluation.
+        inertias: (body, 3x3 expression of p) for every inertia that must be physical.
+        observed: Names that a run records; states, algebraics and outputs when not reduced.
+        x_start: Start value, or first guess where a rule is implicit, of every state.
+
+    Raises:
+        ValueError: Symbols, expressions and variables differ in number.
+    """
+
+    name: str
+    formulation: str
+    description: str
+    source: str
+    experiment: Experiment
+    t: SX
+    x: SX
+    z: SX
+    u: SX
+    p: SX
+    ode: SX
+    alg: SX
+    outputs: SX
+    states: tuple[Variable, ...]
+    algebraics: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    output_variables: tuple[Variable, ...]
+    start_rules: tuple[StartRule, ...]
+    inertias: tuple[tuple[str, SX], ...]
+    observed: tuple[str, ...]
+    x_start: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for what, variables, columns in (
+            ("states", self.states, (self.x, self.ode, SX(list(self.x_start)))),
+            ("algebraics", self.algebraics, (self.z, self.alg)),
+            ("inputs", self.inputs, (self.u,)),
+            ("parameters", self.parameters, (self.p,)),
+            ("output_variables", self.output_variables, (self.outputs,)),
+        ):
+            if any(rows.shape != (len(variables), 1) for rows in columns):
+                raise ValueError(
+                    f"{self.full_name}: {len(variables)} {what}, "
+                    f"but columns of shape {', '.join(str(rows.shape) for rows in columns)}"
+                )
+
+    @property
+    def full_name(self) -> str:
+        """`MODEL/FORMULATION`, as the command line takes it."""
+        return f"{self.name}/{self.formulation}" if self.formulation else self.name
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All variables: states, algebraics, outputs, inputs, parameters."""
+        return self.states + self.algebraics + self.output_variables + self.inputs + self.parameters
+
+    def variable(self, name: str) -> Variable:
+        """Return the variable of that name; `KeyError` when there is none."""
+        for candidate in self.variables:
+            if candidate.name == name:
+                return candidate
+        raise KeyError(name)
+
+    def operations(self) -> int:
+        """Count the scalar operations of dx/dt and the residual, parameters being numbers."""
+        values = ca.DM([variable.start or 0.0 for variable in self.parameters])
+        equations = ca.substitute(ca.vertcat(self.ode, self.alg), self.p, SX(values))
+        function = ca.Function("f", [self.t, self.x, self.z, self.u], [equations], {"cse": True})
+        moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+        codes = (function.instruction_id(i) for i in range(function.n_instructions()))
+        return sum(code not in moves for code in codes)

@@ -1,0 +1,114 @@
+"""What is known of a variable and of a run besides the equations."""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from math import inf, isfinite
+from numbers import Real
+
+from casadi_models.units import convert
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class Start(Enum):
+    """How a start value comes about."""
+
+    EXACT = "exact"  # given, and the user may change it
+    CALCULATED = "calculated"  # follows from other starts and parameters
+    GUESS = "guess"  # where the solution for an algebraic unknown begins
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named quantity; all numbers in `unit`.
+
+    Attributes:
+        name: Letters, digits and _; begins with a letter.
+        unit, display_unit: Names in `UNITS` of one kind; the display unit may be None.
+        meaning: What it is, in a few words.
+        start: None exactly where the start is calculated.
+        start_kind: Whether the start is given, calculated or a guess.
+        nominal: Typical size, by which errors are scaled; positive.
+        minimum, maximum: Bounds that the start respects.
+
+    Raises:
+        ValueError: One of these is missing, of the wrong type or contradicts another.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    start: float | None = None
+    start_kind: Start = Start.EXACT
+    display_unit: str | None = None
+    nominal: float = 1.0
+    minimum: float = -inf
+    maximum: float = inf
+
+    def __post_init__(self) -> None:
+        if not is_name(self.name) or self.name == "time":
+            raise ValueError(f"{self.name!r} cannot name a variable: use letters, digits and _")
+        try:
+            convert(1.0, self.unit, self.unit if self.display_unit is None else self.display_unit)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from error
+        if not (isinstance(self.meaning, str) and self.meaning.strip()):
+            raise ValueError(f"{self.name}: the meaning is missing; describe it in a few words")
+        if not isinstance(self.start_kind, Start):
+            raise ValueError(f"{self.name}: start_kind {self.start_kind!r} is not a Start")
+        for fact in ("nominal", "minimum", "maximum"):
+            object.__setattr__(self, fact, number(getattr(self, fact), f"{self.name}: {fact}"))
+        if not (isfinite(self.nominal) and self.nominal > 0):
+            raise ValueError(f"{self.name}: nominal {self.nominal} is not a positive number")
+        if not self.minimum <= self.maximum:
+            raise ValueError(f"{self.name}: bounds {self.minimum}..{self.maximum} are empty")
+        self._check_start()
+
+    def _check_start(self) -> None:
+        if self.start_kind is Start.CALCULATED:
+            if self.start is not None:
+                raise ValueError(f"{self.name}: start {self.start} is given, but calculated")
+            return
+        start = number(self.start, f"{self.name}: start")
+        object.__setattr__(self, "start", start)
+        if not isfinite(start):
+            raise ValueError(f"{self.name}: start {start} is not finite; give a finite number")
+        if not self.minimum <= start <= self.maximum:
+            raise ValueError(
+                f"{self.name}: start {start} is not within {self.minimum}..{self.maximum}"
+            )
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The run that a model is shown with, s; from 0 to `stop_time`."""
+
+    stop_time: float
+    output_interval: float = 0.01
+
+    def __post_init__(self) -> None:
+        for fact in ("stop_time", "output_interval"):
+            seconds = number(getattr(self, fact), fact)
+            if not (isfinite(seconds) and seconds > 0):
+                raise ValueError(f"{fact} {seconds} s is not a positive time")
+            object.__setattr__(self, fact, seconds)
+
+
+def number(value: object, what: str) -> float:
+    """Return a real number as float.
+
+    Raises:
+        ValueError: It is none (a bool, text, a symbol, nothing) or too large for a float.
+    """
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise ValueError(f"{what} is {value!r}; give a number")
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError(f"{what} is too large for a float") from None
+
+
+def is_name(name: object) -> bool:
+    """Tell whether this may name a model, a formulation or a variable in C, XML and Python."""
+    return isinstance(name, str) and _NAME.fullmatch(name) is not None
