@@ -10,7 +10,7 @@ from math import pi
 INCH = 0.0254  # m, exact
 FOOT = 0.3048  # m, exact (12 * 0.0254 is one rounding off)
 POUND = 4.4482216152605  # N, exact
-SLUG = POUND / FOOT  # kg, 1 lbf.s2/ft
+SLUG = 14.593902937206364  # kg, 1 lbf.s2/ft (POUND / FOOT is one rounding off)
 FOOT_POUND = FOOT * POUND  # N.m
 DEGREE = pi / 180  # rad
 RPM = pi / 30  # rad/s

@@ -1,0 +1,87 @@
+import math
+import re
+from fractions import Fraction
+
+import pytest
+from scipy import constants
+
+from casadi_models.units import UNITS, convert
+
+# Independent of the product: CODATA and international definitions as SciPy states them
+IN_SI = {
+    "in": constants.inch,
+    "ft": constants.foot,
+    "lbf": constants.lbf,
+    "slug": constants.slug,
+    "deg": constants.degree,
+    "rev": 2 * math.pi,
+    "rpm": 2 * math.pi / constants.minute,
+    "km/h": constants.kmh,
+    "ft.lbf": constants.foot * constants.lbf,
+    "slug/ft3": constants.slug / constants.foot**3,
+    "slug.ft2": constants.slug * constants.foot**2,
+    "mm": constants.milli,
+    "cm": constants.centi,
+    "ms": constants.milli,
+    "g": constants.gram,
+}
+PARTS = {  # of which the names of compound units are made
+    "kg": {"kg": 1},
+    "slug": {"kg": 1},
+    "m": {"m": 1},
+    "ft": {"m": 1},
+    "km": {"m": 1},
+    "s": {"s": 1},
+    "h": {"s": 1},
+    "rad": {"rad": 1},
+    "deg": {"rad": 1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "lbf": {"kg": 1, "m": 1, "s": -2},
+}
+
+
+@pytest.mark.parametrize("unit", IN_SI)
+def test_conversion_factor_equals_the_international_definition(unit):
+    assert UNITS[unit].factor == pytest.approx(IN_SI[unit], rel=4e-16)  # measured 2e-16
+
+
+@pytest.mark.parametrize("unit", [u for u in UNITS if re.search(r"[./]", u)])
+def test_base_units_of_a_compound_follow_from_its_name(unit):
+    base: dict[str, int] = {}
+    numerator, *denominator = unit.split("/")
+    for sign, part in ((1, numerator), *((-1, d) for d in denominator)):
+        for factor in part.split("."):
+            name, power = re.fullmatch(r"([A-Za-z]+)(\d?)", factor).groups()
+            for symbol, exponent in PARTS[name].items():
+                base[symbol] = base.get(symbol, 0) + sign * exponent * int(power or 1)
+    assert dict(UNITS[unit].base) == {symbol: n for symbol, n in base.items() if n}
+
+
+def test_units_of_the_book_are_the_doubles_nearest_to_their_definitions():
+    foot, pound = Fraction("0.3048"), Fraction("4.4482216152605")
+    assert convert(1.0, "ft", "m") == float(foot)
+    assert convert(6.0, "in", "m") == 6 * 0.0254
+    assert convert(1.0, "slug", "kg") == float(pound / foot)
+    assert convert(1.0, "ft.lbf", "N.m") == float(pound * foot)
+    assert convert(180.0, "deg", "rad") == math.pi
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_conversion_there_and_back_returns_the_number(unit):
+    for target in (u for u in UNITS if dict(UNITS[u].base) == dict(UNITS[unit].base)):
+        back = convert(convert(0.1, unit, target), target, unit)
+        assert back == pytest.approx(0.1, rel=5e-16)  # measured 3e-16
+
+
+@pytest.mark.parametrize(("unit", "target"), [("m", "kg"), ("N.m", "N.m/rad"), ("1", "rad")])
+def test_conversion_between_kinds_is_refused_with_both_names(unit, target):
+    with pytest.raises(ValueError, match=f"'{unit}' cannot be converted to '{target}'"):
+        convert(1.0, unit, target)
+
+
+@pytest.mark.parametrize("unit", ["furlong", "M", "", None, 3, ["m"]])
+def test_unknown_unit_is_refused_with_the_known_ones(unit):
+    with pytest.raises(ValueError, match=r"is unknown; known are 1, s, ms, rad, deg"):
+        convert(1.0, unit, "m")
+    with pytest.raises(ValueError, match=r"is unknown; known are"):
+        convert(1.0, "m", unit)
