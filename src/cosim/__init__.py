@@ -1,1 +1,56 @@
-"""Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other."""
+"""Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other.
+
+Names are imported when first used, so that `import cosim` costs nothing.
+"""
+
+from importlib import import_module
+from importlib.metadata import version as _version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.compare import Comparison, compare
+    from cosim.crosscheck import crosscheck
+    from cosim.errors import CosimError
+    from cosim.export import export_fmu
+    from cosim.fmpy_run import simulate_fmu
+    from cosim.integrate import integrator, simulate, start_vectors
+    from cosim.loading import load
+    from cosim.trajectory import Trajectory
+
+_HOMES = {
+    "Comparison": "compare",
+    "CosimError": "errors",
+    "Trajectory": "trajectory",
+    "compare": "compare",
+    "crosscheck": "crosscheck",
+    "export_fmu": "export",
+    "integrator": "integrate",
+    "load": "loading",
+    "simulate": "integrate",
+    "simulate_fmu": "fmpy_run",
+    "start_vectors": "integrate",
+}
+
+__all__ = [
+    "Comparison",
+    "CosimError",
+    "Trajectory",
+    "compare",
+    "crosscheck",
+    "export_fmu",
+    "integrator",
+    "load",
+    "simulate",
+    "simulate_fmu",
+    "start_vectors",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version("cosim-rigid")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'cosim' has no attribute '{name}'")
+    value = getattr(import_module(f"cosim.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value

@@ -60,7 +60,8 @@ def algebraic_function(dae: Dae) -> ca.Function:
         linear = ca.Function(
             "linear_alg", [dae.t, dae.x, dae.u, dae.p], [matrix, -offset], {"cse": True}
         )
-        solution = ca.solve(*linear(t, x, u, p), "qr")
+        slope, negated = linear(t, x, u, p)
+        solution = ca.solve(slope, negated, "qr")
     else:
         residual = ca.Function("alg", [dae.z, dae.t, dae.x, dae.u, dae.p], [dae.alg], {"cse": True})
         solution = _newton("algebraic_root", residual)(z, t, x, u, p)
@@ -85,7 +86,7 @@ def start_values(dae: Dae, values: Values) -> Vector:
     for variable, value in zip(dae.states, x, strict=True):
         if not variable.minimum <= value <= variable.maximum:
             raise InitialConditionError(
-                f"{dae.full_name}: the start of {variable.name} would be {value:g} {variable.unit}, "
+                f"{dae.full_name}: the start of {variable.name} is {value:g} {variable.unit}, "
                 f"outside {variable.minimum:g} ... {variable.maximum:g}; change other start values"
             )
     return x

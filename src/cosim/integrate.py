@@ -188,8 +188,7 @@ def time_grid(start: float, stop: float, interval: float) -> Vector:
     if abs(count - whole) < 1e-6 * max(1.0, count):
         grid: Vector = np.linspace(start, stop, whole + 1)
         return grid
-    grid = start + interval * np.arange(int(np.floor(count)) + 1)
-    return np.append(grid, stop)
+    return np.append(start + interval * np.arange(int(np.floor(count)) + 1), stop)
 
 
 def _checked_grid(grid: ArrayLike) -> Vector:
@@ -212,8 +211,8 @@ def _run(engine: Engine, dae: Dae, x0: Vector, z0: Vector, values: Values) -> tu
     buffer, call = engine.function.buffer()
     for i, array in enumerate(arguments):
         if array.size:
-            buffer.set_arg(i, memoryview(np.ascontiguousarray(array)))
-    buffer.set_res(0, memoryview(states))
+            buffer.set_arg(i, array.data)
+    buffer.set_res(0, states.data)
     reason = ""
     try:
         call()
@@ -281,6 +280,6 @@ def _not_finite(dae: Dae, row: Vector, time: float) -> str:
 def _explain(dae: Dae, solver: str, tolerance: Tolerance, run: Trajectory) -> str:
     relative, absolute = tolerance.pair
     return (
-        f"{dae.full_name}: {solver} {run.status} (rtol {relative:g}, atol {absolute:g}); look for a "
-        "singularity near that state, loosen the tolerance, or use another formulation or solver"
+        f"{dae.full_name}: {solver} {run.status} (rtol {relative:g}, atol {absolute:g}); look for "
+        "a singularity near that state, loosen the tolerance, or use another formulation or solver"
     )

@@ -7,7 +7,6 @@
 
 import ctypes
 import hashlib
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from cosim.compile import cached_library
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.generated import COUNTERS, counted, run_time_tolerances
 from cosim.runge_kutta import METHODS, step_function
 from cosim.values import number
 
@@ -182,8 +182,8 @@ def _interpreted(
         ode, alg = function(*symbols.values())
         problem: dict[str, Any] = symbols | {"ode": ode, "alg": alg}
     else:
-        symbols = dict(zip(_CALL, (dae.t, dae.x, dae.z, dae.u, dae.p), strict=True))
-        problem = symbols | {"ode": dae.ode, "alg": dae.alg}
+        problem = dict(zip(_CALL, (dae.t, dae.x, dae.z, dae.u, dae.p), strict=True))
+        problem |= {"ode": dae.ode, "alg": dae.alg}
     grouped = chosen.plugin in ("erk", "rosenbrock")
     options = dict(chosen.options) | dict(zip(("reltol", "abstol"), tolerances, strict=True))
     if grouped:
@@ -217,7 +217,11 @@ def _generated(dae: Dae, grid: Vector, chosen: Method, tolerances: tuple[float, 
         run = ca.integrator("run", chosen.plugin, problem, 0.0, list(unit_grid), options)
         generator = ca.CodeGenerator("code", {"with_header": False})
         generator.add(run)
-        return run_time_tolerances(str(generator.dump()), dae.p.numel() + 2) + _STATS_CODE
+        first = dae.p.numel() + 2
+        code = run_time_tolerances(
+            str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
+        )
+        return counted(code)
 
     key = cache_key(f"generated-1 {chosen.plugin}", original, unit_grid.tobytes())
     path = str(cached_library(key, generate))
@@ -233,46 +237,11 @@ def _generated(dae: Dae, grid: Vector, chosen: Method, tolerances: tuple[float, 
 
 
 _CAUSES = {1: "too many steps", 2: "step size too small", 3: "inconsistent algebraic unknowns"}
-_STATS_CODE = """
-void cosim_counters(long long *out) { for (int i = 0; i < 4; ++i) out[i] = cosim_count[i]; }
-"""
-
-
-def run_time_tolerances(code: str, position: int) -> str:
-    """Make the tolerances of CasADi's generated integrator arguments, and count its calls.
-
-    The generated driver assigns both tolerances once and asks for every evaluation in one switch;
-    each of these places must occur exactly once, otherwise this CasADi generates other code.
-
-    Args:
-        code: What CasADi generated for one `erk` or `rosenbrock` integrator.
-        position: Where in the parameters the relative tolerance stands; the absolute one follows.
-    """
-    replacements = {
-        r"p\.reltol = [^;]+;": f"p.reltol = arg[2][{position}];",
-        r"p\.abstol = [^;]+;": f"p.abstol = arg[2][{position + 1}];",
-        r"case IVP_EVAL_RHS:\n": "case IVP_EVAL_RHS:\n          ++cosim_count[0];\n",
-        r"case IVP_STEP_CONTROL:\n": "case IVP_STEP_CONTROL:\n          ++cosim_count[2];\n",
-        r"if \(d\.status != IVP_SUCCESS\) return 1;": (
-            "cosim_count[3] = (long long) d.status;\n      if (d.status != IVP_SUCCESS) return 1;"
-        ),
-        r"  /\* Problem structure \*/\n": "  for (j = 0; j < 4; ++j) cosim_count[j] = 0;\n",
-    }
-    if "case IVP_EVAL_JAC:\n" in code:
-        replacements[r"case IVP_EVAL_JAC:\n"] = "case IVP_EVAL_JAC:\n          ++cosim_count[1];\n"
-    for pattern, text in replacements.items():
-        code, found = re.subn(pattern, lambda _, text=text: text, code)  # type: ignore[misc]
-        if found != 1:
-            raise UsageError(
-                f"casadi {ca.CasadiMeta.version()} generates integrators in another form "
-                f"('{pattern}' found {found} times); run without compiling or use casadi 3.8"
-            )
-    return "static _Thread_local long long cosim_count[4];\n" + code
 
 
 def _counters(path: str) -> Callable[[], list[int]]:
     read = ctypes.CDLL(path).cosim_counters
-    numbers = (ctypes.c_longlong * 4)()
+    numbers = (ctypes.c_longlong * COUNTERS)()
 
     def counters() -> list[int]:
         read(numbers)

@@ -1,1 +1,5 @@
-"""Export of a Dae as a Functional Mock-up Unit."""
+"""Export of a DAE as a Functional Mock-up Unit."""
+
+from cosim.export.package import export_fmu
+
+__all__ = ["export_fmu"]

@@ -1,0 +1,143 @@
+"""The command line: arguments to library calls to text.
+
+Only `argparse` is imported before the arguments are understood; CasADi and the others follow
+with the verb that needs them.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
+from typing import NoReturn
+
+from cosim.errors import CosimError
+
+_DESCRIPTION = (
+    "Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other."
+)
+_EXAMPLES = """examples:
+  cosim list
+  cosim simulate crank_shaft --stop-time 1 --output-file crank.csv
+  cosim simulate bicycle -p phi_dot=30deg/s --outputs phi,delta
+  cosim export bicycle/multipliers -o bicycle.fmu
+  cosim crosscheck crank_shaft bar_on_frame bicycle
+
+exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ,
+            5 a tool is missing, 130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see: {self.prog} --help\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `cosim VERB ...`; return the exit code."""
+    args = _parser().parse_args(arguments)
+    try:
+        code: int = getattr(import_module("cosim.commands"), f"do_{args.verb}")(args)
+        sys.stdout.flush()
+        return code
+    except CosimError as error:
+        if args.debug:
+            raise
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="cosim",
+        description=_DESCRIPTION,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"cosim {version('cosim-rigid')}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    common = _common()
+    run, values = _run_options(), _value_options()
+
+    verbs.add_parser("list", parents=[common], help="every model and formulation")
+
+    info = verbs.add_parser("info", parents=[common], help="variables and equations of a model")
+    info.add_argument("model", metavar="MODEL")
+
+    simulate = verbs.add_parser(
+        "simulate", parents=[common, run, values], help="one run of a model or an FMU, as CSV"
+    )
+    simulate.add_argument("model", metavar="MODEL|FILE.fmu")
+    _solver_options(simulate)
+    simulate.add_argument("--output-file", metavar="FILE", help="CSV; standard output by default")
+
+    export = verbs.add_parser("export", parents=[common], help="write a model as an FMU")
+    export.add_argument("model", metavar="MODEL")
+    export.add_argument("-o", "--output-file", metavar="FILE.fmu", help="MODEL.fmu by default")
+    export.add_argument("--fmi", default="2", metavar="2", help="version of FMI")
+    export.add_argument("--outputs", metavar="A,B", help="what importers record; all by default")
+
+    crosscheck = verbs.add_parser(
+        "crosscheck", parents=[common, run], help="the same run on every road, and the differences"
+    )
+    crosscheck.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
+    crosscheck.add_argument("--bound", type=float, metavar="B", help="in nominal values; 1e-6")
+
+    plot = verbs.add_parser(
+        "plot", parents=[common, run, values], help="a run as curves, to a window or a file"
+    )
+    plot.add_argument("model", metavar="MODEL|FILE.fmu")
+    _solver_options(plot)
+    plot.add_argument("--output-file", metavar="FILE", help="PNG, SVG or PDF; a window by default")
+    return parser
+
+
+def _common() -> _Parser:
+    common = _Parser(add_help=False)
+    common.add_argument("--json", action="store_true", help="results as JSON")
+    common.add_argument("-q", "--quiet", action="store_true", help="no progress")
+    common.add_argument("-v", "--verbose", action="store_true", help="say what a run took")
+    common.add_argument("--debug", action="store_true", help="show where an error arose")
+    return common
+
+
+def _run_options() -> _Parser:
+    run = _Parser(add_help=False)
+    run.add_argument("--stop-time", type=float, metavar="S", help="s; the model's own by default")
+    run.add_argument("--output-interval", type=float, metavar="S", help="s; 0.01 by default")
+    run.add_argument("--relative-tolerance", type=float, metavar="R", help="error per step")
+    return run
+
+
+def _value_options() -> _Parser:
+    values = _Parser(add_help=False)
+    values.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
+    values.add_argument("--outputs", metavar="A,B", help="what to record; everything by default")
+    values.add_argument(
+        "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
+    )
+    values.add_argument(
+        "-p",
+        dest="values",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE[UNIT]",
+        help="parameter, start value or constant input",
+    )
+    return values
+
+
+def _solver_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--solver", metavar="NAME", help="cvodes, or idas for a DAE, by default")
+    parser.add_argument("--absolute-tolerance", type=float, metavar="A", help="error per step, SI")
+    parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
+    parser.add_argument(
+        "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"
+    )
+    parser.add_argument("--interpreted", action="store_true", help="do not compile the equations")

@@ -1,0 +1,67 @@
+"""The generated C files of an FMU: constants and variables for the runtime, and the equations."""
+
+import re
+from collections.abc import Sequence
+
+from casadi_models.dae import Dae
+from cosim.export.equations import equations_code
+from cosim.export.variables import FmuVariable
+
+
+def model_header(dae: Dae, identifier: str, guid: str, tolerance: float) -> str:
+    """Return `model.h`: the sizes and names that the runtime is compiled with."""
+    return f"""/* Generated from {dae.full_name}. */
+#ifndef MODEL_H
+#define MODEL_H
+#define MODEL_IDENTIFIER {_string(identifier)}
+#define MODEL_NAME {_string(dae.full_name)}
+#define MODEL_GUID {_string(guid)}
+#define NX {len(dae.states)}
+#define NZ {len(dae.algebraics)}
+#define NU {len(dae.inputs)}
+#define NP {len(dae.parameters)}
+#define NY {len(dae.output_variables)}
+#define DEFAULT_TOLERANCE {tolerance!r}
+#endif
+"""
+
+
+def variable_table(variables: Sequence[FmuVariable]) -> str:
+    """Return `model.c`: every variable, in the order of the value references."""
+    rows = "".join(f"    {{{', '.join(_row(variable))}}},\n" for variable in variables)
+    return f"""/* Generated. */
+#include "variables.h"
+#include <float.h>
+
+const VariableInfo variables[] = {{
+{rows}}};
+"""
+
+
+def equations(dae: Dae) -> str:
+    """Return `equations.c`: CasADi's code, its functions visible inside the library only."""
+    code = re.sub(r"^ \* +$", " *", equations_code(dae), flags=re.MULTILINE)
+    return f"#define CASADI_SYMBOL_EXPORT\n{code}"
+
+
+def _row(variable: FmuVariable) -> tuple[str, ...]:
+    return (
+        _string(variable.name),
+        variable.role.name,
+        variable.start_kind.name,
+        _number(variable.start or 0.0),
+        _number(variable.nominal),
+        _number(variable.minimum),
+        _number(variable.maximum),
+    )
+
+
+def _number(value: float) -> str:
+    """Return a C literal of the same bits."""
+    if value in (float("inf"), float("-inf")):
+        return "DBL_MAX" if value > 0 else "-DBL_MAX"
+    return repr(float(value))
+
+
+def _string(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
