@@ -211,8 +211,8 @@ def _run(engine: Engine, dae: Dae, x0: Vector, z0: Vector, values: Values) -> tu
     buffer, call = engine.function.buffer()
     for i, array in enumerate(arguments):
         if array.size:
-            buffer.set_arg(i, array.data)
-    buffer.set_res(0, states.data)
+            buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # stub and binding differ
+    buffer.set_res(0, states.data)  # type: ignore[call-arg]
     reason = ""
     try:
         call()
