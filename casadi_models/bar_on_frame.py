@@ -134,12 +134,14 @@ def two_body() -> Dae:
     model = _model("two_body", "two bodies; loads of bearings, drive and pin are the multipliers")
     theta, theta_dot, phi, Omega = _motion(model)
     data = _data(model)
-    frame = free_joint(model, "frame", 3, phi, Omega, "phi_ddot")  # A in the world
-    bar = free_joint(model, "bar", 2, theta, theta_dot, "theta_ddot")  # G in F, from the arm's end
+    # Place of the column's foot A in the world, of the bar's centre G from the arm's end; both
+    # velocities in F
+    frame = free_joint(model, "frame", 3, phi, Omega, "phi_ddot", velocity_in="body")
+    bar = free_joint(model, "bar", 2, theta, theta_dot, "theta_ddot", velocity_in="carrier")
 
     def of_frame(point: SX) -> SX:
         """Return the velocity of a point of F, in F."""
-        return frame.rotation.T @ frame.velocity + ca.cross(frame.omega, point)
+        return frame.velocity + ca.cross(frame.omega, point)
 
     at_A, at_B = ca.vertcat(0, 0, 0), ca.vertcat(0, 0, data.column_length)
     at_arm, at_G = (ca.vertcat(0, reach, data.weld_height) for reach in (data.d / 2, data.d))

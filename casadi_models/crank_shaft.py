@@ -66,7 +66,7 @@ def driven() -> Dae:
         prescribed_dot=shaft.alpha,
         held=ca.vertcat(a, b),
         inertias=kane.body(shaft.mass, shaft.inertia, velocity, rate),
-        loads=(kane.Load(velocity, rotations.about(3, phi).T @ _weight(shaft)),),
+        loads=(_weight(shaft, velocity, rotations.about(3, phi)),),
     )
     torque, *forces = ca.vertsplit(kane.reactions(system, SX(0, 1)))
     for (name, unit, meaning, size), load in zip(LOADS, [*forces, torque], strict=True):
@@ -80,13 +80,10 @@ def multipliers() -> Dae:
     model = _model("multipliers", "free body; bearing forces and drive torque are the multipliers")
     phi, omega = _spin(model)
     shaft = _shaft(model)
-    joint = free_joint(model, "shaft", 3, phi, omega, acceleration="omega_dot")  # G in the world
-
-    to_follower = joint.rotation.T
-    at_a, at_b = (
-        to_follower @ joint.velocity + ca.cross(joint.omega, side * rotations.unit(3))
-        for side in (-2 * shaft.length, 2 * shaft.length)
-    )
+    # Place of G in the world, its velocity in the follower axes X', Y', Z
+    joint = free_joint(model, "shaft", 3, phi, omega, "omega_dot", velocity_in="body")
+    to_B = 2 * shaft.length * rotations.unit(3)
+    at_A, at_B = (joint.velocity + ca.cross(joint.omega, arm) for arm in (-to_B, to_B))
     drive = SX.sym("drive_rate")  # the last constraint ties the shaft to the drive
     system = kane.System(
         q=joint.q,
@@ -94,12 +91,9 @@ def multipliers() -> Dae:
         free=joint.speeds,
         prescribed=drive,
         prescribed_dot=shaft.alpha,
-        inertias=(
-            kane.Inertia(joint.velocity, shaft.mass * joint.velocity),
-            kane.Inertia(joint.omega, shaft.inertia @ joint.omega, joint.omega),
-        ),
-        loads=(kane.Load(joint.velocity, _weight(shaft)),),
-        constraints=ca.vertcat(at_a[:2], at_b[:2], omega - drive),
+        inertias=kane.body(shaft.mass, shaft.inertia, joint.velocity, joint.omega),
+        loads=(_weight(shaft, joint.velocity, joint.rotation),),
+        constraints=ca.vertcat(at_A[:2], at_B[:2], omega - drive),
     )
     loads = [model.algebraic(n, u, 0.0, m, nominal=size) for n, u, m, size in LOADS]
     model.equation(kane.multiplier_equations(system, joint.accelerations, ca.vertcat(*loads)))
@@ -149,5 +143,5 @@ def _point(r: ca.DM) -> ca.DM:
     return ca.dot(r, r) * ca.DM.eye(3) - r @ r.T
 
 
-def _weight(shaft: _Shaft) -> SX:
-    return ca.vertcat(0, -shaft.mass * shaft.g, 0)  # in the world
+def _weight(shaft: _Shaft, velocity: SX, rotation: SX) -> kane.Load:
+    return kane.Load(velocity, rotation.T @ ca.vertcat(0, -shaft.mass * shaft.g, 0))

@@ -110,13 +110,16 @@ def multipliers() -> Dae:
     motion = _motion(model)
     data = _data(model)
     model.derivative(motion.phi, data.Omega)
-    joints = (
-        free_joint(model, "bar1", 1, motion.theta1, motion.theta1_dot, "theta1_ddot"),
-        free_joint(model, "bar2", 1, motion.theta2, motion.theta2_dot, "theta2_ddot"),
-    )
+    joints = [
+        free_joint(model, body, 1, angle, rate, acceleration, velocity_in="carrier")
+        for body, angle, rate, acceleration in (
+            ("bar1", motion.theta1, motion.theta1_dot, "theta1_ddot"),
+            ("bar2", motion.theta2, motion.theta2_dot, "theta2_ddot"),
+        )
+    ]
     bar1, bar2 = (_Bar(j.rotation, j.omega, j.shift, j.velocity) for j in joints)
     terms = _terms(motion, data, bar1, bar2)
-    relative = bar1.rotation.T @ bar2.rotation @ bar2.omega - bar1.omega  # in the axes of bar 1
+    relative = bar2.omega - bar2.rotation.T @ bar1.rotation @ bar1.omega  # in the axes of bar 2
     system = kane.System(
         q=ca.vertcat(*(j.q for j in joints)),
         q_dot=ca.vertcat(*(j.q_dot for j in joints)),
@@ -236,5 +239,5 @@ def _outputs(model: Model, system: kane.System, terms: _Terms, M_disk: SX) -> No
 def _hinge(what: str, name: str) -> str:
     """Return the meaning of a hinge load from its name."""
     axis, hinge = name[1], name[-1]
-    axes = f"e{axis}" if what == "force" else f"b{axis} of bar 1"
+    axes = f"e{axis}" if what == "force" else f"b{axis} of bar {hinge}"
     return f"{what} of hinge {hinge} on bar {hinge}, {axes}"

@@ -1,14 +1,16 @@
 """The joint with six freedoms: a body loose from its carrier, to be held by constraints.
 
 Its coordinates measure what the real joint forbids (a displacement and two tilts, all zero where
-it holds) and the one angle that it leaves free. Constraints are then linear in the coordinates
-where they hold; integrators keep linear invariants, so that an index-1 DAE hardly drifts.
+it holds) and the one angle that it leaves free; its speeds are resolved in the axes in which the
+joint acts. The constraints are then linear in the speeds with constant coefficients: integrators
+keep linear invariants, so that the index-1 DAE does not drift beyond rounding.
 
 Source  Body-fixed turns i, j, k in cyclic order; Kane, Likins & Levinson, Spacecraft Dynamics,
         1983, appendix II (1-2-3).
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import casadi as ca
 from casadi import SX, cos, sin
@@ -23,7 +25,7 @@ class FreeJoint:
 
     Attributes:
         shift: Displacement of a point of the body, in the carrier's axes, m.
-        velocity: Its rate of change, m/s.
+        velocity: Its rate of change seen from the carrier, in the axes asked for, m/s.
         rotation: R of the body in the carrier, (3, 3).
         omega: Angular velocity relative to the carrier, in the body's axes, rad/s.
         q, q_dot: Coordinates (shift, tilts, angle) and their rates, (6, 1).
@@ -41,7 +43,14 @@ class FreeJoint:
 
 
 def free_joint(
-    model: Model, body: str, axis: int, angle: SX, rate: SX, acceleration: str
+    model: Model,
+    body: str,
+    axis: int,
+    angle: SX,
+    rate: SX,
+    acceleration: str,
+    *,
+    velocity_in: Literal["body", "carrier"],
 ) -> FreeJoint:
     """Declare the motion of a body loose from its carrier, with unknown accelerations.
 
@@ -53,6 +62,7 @@ def free_joint(
         rate: State, rad/s; the angular velocity about `axis`, which is the angle's rate where
             the tilts rest.
         acceleration: Name for the unknown rate of `rate`.
+        velocity_in: Whose axes resolve the velocity: those in which the joint's forces act.
     """
     i, j = axis % 3 + 1, (axis + 1) % 3 + 1  # i, j, axis are in cyclic order
 
@@ -89,14 +99,16 @@ def free_joint(
     named = {i: w_i, j: w_j, axis: rate}
     omega = ca.vertcat(*(named[n] for n in (1, 2, 3)))
     q = ca.vertcat(shift, tilts, angle)
-    q_dot = ca.vertcat(velocity, a_dot, b_dot, rate - a_dot * sin(b))
+    rotation = rotations.about(i, a) @ rotations.about(j, b) @ rotations.about(axis, angle)
+    shift_dot = rotation @ velocity if velocity_in == "body" else velocity
+    q_dot = ca.vertcat(shift_dot, a_dot, b_dot, rate - a_dot * sin(b))
     speeds = ca.vertcat(velocity, omega)
     model.derivative(q, q_dot)
     model.derivative(speeds, accelerations)
     return FreeJoint(
         shift=shift,
         velocity=velocity,
-        rotation=rotations.about(i, a) @ rotations.about(j, b) @ rotations.about(axis, angle),
+        rotation=rotation,
         omega=omega,
         q=q,
         q_dot=q_dot,
