@@ -57,27 +57,27 @@ class Variable:
             raise ValueError(f"{self.name}: the meaning is missing; describe it in a few words")
         if not isinstance(self.start_kind, Start):
             raise ValueError(f"{self.name}: start_kind {self.start_kind!r} is not a Start")
+        self._settle_start()
         for fact in ("nominal", "minimum", "maximum"):
             object.__setattr__(self, fact, number(getattr(self, fact), f"{self.name}: {fact}"))
         if not (isfinite(self.nominal) and self.nominal > 0):
             raise ValueError(f"{self.name}: nominal {self.nominal} is not a positive number")
         if not self.minimum <= self.maximum:
             raise ValueError(f"{self.name}: bounds {self.minimum}..{self.maximum} are empty")
-        self._check_start()
+        if self.start is not None and not self.minimum <= self.start <= self.maximum:
+            raise ValueError(
+                f"{self.name}: start {self.start} is not within {self.minimum}..{self.maximum}"
+            )
 
-    def _check_start(self) -> None:
+    def _settle_start(self) -> None:
         if self.start_kind is Start.CALCULATED:
             if self.start is not None:
                 raise ValueError(f"{self.name}: start {self.start} is given, but calculated")
             return
         start = number(self.start, f"{self.name}: start")
-        object.__setattr__(self, "start", start)
         if not isfinite(start):
             raise ValueError(f"{self.name}: start {start} is not finite; give a finite number")
-        if not self.minimum <= start <= self.maximum:
-            raise ValueError(
-                f"{self.name}: start {start} is not within {self.minimum}..{self.maximum}"
-            )
+        object.__setattr__(self, "start", start)
 
 
 @dataclass(frozen=True)
