@@ -1,0 +1,79 @@
+/* FMI 2.0: the functions of model exchange. The models have no events. */
+#include "fmi2Functions.h"
+#include "fmi2_modes.h"
+
+/* -- modes ------------------------------------------------------------------------------------ */
+
+static fmi2Status enter(Instance *self, unsigned modes, const char *function, uint32_t mode) {
+    if (!allowed(self, modes, function)) return fmi2Error;
+    self->state.mode = mode;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    return enter(c, IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
+    return enter(c, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) {
+    Instance *self = c;
+    if (!allowed(self, IN_NEW_DISCRETE_STATES, __func__)) return fmi2Error;
+    if (!fmi2eventInfo) return (fmi2Status)refuse(self, ERROR, "there is no room for the results");
+    *fmi2eventInfo = (fmi2EventInfo){0}; /* nothing to update, nothing changed, no event to come */
+    return fmi2OK;
+}
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi2Boolean *enterEventMode,
+                                       fmi2Boolean *terminateSimulation) {
+    Instance *self = c;
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!allowed(self, IN_COMPLETED_INTEGRATOR_STEP, __func__)) return fmi2Error;
+    if (!enterEventMode || !terminateSimulation)
+        return (fmi2Status)refuse(self, ERROR, "there is no room for the results");
+    *enterEventMode = *terminateSimulation = fmi2False;
+    return fmi2OK;
+}
+
+/* -- time and states -------------------------------------------------------------------------- */
+
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    Instance *self = c;
+    if (!allowed(self, IN_SET_TIME, __func__)) return fmi2Error;
+    return (fmi2Status)set_time(self, time);
+}
+
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
+    Instance *self = c;
+    if (!allowed(self, IN_SET_CONTINUOUS_STATES, __func__)) return fmi2Error;
+    return (fmi2Status)set_states(self, x, nx);
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
+    Instance *self = c;
+    if (!allowed(self, IN_GET_CONTINUOUS_STATES, __func__)) return fmi2Error;
+    return (fmi2Status)get_block(self, FIRST_STATE, x, nx);
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
+    Instance *self = c;
+    if (!allowed(self, IN_GET_DERIVATIVES, __func__)) return fmi2Error;
+    return (fmi2Status)get_block(self, FIRST_DERIVATIVE, derivatives, nx);
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
+    Instance *self = c;
+    if (!allowed(self, IN_GET_NOMINALS, __func__)) return fmi2Error;
+    return (fmi2Status)get_nominals(self, x_nominal, nx);
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
+    Instance *self = c;
+    (void)eventIndicators;
+    if (!allowed(self, IN_GET_EVENT_INDICATORS, __func__)) return fmi2Error;
+    if (ni == 0) return fmi2OK;
+    return (fmi2Status)refuse(self, ERROR, "%zu asked, the model has no event indicators", ni);
+}

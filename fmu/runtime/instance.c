@@ -1,0 +1,163 @@
+/* Life of an instance: creation, reset, what is allowed when. */
+#include "instance.h"
+
+#include <ctype.h>
+#include <math.h>
+#include <string.h>
+
+#include "equations.h"
+
+#define MAGIC UINT64_C(0x636f73696d464d55)
+
+static const double TIGHTEST_TOLERANCE = 1e-13; /* about 500 rounding errors */
+static const double LOOSEST_TOLERANCE = 0.1;
+
+static WorkSize *const work_sizes[] = {
+    model_start_work,       model_start_directional_work, model_start_adjoint_work,
+    model_algebraic_work,   model_ode_work,               model_outputs_work,
+    model_directional_work, model_adjoint_work,           model_step_work,
+};
+
+typedef struct {
+    size_t arg, res, iw, w;
+} Room;
+
+static size_t larger(size_t room, long long wanted) {
+    return wanted > 0 && (size_t)wanted > room ? (size_t)wanted : room;
+}
+
+/* Work space that is enough for each of the equations. */
+static Room work_room(void) {
+    Room room = {MOST_ARGUMENTS, MOST_RESULTS, 1, 1};
+    for (size_t i = 0; i < sizeof work_sizes / sizeof *work_sizes; i++) {
+        long long arg = 0, res = 0, iw = 0, w = 0;
+        work_sizes[i](&arg, &res, &iw, &w);
+        room.arg = larger(room.arg, arg);
+        room.res = larger(room.res, res);
+        room.iw = larger(room.iw, iw);
+        room.w = larger(room.w, w);
+    }
+    return room;
+}
+
+static bool is_blank(const char *text) {
+    while (*text && isspace((unsigned char)*text)) text++;
+    return *text == '\0';
+}
+
+/* Return a new instance, or NULL after a log message. All memory is one block. */
+Instance *create(const Host *host, const char *function, const char *name, const char *token,
+                 unsigned interface, bool logging) {
+    Instance draft = {.host = *host, .name = name ? name : "", .categories = UINT32_MAX};
+    draft.function = function;
+    if (interface != MODEL_EXCHANGE && interface != CO_SIMULATION) {
+        log_text(&draft, ERROR, "the model offers model exchange and co-simulation only");
+        return NULL;
+    }
+    if (!name || is_blank(name)) {
+        log_text(&draft, ERROR, "an instance needs a name");
+        return NULL;
+    }
+    if (!token || strcmp(token, MODEL_GUID) != 0) {
+        log_text(&draft, ERROR, "the model description belongs to another binary: its GUID is %.80s, "
+                 "this binary's is %s", token ? token : "missing", MODEL_GUID);
+        return NULL;
+    }
+
+    const Room room = work_room();
+    const size_t name_size = strlen(name) + 1;
+    const size_t size = sizeof(Instance) + room.arg * sizeof *draft.arg +
+                        room.res * sizeof *draft.res + room.iw * sizeof *draft.iw +
+                        room.w * sizeof *draft.w + name_size;
+    Instance *self = host->allocate(1, size);
+    if (!self) {
+        log_text(&draft, ERROR, "no memory for an instance of %zu bytes", size);
+        return NULL;
+    }
+    *self = draft;
+    self->magic = MAGIC;
+    self->categories = logging ? UINT32_MAX : 0;
+    self->w = (double *)(self + 1);
+    self->iw = (long long *)(self->w + room.w);
+    self->arg = (const double **)(self->iw + room.iw);
+    self->res = (double **)(self->arg + room.arg);
+    self->name = memcpy(self->res + room.res, name, name_size);
+    self->state.interface = interface;
+    reset(self);
+    return self;
+}
+
+void destroy(Instance *self) {
+    if (!self || self->magic != MAGIC) return;
+    self->magic = 0;
+    self->host.release(self);
+}
+
+/* Put everything but logging back to where a new instance has it. */
+void reset(Instance *self) {
+    const uint32_t interface = self->state.interface;
+    memset(&self->state, 0, sizeof self->state);
+    for (size_t i = 0; i < N_VARIABLES; i++) self->state.values[i] = variables[i].start;
+    self->state.stop_time = INFINITY;
+    self->state.tolerance = DEFAULT_TOLERANCE;
+    self->state.interface = interface;
+    self->state.mode = INSTANTIATED;
+    self->state.stale = EVERYTHING;
+}
+
+static const char *mode_name(uint32_t mode) {
+    switch (mode) {
+    case INSTANTIATED: return "after instantiation";
+    case INITIALIZATION_MODE: return "in initialization mode";
+    case EVENT_MODE: return "in event mode";
+    case CONTINUOUS_TIME_MODE: return "in continuous-time mode";
+    case STEP_MODE: return "between communication steps";
+    case STEP_FAILED: return "after a failed communication step";
+    case TERMINATED: return "after termination";
+    default: return "after an error";
+    }
+}
+
+/* Guard of every FMI function: is it allowed in the present mode and for this interface? */
+bool allowed(Instance *self, unsigned modes, const char *function) {
+    if (!self || self->magic != MAGIC) return false;
+    self->function = function;
+    if (!(self->state.interface & modes)) {
+        refuse(self, ERROR, "not a function of %s",
+               self->state.interface == MODEL_EXCHANGE ? "model exchange" : "co-simulation");
+        return false;
+    }
+    if (!(self->state.mode & modes)) {
+        refuse(self, ERROR, "not allowed %s", mode_name(self->state.mode));
+        return false;
+    }
+    return true;
+}
+
+/* Settle start time, stop time and tolerance; a null pointer leaves one undefined. */
+Status set_up(Instance *self, const double *tolerance, double start, const double *stop) {
+    if (!isfinite(start)) return refuse(self, ERROR, "start time %g is not finite", start);
+    if (stop && !(*stop >= start))
+        return refuse(self, ERROR, "stop time %g is not after start time %g", *stop, start);
+    if (tolerance && !(*tolerance > 0 && isfinite(*tolerance)))
+        return refuse(self, ERROR, "relative tolerance %g is not positive and finite", *tolerance);
+
+    State *state = &self->state;
+    state->values[TIME] = start;
+    state->stop_time = stop ? *stop : INFINITY;
+    state->tolerance = DEFAULT_TOLERANCE;
+    state->experiment_set = true;
+    if (!tolerance) return OK;
+    state->tolerance = fmin(fmax(*tolerance, TIGHTEST_TOLERANCE), LOOSEST_TOLERANCE);
+    if (state->tolerance == *tolerance) return OK;
+    return refuse(self, WARNING, "relative tolerance %g is out of reach; %g is used", *tolerance,
+                  state->tolerance);
+}
+
+/* Leave initialization mode; an error when the start values have no solution. */
+Status finish_initialization(Instance *self) {
+    if (refresh(self, START_VALUES | ALGEBRAICS) != OK)
+        return refuse(self, ERROR, "initialization failed; change start values or parameters");
+    self->state.mode = self->state.interface == MODEL_EXCHANGE ? EVENT_MODE : STEP_MODE;
+    return OK;
+}

@@ -1,0 +1,156 @@
+/* Analytic derivatives: of all results along a seed, and of weighted results backwards.
+
+   Seeds, weights and sensitivities are laid out like the values, by value reference. In
+   initialization mode the calculated start values follow from the exact ones and the parameters;
+   later all states are independent. */
+#include <math.h>
+#include <string.h>
+
+#include "equations.h"
+#include "instance.h"
+
+static bool starting(const Instance *self) {
+    return self->state.mode == INITIALIZATION_MODE;
+}
+
+static bool is_known(const Instance *self, const VariableInfo *variable) {
+    switch (variable->role) {
+    case STATE: return variable->start_kind != CALCULATED || !starting(self);
+    case TIME:
+    case INPUT:
+    case PARAMETER: return true;
+    default: return false;
+    }
+}
+
+static bool is_unknown(const VariableInfo *variable) {
+    return variable->role != TIME && variable->role != INPUT && variable->role != PARAMETER;
+}
+
+static Status check(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                    const uint32_t knowns[], size_t n_knowns) {
+    if (!known(self, unknowns, n_unknowns) || !known(self, knowns, n_knowns)) return ERROR;
+    for (size_t i = 0; i < n_unknowns; i++)
+        if (!is_unknown(&variables[unknowns[i]]))
+            return refuse(self, ERROR, "%s is not an unknown", variables[unknowns[i]].name);
+    for (size_t i = 0; i < n_knowns; i++)
+        if (!is_known(self, &variables[knowns[i]]))
+            return refuse(self, ERROR, "%s is not a known", variables[knowns[i]].name);
+    return refresh(self, ALGEBRAICS);
+}
+
+static Status run(Instance *self, Equation *equation) {
+    if (equation(self->arg, self->res, self->iw, self->w, 0))
+        return refuse(self, DISCARD, "the derivative has no value");
+    return OK;
+}
+
+static Status gather(Instance *self, const uint32_t references[], size_t count,
+                     const double results[], double values[]) {
+    for (size_t i = 0; i < count; i++)
+        if (!isfinite(results[references[i]]))
+            return refuse(self, DISCARD, "the derivative of %s is %g",
+                          variables[references[i]].name, results[references[i]]);
+    for (size_t i = 0; i < count; i++) values[i] = results[references[i]];
+    return OK;
+}
+
+/* Spread a seed of exact starts and parameters to the calculated start values. */
+static Status spread_to_starts(Instance *self, double seed[]) {
+    double x[ROOM(NX)] = {0};
+    self->arg[0] = self->state.values + FIRST_STATE;
+    self->arg[1] = self->state.values + FIRST_PARAMETER;
+    self->arg[2] = seed + FIRST_STATE;
+    self->arg[3] = seed + FIRST_PARAMETER;
+    self->res[0] = x;
+    const Status status = run(self, model_start_directional);
+    if (status == OK) memcpy(seed + FIRST_STATE, x, NX * sizeof(double));
+    return status;
+}
+
+/* Collect a weight of the calculated start values on exact starts and parameters. */
+static Status collect_from_starts(Instance *self, double weight[]) {
+    double x[ROOM(NX)] = {0}, p[ROOM(NP)] = {0};
+    self->arg[0] = self->state.values + FIRST_STATE;
+    self->arg[1] = self->state.values + FIRST_PARAMETER;
+    self->arg[2] = weight + FIRST_STATE;
+    self->res[0] = x;
+    self->res[1] = p;
+    const Status status = run(self, model_start_adjoint);
+    if (status != OK) return status;
+    memcpy(weight + FIRST_STATE, x, NX * sizeof(double));
+    for (int i = 0; i < NP; i++) weight[FIRST_PARAMETER + i] += p[i];
+    return OK;
+}
+
+/* Derivatives of everything along a seed of what is independent; replaces the seed. */
+static Status push_forward(Instance *self, double seed[]) {
+    double result[N_VARIABLES];
+    memcpy(result, seed, sizeof result);
+    pass_values(self);
+    self->arg[5] = seed + FIRST_STATE;
+    self->arg[6] = seed + FIRST_INPUT;
+    self->arg[7] = seed + FIRST_PARAMETER;
+    self->arg[8] = seed + TIME;
+    self->res[0] = result + FIRST_DERIVATIVE;
+    self->res[1] = result + FIRST_ALGEBRAIC;
+    self->res[2] = result + FIRST_OUTPUT;
+    const Status status = run(self, model_directional);
+    if (status == OK) memcpy(seed, result, sizeof result);
+    return status;
+}
+
+/* Jacobian of the unknowns with respect to the knowns, times the seed of the knowns. */
+Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                   const uint32_t knowns[], size_t n_knowns, const double seed[],
+                   double sensitivity[]) {
+    Status status = check(self, unknowns, n_unknowns, knowns, n_knowns);
+    if (status != OK) return status;
+    if (n_knowns > 0 && !seed) return refuse(self, ERROR, "the seed is missing");
+    if (n_unknowns > 0 && !sensitivity) return refuse(self, ERROR, "there is no room for results");
+
+    double along[N_VARIABLES] = {0};
+    for (size_t i = 0; i < n_knowns; i++) along[knowns[i]] += seed[i];
+    if (starting(self)) status = spread_to_starts(self, along);
+    if (status == OK) status = push_forward(self, along);
+    return status == OK ? gather(self, unknowns, n_unknowns, along, sensitivity) : status;
+}
+
+/* The seed of the unknowns, as a row, times their Jacobian with respect to the knowns. */
+Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+               const uint32_t knowns[], size_t n_knowns, const double seed[],
+               double sensitivity[]) {
+    Status status = check(self, unknowns, n_unknowns, knowns, n_knowns);
+    if (status != OK) return status;
+    if (n_unknowns > 0 && !seed) return refuse(self, ERROR, "the seed is missing");
+    if (n_knowns > 0 && !sensitivity) return refuse(self, ERROR, "there is no room for results");
+
+    double weight[N_VARIABLES] = {0}, result[N_VARIABLES] = {0};
+    for (size_t i = 0; i < n_unknowns; i++) weight[unknowns[i]] += seed[i];
+    pass_values(self);
+    self->arg[5] = weight + FIRST_DERIVATIVE;
+    self->arg[6] = weight + FIRST_ALGEBRAIC;
+    self->arg[7] = weight + FIRST_OUTPUT;
+    self->res[0] = result + FIRST_STATE;
+    self->res[1] = result + FIRST_INPUT;
+    self->res[2] = result + FIRST_PARAMETER;
+    self->res[3] = result + TIME;
+    status = run(self, model_adjoint);
+    for (int i = FIRST_STATE; i < FIRST_DERIVATIVE; i++) result[i] += weight[i];
+    if (status == OK && starting(self)) status = collect_from_starts(self, result);
+    return status == OK ? gather(self, knowns, n_knowns, result, sensitivity) : status;
+}
+
+/* Derivatives of unknowns with respect to time along the solution, inputs moving as declared. */
+Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]) {
+    Status status = check(self, unknowns, count, NULL, 0);
+    if (status == OK) status = refresh(self, DERIVATIVES);
+    if (status != OK) return status;
+    if (!rates) return refuse(self, ERROR, "there is no room for the values");
+
+    double along[N_VARIABLES] = {[TIME] = 1};
+    memcpy(along + FIRST_STATE, self->state.values + FIRST_DERIVATIVE, NX * sizeof(double));
+    memcpy(along + FIRST_INPUT, self->state.slopes, NU * sizeof(double));
+    status = push_forward(self, along);
+    return status == OK ? gather(self, unknowns, count, along, rates) : status;
+}

@@ -1,0 +1,42 @@
+/* The variables of a model; model.h and the table are generated, one entry per value reference:
+   time, states, derivatives, algebraic unknowns, inputs, parameters, outputs. */
+#ifndef VARIABLES_H
+#define VARIABLES_H
+
+#include "model.h"
+
+typedef enum { TIME, STATE, DERIVATIVE, ALGEBRAIC, INPUT, PARAMETER, OUTPUT } Role;
+
+/* How a start value comes about: given, calculated from others, or the guess of a solution. */
+typedef enum { EXACT, CALCULATED, GUESS } StartKind;
+
+typedef struct {
+    const char *name;
+    Role role;
+    StartKind start_kind;
+    double start; /* of a calculated state: where its solution begins */
+    double nominal, minimum, maximum;
+} VariableInfo;
+
+/* Value reference of the first variable of each role. */
+enum {
+    FIRST_STATE = 1,
+    FIRST_DERIVATIVE = FIRST_STATE + NX,
+    FIRST_ALGEBRAIC = FIRST_DERIVATIVE + NX,
+    FIRST_INPUT = FIRST_ALGEBRAIC + NZ,
+    FIRST_PARAMETER = FIRST_INPUT + NU,
+    FIRST_OUTPUT = FIRST_PARAMETER + NP,
+    N_VARIABLES = FIRST_OUTPUT + NY
+};
+
+#if defined __GNUC__ && !defined _WIN32
+#pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
+#endif
+
+extern const VariableInfo variables[];
+
+#if defined __GNUC__ && !defined _WIN32
+#pragma GCC visibility pop
+#endif
+
+#endif

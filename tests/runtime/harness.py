@@ -1,0 +1,182 @@
+"""Compile the runtime with a toy model, and call it through ctypes as an importer does."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from ctypes import CFUNCTYPE, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from pathlib import Path
+from typing import Any
+
+import fmpy
+
+RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
+HERE = Path(__file__).parent
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+OK, WARNING, DISCARD, ERROR = range(4)
+NAN, INF = float("nan"), float("inf")
+
+
+def compiler() -> str | None:
+    """Return a C compiler of this machine."""
+    return next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
+
+
+def sources(version: int) -> list[Path]:
+    """Return the runtime's files for one FMI version."""
+    other = f"fmi{5 - version}"
+    return sorted(path for path in RUNTIME.glob("*.c") if not path.name.startswith(other))
+
+
+def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Path) -> list[Path]:
+    """Compile model (leniently) and runtime (strictly); return the object files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{HEADERS}"]
+    objects = []
+    for source in [model / "model.c", *sources(version)]:
+        target = folder / f"{source.stem}.o"
+        strict = STRICT if source.parent == RUNTIME else ["-std=c11"]
+        run([compiler(), *strict, *flags, *include, "-c", source, "-o", target])
+        objects.append(target)
+    return objects
+
+
+def library(model: Path, version: int, folder: Path) -> ctypes.CDLL:
+    """Build and load a shared library."""
+    objects = compile_objects(model, version, ["-O2", "-fPIC"], folder)
+    target = folder / "fmu.so"
+    run([compiler(), "-shared", *objects, "-o", target, "-lm"])
+    return ctypes.CDLL(str(target))
+
+
+def program(
+    name: str, model: Path, version: int, folder: Path, flags: Sequence[str] = SANITIZED
+) -> Path:
+    """Build a C program of this folder with model and runtime, under the sanitizers."""
+    objects = compile_objects(model, version, flags, folder)
+    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{HEADERS}", f"-I{HERE}"]
+    target = folder / name
+    source = HERE / f"{name}.c"
+    run([compiler(), *STRICT, *flags, *include, source, *objects, "-o", target, "-lm", "-pthread"])
+    return target
+
+
+def run(command: Sequence[Any], timeout: float = 300) -> str:
+    """Run a command; return what it printed, or fail with what it complained of."""
+    environment = os.environ | {"ASAN_OPTIONS": "detect_leaks=1"}
+    done = subprocess.run(
+        [str(part) for part in command],
+        capture_output=True, text=True, timeout=timeout, env=environment, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{command[0]}: {done.returncode}\n{done.stderr[-4000:]}"
+    return done.stdout
+
+
+class _Callbacks(ctypes.Structure):
+    _fields_ = [
+        ("logger", c_void_p),
+        ("allocate", c_void_p),
+        ("free", c_void_p),
+        ("finished", c_void_p),
+        ("environment", c_void_p),
+    ]
+
+
+class EventInfo(ctypes.Structure):
+    """fmi2EventInfo."""
+
+    _fields_ = [
+        *((name, c_int) for name in ("needed", "terminate", "nominals", "values", "defined")),
+        ("next_time", c_double),
+    ]
+
+
+def reals(*values: float) -> ctypes.Array:
+    """Return a C array of doubles."""
+    return (c_double * len(values))(*values)
+
+
+def references(*values: int) -> ctypes.Array:
+    """Return a C array of value references."""
+    return (ctypes.c_uint * len(values))(*values)
+
+
+class Fmu2:
+    """One FMI 2 instance; `fmu("GetReal", ...)` calls fmi2GetReal on it and returns the status."""
+
+    def __init__(
+        self,
+        lib: ctypes.CDLL,
+        names: Sequence[str],
+        interface: int = 0,
+        *,
+        guid: str | None = "{toy-guid}",
+        name: str | None = "one",
+        logging: bool = True,
+    ) -> None:
+        self.lib = lib
+        self.reference = {name: i for i, name in enumerate(names)}
+        self.messages: list[tuple[int, str, str]] = []
+        signature = CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
+        self._logger = signature(self._log)
+        self._callbacks = _Callbacks(logger=ctypes.cast(self._logger, c_void_p))
+        lib.fmi2Instantiate.restype = c_void_p
+        texts = [text if text is None else text.encode() for text in (name, guid)]
+        self.component = lib.fmi2Instantiate(
+            texts[0], interface, texts[1], None, byref(self._callbacks), 0, int(logging)
+        )
+
+    def _log(self, _: Any, __: bytes, status: int, category: bytes, text: bytes) -> None:
+        self.messages.append((status, category.decode(), text.decode()))
+
+    def __call__(self, function: str, *arguments: Any) -> int:
+        plain = [_plain(argument) for argument in arguments]
+        return int(getattr(self.lib, f"fmi2{function}")(c_void_p(self.component), *plain))
+
+    @property
+    def said(self) -> str:
+        """The last message."""
+        return self.messages[-1][2]
+
+    def refs(self, *names: str) -> ctypes.Array[c_uint]:
+        """Return value references by name."""
+        return references(*(self.reference[name] for name in names))
+
+    def get(self, *names: str) -> list[float]:
+        """Read variables; they must be readable."""
+        values = reals(*[NAN] * len(names))
+        assert self("GetReal", self.refs(*names), len(names), values) == OK, self.said
+        return list(values)
+
+    def set(self, **values: float) -> int:
+        """Set variables; return the status."""
+        return self("SetReal", self.refs(*values), len(values), reals(*values.values()))
+
+    def states(self, function: str = "GetContinuousStates", count: int = 4) -> list[float]:
+        """Return what a function yields per state."""
+        values = reals(*[NAN] * count)
+        assert self(function, values, count) == OK, self.said
+        return list(values)
+
+    def set_up(self, start: float = 0.0, stop: float | None = None, tolerance: float = 0.0) -> int:
+        """Call fmi2SetupExperiment."""
+        return self(
+            "SetupExperiment", int(tolerance != 0), tolerance, start, int(stop is not None), stop or 0.0
+        )
+
+    def initialize(self, experiment: dict[str, float] | None = None, **start: float) -> "Fmu2":
+        """Go through initialization mode."""
+        assert self.set_up(**experiment or {}) == OK
+        assert self.set(**start) == OK, self.said
+        assert self("EnterInitializationMode") == OK
+        assert self("ExitInitializationMode") == OK, self.said
+        return self
+
+
+def _plain(argument: Any) -> Any:
+    if isinstance(argument, float):
+        return c_double(argument)
+    return c_size_t(argument) if isinstance(argument, int) else argument
