@@ -278,7 +278,7 @@ def test_second_derivative_of_a_state_is_refused(model):
 
 
 def test_variable_with_a_contradictory_start_is_refused():
-    with pytest.raises(ValueError, match="x: start 1.0 is given, but calculated"):
+    with pytest.raises(ValueError, match=r"x: start 1\.0 is given, but calculated"):
         Variable("x", "m", "stretch", 1.0, Start.CALCULATED)
     with pytest.raises(ValueError, match="x: start is None; give a number"):
         Variable("x", "m", "stretch")
