@@ -208,6 +208,7 @@ def test_level_and_upright_are_equilibria(bar, theta):
 
 
 def test_two_bodies_stay_in_bearings_and_pin(two_body):
-    run = two_body.run(10.0, rtol=1e-8)
+    rtol = 1e-8
+    run = two_body.run(10.0, rtol=rtol)
     for name in (v.name for v in two_body.dae.states[4:]):
-        assert np.abs(run[name]).max() < 1e-12  # m, rad and per second; measured 8e-14
+        assert np.abs(run[name]).max() < 1e-2 * rtol  # m, rad, per second; measured 8e-14

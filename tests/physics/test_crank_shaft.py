@@ -94,8 +94,9 @@ def test_drive_power_is_the_rate_of_energy(crank):
 
 
 def test_bearings_and_drive_hold_the_free_body_on_its_axis(crank):
-    run = crank.run(4.0, rtol=1e-8, g=9.80665)
-    np.testing.assert_allclose(run["phi"][-1], 280.0, rtol=1e-8)  # 50 t + 5 t^2; measured 6e-16
+    rtol = 1e-8
+    run = crank.run(4.0, rtol=rtol, g=9.80665)
+    np.testing.assert_allclose(run["phi"][-1], 280.0, rtol=rtol)  # 50 t + 5 t^2; measured 6e-16
     loose = [v.name for v in crank.dae.states if v.name.startswith("shaft_")]
-    for name in loose:
-        assert np.abs(run[name]).max() < 1e-11  # metre, radian, ...; measured 9e-13 after 45 turns
+    for name in loose:  # after 45 turns: 9e-13 m, rad, per second
+        assert np.abs(run[name]).max() < 1e-2 * rtol

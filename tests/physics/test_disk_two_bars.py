@@ -183,9 +183,10 @@ def test_final_angles_are_the_static_equilibrium_in_the_turning_frame(disk):
 
 def test_bars_stay_in_their_hinges():
     equations = load("multipliers")
-    run = equations.run(20.0, rtol=1e-8)
+    rtol = 1e-8
+    run = equations.run(20.0, rtol=rtol)
     for name in (v.name for v in equations.dae.states[5:]):
-        assert np.abs(run[name]).max() < 1e-11  # m, rad and per second; measured 7e-13
+        assert np.abs(run[name]).max() < 1e-2 * rtol  # m, rad, per second; measured 7e-13
 
 
 def test_bars_hang_still_below_a_disk_at_rest(disk):
