@@ -26,6 +26,7 @@ class Dae:
         inertias: (body, 3x3 expression of p) for every inertia that must be physical.
         observed: Names that a run records; states, algebraics and outputs when not reduced.
         x_start: Start value, or first guess where a rule is implicit, of every state.
+        report: What a reduction took away and why, a line each.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -53,6 +54,7 @@ class Dae:
     inertias: tuple[tuple[str, SX], ...]
     observed: tuple[str, ...]
     x_start: tuple[float, ...]
+    report: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for what, variables, columns in (
@@ -85,10 +87,15 @@ class Dae:
                 return candidate
         raise KeyError(name)
 
-    def operations(self) -> int:
-        """Count the scalar operations of dx/dt and the residual, parameters being numbers."""
+    def operations(self, *, with_outputs: bool = False) -> int:
+        """Count the scalar operations of dx/dt and the residual, parameters being numbers.
+
+        Args:
+            with_outputs: Count the operations of the outputs, too.
+        """
         values = ca.DM([variable.start or 0.0 for variable in self.parameters])
-        equations = ca.substitute(ca.vertcat(self.ode, self.alg), self.p, SX(values))
+        columns = [self.ode, self.alg, *([self.outputs] if with_outputs else [])]
+        equations = ca.substitute(ca.vertcat(*columns), self.p, SX(values))
         function = ca.Function("f", [self.t, self.x, self.z, self.u], [equations], {"cse": True})
         moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
         codes = (function.instruction_id(i) for i in range(function.n_instructions()))

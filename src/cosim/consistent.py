@@ -79,9 +79,10 @@ def start_values(dae: Dae, values: Values) -> Vector:
     for rule in dae.start_rules:
         names = ", ".join(dae.states[i].name for i in rule.states)
         if not np.isfinite(x[list(rule.states)]).all() or not float(defect) < DEFECT_LIMIT:
+            near = _closest(dae, rule, x, values) if rule.implicit else "its formula gives no number"
             raise InitialConditionError(
                 f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
-                f"{_closest(dae, rule, x, values)}; change the other start values or parameters"
+                f"{near}; change the other start values or parameters"
             )
     for variable, value in zip(dae.states, x, strict=True):
         if not variable.minimum <= value <= variable.maximum:

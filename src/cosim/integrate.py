@@ -1,6 +1,7 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
@@ -14,6 +15,7 @@ from cosim import solvers
 from cosim.compile import has_compiler
 from cosim.consistent import algebraic_function, algebraic_values, start_values
 from cosim.errors import ParameterError, SolverError, UnknownName
+from cosim.inputs import InputSeries
 from cosim.solvers import SOLVERS, Engine, Tolerance
 from cosim.trajectory import Column, Trajectory
 from cosim.values import Values, assign, number
@@ -35,6 +37,7 @@ def simulate(
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
     start: Mapping[str, float] | None = None,
+    inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
     compiled: bool | None = None,
 ) -> Trajectory:
@@ -51,6 +54,7 @@ def simulate(
         absolute_tolerance: Error per step in SI units; a hundredth of the relative when None.
         step_size: Largest step of `rk4` and `ode8`, s; the output interval when None.
         start: Values by name that replace starts of states, parameters, or inputs.
+        inputs: Time series of some inputs, piecewise linear; the others keep their start value.
         outputs: Names to record; everything observable when None.
         compiled: Whether to compile the equations; if a compiler is there when None.
 
@@ -81,17 +85,20 @@ def simulate(
     name, _ = solvers.method(dae, solver)
     compiled = has_compiler() if compiled is None else compiled
     x0 = start_values(dae, values)
-    z0 = algebraic_values(dae, grid[0], x0, values)
+    u = _input_values(dae, grid, values, inputs)
+    z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
     stats: dict[str, Any] = {"solver": name, "relative_tolerance": relative_tolerance}
-    if len(grid) == 1:
-        states, stopped = x0[:, None], ""
+    if len(grid) == 1 or not dae.states:
+        states, stopped = np.tile(x0[:, None], len(grid)), ""
     else:
-        engine = solvers.build(dae, grid, name, tolerance, step_size=step_size, compiled=compiled)
+        engine = solvers.build(
+            dae, grid, name, tolerance, step_size=step_size, inputs=inputs, compiled=compiled
+        )
         ready = perf_counter()
         states, stopped = _run(engine, dae, x0, z0, values)
         stats |= {"solve_time": perf_counter() - ready} | ({} if stopped else engine.stats())
     reached = grid[: states.shape[1]]
-    table = _observe(dae, reached, states, z0, values, compiled)
+    table = _observe(dae, reached, states, z0, u, values.p, compiled)
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if bad.size and not stopped:
         stopped = _not_finite(dae, table[bad[0]], reached[bad[0]])
@@ -233,16 +240,28 @@ def _cause(message: str) -> str:
     return flag or message.strip().splitlines()[-1][:200]
 
 
+def _input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
+    """Return every input at the output times, (nu, n)."""
+    table = np.tile(values.u[:, None], len(grid))
+    if inputs is not None:
+        known = [variable.name for variable in dae.inputs]
+        for name, row in zip(inputs.names, inputs.at(grid), strict=True):
+            if name not in known:
+                raise UnknownName.among(dae.full_name, "input", name, known)
+            table[known.index(name)] = row
+    return table
+
+
 def _observe(
-    dae: Dae, time: Vector, states: Vector, z0: Vector, values: Values, compiled: bool
+    dae: Dae, time: Vector, states: Vector, z0: Vector, u: Vector, p: Vector, compiled: bool
 ) -> Vector:
     """Evaluate algebraic unknowns and outputs from the states; one row per time."""
     observe = _observer(dae)
     if compiled and len(time) > 1:
         (observe,) = solvers.external([observe], solvers.cache_key("observe", observe), ["observe"])
     n = len(time)
-    every = observe.map("every", "serial", n, [2, 3, 4], []) if n > 1 else observe
-    rows = np.array(every(time[None, :], states, z0, values.u, values.p))
+    every = observe.map("every", "serial", n, [2, 4], []) if n > 1 else observe
+    rows = np.array(every(time[None, :], states, z0, u[:, :n], p))
     return np.vstack((states, rows)).T
 
 

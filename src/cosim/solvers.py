@@ -13,13 +13,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from casadi import MX, SX
+from casadi import MX
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from cosim.compile import cached_library
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.generated import COUNTERS, counted, run_time_tolerances
+from cosim.inputs import InputSeries
 from cosim.runge_kutta import METHODS, step_function
 from cosim.values import number
 
@@ -125,9 +126,12 @@ def build(
     tolerance: Tolerance | None = None,
     *,
     step_size: float | None = None,
+    inputs: InputSeries | None = None,
     compiled: bool = False,
 ) -> Engine:
     """Return the engine of a solver for a grid of at least two increasing times.
+
+    An adaptive solver takes no step longer than the shortest interval of an input series.
 
     Raises:
         UnknownName, UsageError: See `method`.
@@ -135,13 +139,13 @@ def build(
     """
     name, chosen = method(dae, solver)
     if not chosen.adaptive:
-        return _fixed_step(dae, grid, name, step_size, compiled)
+        return _fixed_step(dae, grid, name, step_size, inputs, compiled)
     if step_size is not None:
         raise UsageError(f"{name} chooses its own steps; leave step_size out or use rk4 or ode8")
     tolerances = (tolerance or Tolerance()).pair
     if compiled and chosen.plugin in ("erk", "rosenbrock"):
-        return _generated(dae, grid, chosen, tolerances)
-    return _interpreted(dae, grid, chosen, tolerances, compiled)
+        return _generated(dae, grid, chosen, tolerances, inputs)
+    return _interpreted(dae, grid, chosen, tolerances, inputs, compiled)
 
 
 def equations(dae: Dae) -> ca.Function:
@@ -169,8 +173,26 @@ def cache_key(kind: str, function: ca.Function, *more: bytes) -> str:
     return f"{kind} {ca.CasadiMeta.version()} {digest}"
 
 
+def driven(dae: Dae, inputs: InputSeries | None, t: MX, u: MX) -> MX:
+    """Return the inputs at a time: those of the series, and the constants for the others."""
+    if inputs is None:
+        return u
+    clipped = ca.fmin(ca.fmax(t, inputs.time[0]), inputs.time[-1])
+    rows = ca.vertsplit(u)
+    for i, variable in enumerate(dae.inputs):
+        if variable.name in inputs.names:
+            samples = inputs.values[:, inputs.names.index(variable.name)]
+            rows[i] = ca.interpolant("signal", "linear", [inputs.time], samples)(clipped)
+    return ca.vertcat(*rows)
+
+
 def _interpreted(
-    dae: Dae, grid: Vector, chosen: Method, tolerances: tuple[float, float], compiled: bool
+    dae: Dae,
+    grid: Vector,
+    chosen: Method,
+    tolerances: tuple[float, float],
+    inputs: InputSeries | None,
+    compiled: bool,
 ) -> Engine:
     """CasADi's integrator; only its equations are machine code where `compiled`."""
     function = equations(dae)
@@ -178,14 +200,18 @@ def _interpreted(
         (function,) = external(
             [function, function.jacobian()], cache_key("sundials", function), ["dae"]
         )
-        symbols = {name: MX.sym(name, function.sparsity_in(i)) for i, name in enumerate(_CALL)}
-        ode, alg = function(*symbols.values())
-        problem: dict[str, Any] = symbols | {"ode": ode, "alg": alg}
+    if compiled or inputs is not None:
+        t, x, z, u, p = symbols = _symbols(function)
+        ode, alg = function(t, x, z, driven(dae, inputs, t, u), p)
+        problem: dict[str, Any] = dict(zip(_CALL, symbols, strict=True))
+        problem |= {"ode": ode, "alg": alg}
     else:
         problem = dict(zip(_CALL, (dae.t, dae.x, dae.z, dae.u, dae.p), strict=True))
         problem |= {"ode": dae.ode, "alg": dae.alg}
     grouped = chosen.plugin in ("erk", "rosenbrock")
     options = dict(chosen.options) | dict(zip(("reltol", "abstol"), tolerances, strict=True))
+    if inputs is not None:
+        options["max_step_size"] = float(np.diff(inputs.time).min())
     if grouped:
         options["control_group_size"] = [len(grid)]
     run = ca.integrator("run", chosen.plugin, problem, grid[0], list(grid), options)
@@ -201,19 +227,28 @@ def _interpreted(
     return Engine(run, np.empty(0), not grouped, stats, compiled)
 
 
-def _generated(dae: Dae, grid: Vector, chosen: Method, tolerances: tuple[float, float]) -> Engine:
+def _generated(
+    dae: Dae,
+    grid: Vector,
+    chosen: Method,
+    tolerances: tuple[float, float],
+    inputs: InputSeries | None,
+) -> Engine:
     """CasADi's generated integrator on the unit interval; span and tolerances come with `p`."""
-    span = SX.sym("span", 4)  # start, length, relative and absolute tolerance
-    time = SX.sym("s")
     unit_grid = _unit_grid(grid)
-    stretched = span[0] + span[1] * time
-    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t], [stretched])
-    symbols = [time, dae.x, dae.z, dae.u, ca.vertcat(dae.p, span)]
+    function = equations(dae)
+    s, x, z, u, p = _symbols(function)
+    span = MX.sym("span", 4)  # start, length, relative and absolute tolerance
+    t = span[0] + span[1] * s
+    ode, alg = function(t, x, z, driven(dae, inputs, t, u), p)
+    symbols = [s, x, z, u, ca.vertcat(p, span)]
     problem = dict(zip(_CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
-    original = ca.Function("dae", symbols, [problem["ode"], alg], {"cse": True})
+    options = dict(chosen.options) | {"control_group_size": [len(grid)]}
+    if inputs is not None:
+        options["max_step_size"] = float(np.diff(inputs.time).min() / (grid[-1] - grid[0]))
+    original = ca.Function("driven", symbols, [problem["ode"], alg])
 
     def generate() -> str:
-        options = dict(chosen.options) | {"control_group_size": [len(grid)]}
         run = ca.integrator("run", chosen.plugin, problem, 0.0, list(unit_grid), options)
         generator = ca.CodeGenerator("code", {"with_header": False})
         generator.add(run)
@@ -223,7 +258,8 @@ def _generated(dae: Dae, grid: Vector, chosen: Method, tolerances: tuple[float, 
         )
         return counted(code)
 
-    key = cache_key(f"generated-1 {chosen.plugin}", original, unit_grid.tobytes())
+    details = (unit_grid.tobytes(), repr(options.get("max_step_size")).encode())
+    key = cache_key(f"generated-2 {chosen.plugin}", original, *details)
     path = str(cached_library(key, generate))
     extra = np.array([grid[0], grid[-1] - grid[0], *tolerances])
     counters = _counters(path)
@@ -257,7 +293,12 @@ def _unit_grid(grid: Vector) -> Vector:
 
 
 def _fixed_step(
-    dae: Dae, grid: Vector, name: str, step_size: float | None, compiled: bool
+    dae: Dae,
+    grid: Vector,
+    name: str,
+    step_size: float | None,
+    inputs: InputSeries | None,
+    compiled: bool,
 ) -> Engine:
     """Steps of one size within each output interval, at most `step_size`."""
     intervals = np.diff(grid)
@@ -270,11 +311,12 @@ def _fixed_step(
         )
     parts = np.maximum(1, np.ceil(intervals / largest * (1 - 1e-12))).astype(int)
     full = equations(dae)
-    t, x, z, u, p = (MX.sym(n, full.sparsity_in(i)) for i, n in enumerate(_CALL))
-    rhs = ca.Function("rhs", [t, x, u, p], [full(t, x, z, u, p)[0]])
+    t, x, z, u, p = _symbols(full)
+    ode, _ = full(t, x, z, driven(dae, inputs, t, u), p)
+    rhs = ca.Function("rhs", [t, x, u, p], [ode])
     step = step_function(rhs, METHODS[name])
     if compiled:
-        (step,) = external([step], cache_key(f"step {name}", full), ["step"])
+        (step,) = external([step], cache_key(f"step {name}", rhs), ["step"])
     sizes = np.repeat(intervals / parts, parts)
     begins = np.concatenate(
         [a + np.arange(n) * (d / n) for a, d, n in zip(grid, intervals, parts, strict=False)]
@@ -296,3 +338,7 @@ def _fixed_step(
     )
     calls = {"steps": total, "rhs_calls": total * len(METHODS[name].b), "jacobian_calls": 0}
     return Engine(function, np.empty(0), False, lambda: dict(calls), compiled)
+
+
+def _symbols(function: ca.Function) -> list[MX]:
+    return [MX.sym(name, function.sparsity_in(i)) for i, name in enumerate(_CALL)]

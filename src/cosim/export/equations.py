@@ -26,7 +26,10 @@ def equations_code(dae: Dae) -> str:
         step_function(dae),
     ):
         generator.add(function)
-    return run_time_tolerances(str(generator.dump()), "arg[2][2]", "0.01 * arg[2][2]")
+    code = str(generator.dump())
+    if not dae.states:
+        return code
+    return run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
 
 
 def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:
@@ -52,6 +55,8 @@ def step_function(dae: Dae) -> ca.Function:
         "ode": h * ode,
         "alg": alg,
     }
+    if not dae.states:  # nothing moves, and CasADi integrates nothing
+        return ca.Function("model_step", [dae.x, dae.z, problem["p"]], [dae.x, dae.z])
     plugin = "rosenbrock" if dae.algebraics else "erk"
     options = {"show_eval_warnings": False}
     return ca.integrator("model_step", plugin, problem, 0.0, [1.0], options)
