@@ -68,7 +68,12 @@ def _euler(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
         model.derivative(angles, orientation.angle_rates(angles, axes @ rate))
         in_e = rotations.quaternion_product(start.quaternion, orientation.conjugate(to_angles))
         first = start.angles if axis == 3 else orientation.from_quaternion(in_e)
-        model.start(angles, first, f"common start of link {link}")
+        model.start(
+            angles,
+            orientation.defined(first),
+            f"common start of link {link} in 3-1-3 angles, which do not exist where sin(theta) "
+            "is zero (the quaternion formulation is regular there)",
+        )
         q = rotations.quaternion_product(orientation.to_quaternion(angles), to_angles)
         for part, value in zip("wxyz", ca.vertsplit(q), strict=True):
             model.output(f"q{link}_{part}", "1", value, links.quaternion_meaning(link, part))

@@ -8,6 +8,8 @@ from casadi import SX, cos, sin
 
 from casadi_models.rotations import quaternion_about, quaternion_product
 
+SINGULAR = 1e-15  # below, sin(theta) near pi has no correct digit
+
 
 def conjugate(q: SX) -> SX:
     """Return the unit quaternion of the reverse turn."""
@@ -31,6 +33,12 @@ def from_quaternion(q: SX) -> SX:
     half_sum, half_difference = ca.atan2(z, w), ca.atan2(y, x)  # of psi and phi
     theta = 2 * ca.atan2(ca.hypot(x, y), ca.hypot(w, z))
     return ca.vertcat(half_sum + half_difference, theta, half_sum - half_difference)
+
+
+def defined(angles: SX) -> SX:
+    """Return the angles (3, 1), or not a number where psi and phi do not exist separately."""
+    _, theta, _ = ca.vertsplit(angles)
+    return angles * ca.sqrt(ca.if_else(ca.fabs(sin(theta)) < SINGULAR, -1, 1))
 
 
 def angle_rates(angles: SX, rate: SX) -> SX:

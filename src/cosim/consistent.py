@@ -79,7 +79,7 @@ def start_values(dae: Dae, values: Values) -> Vector:
     for rule in dae.start_rules:
         names = ", ".join(dae.states[i].name for i in rule.states)
         if not np.isfinite(x[list(rule.states)]).all() or not float(defect) < DEFECT_LIMIT:
-            near = _closest(dae, rule, x, values) if rule.implicit else "its formula gives no number"
+            near = _closest(dae, rule, x, values) if rule.implicit else "its formula has no value"
             raise InitialConditionError(
                 f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
                 f"{near}; change the other start values or parameters"
