@@ -3,18 +3,13 @@ import numpy as np
 import pytest
 from casadi import SX
 from scipy.spatial.transform import Rotation
+from support import value
 
 from casadi_models import rotations as ro
 
 AXES = (1, 2, 3)
 RNG = np.random.default_rng(7)
 ROUNDING = 4e-15  # a few units in the last place of numbers up to 5; measured 1.3e-15
-
-
-def value(expression, *pairs):
-    """Evaluate an expression at (symbol, number) pairs."""
-    function = ca.Function("f", [symbol for symbol, _ in pairs], [expression])
-    return np.array(function.call([number for _, number in pairs])[0])
 
 
 @pytest.mark.parametrize("axis", AXES)
