@@ -7,12 +7,12 @@
 #include <math.h>
 #include <string.h>
 
-static const char MAGIC[8] = "cosimFMU";
+#define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
 enum { LAYOUT_VERSION = 1 };
 
 typedef struct {
-    char magic[8];
+    uint64_t magic;
     uint32_t layout;
     uint32_t fmi_version;
     uint64_t size; /* of the state */
@@ -34,15 +34,14 @@ static uint64_t hash(const void *data, size_t size) {
 }
 
 static Header header_of(const Instance *self, const State *state) {
-    Header header = {
+    return (Header){
+        .magic = MAGIC,
         .layout = LAYOUT_VERSION,
         .fmi_version = self->host.fmi_version,
         .size = sizeof(State),
         .model = hash(MODEL_GUID, strlen(MODEL_GUID)),
         .checksum = hash(state, sizeof *state),
     };
-    memcpy(header.magic, MAGIC, sizeof MAGIC);
-    return header;
 }
 
 static Status reject(Instance *self, const char *reason) {
@@ -52,7 +51,7 @@ static Status reject(Instance *self, const char *reason) {
 
 /* Is the header that of a snapshot of this model? Read nothing behind it before that. */
 static const char *foreign(const Instance *self, const Header *header) {
-    if (memcmp(header->magic, MAGIC, sizeof MAGIC) != 0) return "this is not an FMU state";
+    if (header->magic != MAGIC) return "this is not an FMU state";
     if (header->layout != LAYOUT_VERSION || header->fmi_version != self->host.fmi_version)
         return "the FMU state has another version";
     if (header->model != hash(MODEL_GUID, strlen(MODEL_GUID)) || header->size != sizeof(State))
@@ -120,7 +119,7 @@ Status release_snapshot(Instance *self, void **snapshot) {
     Snapshot *copy = *snapshot;
     const char *reason = foreign(self, &copy->header);
     if (reason) return reject(self, reason);
-    memset(copy->header.magic, 0, sizeof copy->header.magic);
+    copy->header.magic = 0;
     self->host.release(copy);
     *snapshot = NULL;
     return OK;

@@ -6,9 +6,9 @@
 
 #include "equations.h"
 
-/* Attempts of one communication step. A failed attempt is tried again at half its length, so
-   that the step ends within 2^-20 or so of what stops it; each has a bounded number of steps. */
-enum { MOST_ATTEMPTS = 40 };
+/* Attempts in one communication step. A failed one is repeated at half its length, so that the
+   step ends within about 2^-10 of what stops it. Each is bounded, by the integrator's own limit. */
+enum { MOST_ATTEMPTS = 20 };
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 

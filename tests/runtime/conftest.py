@@ -1,7 +1,9 @@
 """The toy model, compiled once per session."""
 
 from collections.abc import Callable, Iterator
+from ctypes import CDLL
 from pathlib import Path
+from typing import Any
 
 import harness
 import pytest
@@ -19,24 +21,33 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def fmi2(model: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., harness.Fmu2]:
+def library(model: Path, tmp_path_factory: pytest.TempPathFactory) -> CDLL:
+    """The toy as FMI 2 library."""
+    return harness.library(model, 2, tmp_path_factory.mktemp("fmi2"))
+
+
+@pytest.fixture
+def fmi2(library: CDLL) -> Iterator[Callable[..., harness.Fmu2]]:
     """Make FMI 2 instances of the toy: 0 for model exchange, 1 for co-simulation."""
-    library = harness.library(model, 2, tmp_path_factory.mktemp("fmi2"))
     names = [row.name for row in toy.TABLE]
-    return lambda interface=0, **options: harness.Fmu2(library, names, interface, **options)
+    made: list[harness.Fmu2] = []
+
+    def make(interface: int = 0, **options: Any) -> harness.Fmu2:
+        made.append(harness.Fmu2(library, names, interface, **options))
+        return made[-1]
+
+    yield make
+    for instance in made:
+        instance.free()
 
 
 @pytest.fixture
-def me(fmi2: Callable[..., harness.Fmu2]) -> Iterator[harness.Fmu2]:
+def me(fmi2: Callable[..., harness.Fmu2]) -> harness.Fmu2:
     """A model exchange instance."""
-    instance = fmi2()
-    yield instance
-    instance.lib.fmi2FreeInstance(harness.c_void_p(instance.component))
+    return fmi2()
 
 
 @pytest.fixture
-def cs(fmi2: Callable[..., harness.Fmu2]) -> Iterator[harness.Fmu2]:
+def cs(fmi2: Callable[..., harness.Fmu2]) -> harness.Fmu2:
     """A co-simulation instance."""
-    instance = fmi2(1)
-    yield instance
-    instance.lib.fmi2FreeInstance(harness.c_void_p(instance.component))
+    return fmi2(1)

@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Sequence
-from ctypes import CFUNCTYPE, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from ctypes import CFUNCTYPE, byref, c_char, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +129,11 @@ class Fmu2:
             texts[0], interface, texts[1], None, byref(self._callbacks), 0, int(logging)
         )
 
+    def free(self) -> None:
+        """Call fmi2FreeInstance."""
+        self.lib.fmi2FreeInstance(c_void_p(self.component))
+        self.component = None
+
     def _log(self, _: Any, __: bytes, status: int, category: bytes, text: bytes) -> None:
         self.messages.append((status, category.decode(), text.decode()))
 
@@ -166,6 +171,20 @@ class Fmu2:
         return self(
             "SetupExperiment", int(tolerance != 0), tolerance, start, int(stop is not None), stop or 0.0
         )
+
+    def take(self) -> c_void_p:
+        """Return a new FMU state."""
+        snapshot = c_void_p()
+        assert self("GetFMUstate", byref(snapshot)) == OK, self.said
+        return snapshot
+
+    def serialize(self, snapshot: c_void_p) -> ctypes.Array[c_char]:
+        """Return the bytes of an FMU state."""
+        size = c_size_t()
+        assert self("SerializedFMUstateSize", snapshot, byref(size)) == OK, self.said
+        blob = (c_char * size.value)()
+        assert self("SerializeFMUstate", snapshot, blob, size.value) == OK, self.said
+        return blob
 
     def initialize(self, experiment: dict[str, float] | None = None, **start: float) -> "Fmu2":
         """Go through initialization mode."""

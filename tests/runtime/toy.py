@@ -48,7 +48,7 @@ TABLE = (
     Row("damping", "PARAMETER", start=0.5, minimum=0.0),
     Row("load", "PARAMETER", start=2.0, minimum=-1e6, maximum=1e6),
     Row("blow", "PARAMETER"),
-    *(Row(name, "OUTPUT", "CALCULATED") for name in ("energy", "wave", "log_q")),
+    *(Row(name, "OUTPUT", "CALCULATED") for name in ("energy", "wave", "log")),
 )
 BARE = (
     Row("time", "TIME"),
@@ -83,7 +83,7 @@ def toy() -> Equations:
     ode = ca.vertcat(v, a, -w * ca.sqrt(q + 10), blow * s**2)
     alg = ca.vertcat(mass * a + damping * v + stiffness * q - force - 0.1 * r, r - 2 * a - w)
     energy = mass * v**2 / 2 + stiffness * q**2 / 2
-    y = ca.vertcat(energy, q * ca.sin(3 * t) + push, ca.log(q))
+    y = ca.vertcat(energy, q * ca.sin(3 * t) + push, ca.log(q + 5))
     return Equations(t, x, z, u, p, ode, alg, y, w + w**3 - load, calculated=2)
 
 

@@ -1,0 +1,194 @@
+"""FMI 2.0 co-simulation against SciPy, at any communication step, and its early ends."""
+
+from ctypes import byref, c_double, c_int
+
+import numpy as np
+import pytest
+from harness import DISCARD, ERROR, INF, NAN, OK, reals, references
+from scipy.integrate import solve_ivp
+
+ONE = (c_int * 1)(1)
+
+
+def rates(t, x, force):
+    """The toy's equations, solved for a by hand: 1.8 a = 0.1 w + force - v / 2 - 8 q."""
+    q, v, w, _ = x
+    return [v, (0.1 * w + force(t) - 0.5 * v - 8 * q) / 1.8, -w * np.sqrt(q + 10), 0.0]
+
+
+def solution(end, force=lambda t: 0.0):
+    run = solve_ivp(rates, (0, end), [1, 0, 1, 1], "DOP853", rtol=1e-12, atol=1e-13, args=(force,))
+    return run.y[:, -1]
+
+
+def walk(fmu, end, step, slope=None):
+    time, count = 0.0, round(end / step)
+    for k in range(count):
+        if slope is not None:
+            assert fmu.set(force=slope * time) == OK
+            assert fmu("SetRealInputDerivatives", fmu.refs("force"), 1, ONE, reals(slope)) == OK
+        assert fmu("DoStep", time, step, 1) == OK, fmu.said
+        time = (k + 1) * step
+    return np.array(fmu.get("q", "v", "w", "s"))
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-2, 0.1, 2.0])
+def test_the_result_does_not_depend_on_the_communication_step(cs, step):
+    cs.initialize({"tolerance": 1e-10})
+    error = np.abs(walk(cs, 2.0, step) - solution(2.0)).max()
+    assert error < 100e-10  # measured 1.3e-11 ... 2.4e-9
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7, 1e-10])
+def test_the_tolerance_of_the_importer_is_honoured(cs, tolerance):
+    cs.initialize({"tolerance": tolerance})
+    error = np.abs(walk(cs, 2.0, 2.0) - solution(2.0)).max()
+    assert 0.001 * tolerance < error < 100 * tolerance  # measured 2 to 25 tolerance
+
+
+def test_inputs_with_derivatives_move_linearly_within_a_step(cs):
+    cs.initialize({"tolerance": 1e-10})
+    error = np.abs(walk(cs, 2.0, 0.5, slope=3.0) - solution(2.0, lambda t: 3 * t)).max()
+    assert error < 100e-10  # measured 6e-10
+    assert cs.get("force") == [pytest.approx(6.0, rel=1e-15)]
+
+
+def test_an_input_derivative_holds_for_one_step_only(cs):
+    cs.initialize()
+    assert cs("SetRealInputDerivatives", cs.refs("force"), 1, ONE, reals(3.0)) == OK
+    assert cs("DoStep", 0.0, 0.5, 1) == OK
+    assert cs("DoStep", 0.5, 0.5, 1) == OK
+    assert cs.get("force") == [1.5]
+
+
+def test_output_derivatives_are_the_total_derivatives_along_the_solution(cs):
+    cs.initialize({"tolerance": 1e-12})
+    names = ("energy", "wave", "v")
+
+    def outputs_at(time):
+        cs("Reset")
+        cs.initialize({"tolerance": 1e-12})
+        cs("SetRealInputDerivatives", cs.refs("push"), 1, ONE, reals(2.0))
+        assert cs("DoStep", 0.0, time, 1) == OK
+        return np.array(cs.get(*names))
+
+    after, before = outputs_at(0.7 + 1e-4), outputs_at(0.7 - 1e-4)
+    outputs_at(0.7)
+    exact, order = reals(0, 0, 0), (c_int * 3)(1, 1, 1)
+    assert cs("GetRealOutputDerivatives", cs.refs(*names), 3, order, exact) == OK
+    error = np.abs(np.array(exact) - (after - before) / 2e-4).max()
+    assert error < 1e-6  # of the central difference; measured 1.1e-7
+
+
+def test_output_derivatives_of_higher_order_are_zero(cs):
+    cs.initialize()
+    value = reals(7.0)
+    assert cs("GetRealOutputDerivatives", cs.refs("v"), 1, (c_int * 1)(2), value) == OK
+    assert list(value) == [0.0]
+
+
+def test_repeating_a_step_from_a_saved_state_gives_the_same_bits(cs):
+    cs.initialize()
+    walk(cs, 0.4, 0.1)
+    snapshot = cs.take()
+    assert cs("DoStep", 0.4, 0.3, 0) == OK
+    first = cs.get(*cs.reference)
+    assert cs("SetFMUstate", snapshot) == OK
+    assert cs("DoStep", 0.4, 0.15, 0) == OK
+    assert cs("SetFMUstate", snapshot) == OK
+    assert cs("DoStep", 0.4, 0.3, 0) == OK
+    assert cs.get(*cs.reference) == first
+    cs("FreeFMUstate", byref(snapshot))
+
+
+def test_reading_outputs_between_steps_changes_nothing(cs, fmi2):
+    silent = fmi2(1)
+    for fmu in (cs, silent):
+        fmu.initialize()
+    for k in range(10):
+        assert cs("DoStep", k * 0.1, 0.1, 1) == silent("DoStep", k * 0.1, 0.1, 1) == OK
+        cs.get(*cs.reference)
+    assert cs.get(*cs.reference) == silent.get(*silent.reference)
+
+
+def test_a_blow_up_ends_the_step_early_at_the_last_good_state(cs):
+    cs.initialize(blow=1.0)  # s = 1 / (1 - t)
+    assert cs("DoStep", 0.0, 0.5, 1) == OK
+    assert cs("DoStep", 0.5, 1.0, 1) == DISCARD
+    assert "came no further than" in cs.said
+    reached, status, ended = c_double(), c_int(), c_int(1)
+    assert cs("GetRealStatus", 2, byref(reached)) == OK
+    assert cs("GetStatus", 0, byref(status)) == OK
+    assert cs("GetBooleanStatus", 3, byref(ended)) == OK
+    assert 1 - 2**-9 < reached.value < 1 + 1e-6  # measured 1 + 8e-10
+    assert (status.value, ended.value) == (DISCARD, 0)
+    time, s = cs.get("time", "s")
+    assert time == reached.value
+    assert s > 1e6  # measured 1.2e9
+
+
+def test_after_an_early_end_the_step_can_be_retried_from_a_saved_state(cs):
+    cs.initialize(blow=1.0)
+    snapshot = cs.take()
+    assert cs("DoStep", 0.0, 2.0, 0) == DISCARD
+    assert cs("SetFMUstate", snapshot) == OK
+    assert cs("DoStep", 0.0, 0.5, 0) == OK
+    assert cs.get("s") == [pytest.approx(2.0, rel=1e-7)]
+    cs("FreeFMUstate", byref(snapshot))
+
+
+def test_a_step_that_needs_more_internal_steps_than_one_attempt_has_is_divided(cs):
+    cs.initialize({"tolerance": 1e-9}, damping=0.0)
+    assert cs("DoStep", 0.0, 300.0, 1) == OK  # about 1e5 internal steps; one attempt has 1e4
+    q, v = cs.get("q", "v")
+    assert 1.8 * v**2 / 2 + 8 * q**2 / 2 == pytest.approx(4.0, rel=2e-2)  # w fades, energy stays
+
+
+@pytest.mark.parametrize("step", [NAN, INF, -INF, 0.0, -0.1])
+def test_a_senseless_step_size_is_an_error(cs, step):
+    cs.initialize()
+    assert cs("DoStep", 0.0, step, 1) == ERROR
+    assert cs.said.startswith("fmi2DoStep: step size ")
+
+
+@pytest.mark.parametrize("begin", [NAN, INF, 0.1, -1.0, 1e-6])
+def test_a_step_that_does_not_begin_now_is_an_error(cs, begin):
+    cs.initialize()
+    assert cs("DoStep", begin, 0.1, 1) == ERROR
+
+
+def test_clocks_may_differ_by_rounding_and_the_end_is_met_exactly(cs):
+    cs.initialize()
+    time = 0.0
+    for _ in range(10000):
+        assert cs("DoStep", time, 1e-3, 1) == OK
+        time += 1e-3  # differs from k * 1e-3 by rounding
+        assert cs.get("time") == [time]
+
+
+def test_a_step_beyond_the_stop_time_is_an_error(cs):
+    cs.initialize({"stop": 0.25})
+    assert cs("DoStep", 0.0, 0.2, 1) == OK
+    assert cs("DoStep", 0.2, 0.05, 1) == OK
+    assert cs("DoStep", 0.25, 0.05, 1) == ERROR
+    assert "beyond the stop time 0.25" in cs.said
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "value", "status"),
+    [("q", 1, 1.0, ERROR), ("force", 0, 1.0, ERROR), ("force", 2, 1.0, ERROR),
+     ("force", -1, 1.0, ERROR), ("force", 1, NAN, DISCARD)],
+)  # fmt: skip
+def test_senseless_input_derivatives_are_refused(cs, name, order, value, status):
+    cs.initialize()
+    orders = (c_int * 1)(order)
+    assert cs("SetRealInputDerivatives", cs.refs(name), 1, orders, reals(value)) == status
+
+
+def test_unknown_status_information_is_discarded(cs):
+    cs.initialize()
+    value = c_double()
+    assert cs("GetRealStatus", 0, byref(value)) == DISCARD
+    assert cs("GetIntegerStatus", 0, byref(value)) == DISCARD
+    assert cs("GetStringStatus", 1, byref(value)) == DISCARD
+    assert cs("GetRealOutputDerivatives", references(99), 1, ONE, reals(0)) == ERROR
