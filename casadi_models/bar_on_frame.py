@@ -143,7 +143,7 @@ def two_body() -> Dae:
         """Return the velocity of a point of F, in F."""
         return frame.velocity + ca.cross(frame.omega, point)
 
-    at_A, at_B = ca.vertcat(0, 0, 0), ca.vertcat(0, 0, data.column_length)
+    at_A, at_B = SX.zeros(3), ca.vertcat(0, 0, data.column_length)
     at_arm, at_G = (ca.vertcat(0, reach, data.weld_height) for reach in (data.d / 2, data.d))
     velocity = of_frame(at_G + bar.shift) + bar.velocity  # of G, in F
     omega = bar.rotation.T @ frame.omega + bar.omega  # of the bar, in (e1, n2, e3)

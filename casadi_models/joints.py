@@ -67,33 +67,19 @@ def free_joint(
     i, j = axis % 3 + 1, (axis + 1) % 3 + 1  # i, j, axis are in cyclic order
 
     def states(names: list[str], unit: str, meaning: str) -> SX:
-        """Declare states at rest."""
+        """Declare states at rest; their names end with the axis."""
         declared = (model.state(f"{body}_{n}", unit, 0.0, f"{meaning} {n[-1]}") for n in names)
         return ca.vertcat(*declared)
 
     shift = states(["shift_1", "shift_2", "shift_3"], "m", f"displacement of {body} along axis")
     tilts = states([f"tilt_{i}", f"tilt_{j}"], "rad", f"tilt of {body} about axis")
     velocity = states(["v1", "v2", "v3"], "m/s", f"velocity of {body} along axis")
-    w_i, w_j = ca.vertsplit(
-        states([f"w{i}", f"w{j}"], "rad/s", f"angular velocity of {body} about axis")
-    )
-    accelerations = ca.vertcat(
-        *(
-            model.algebraic(f"{body}_v{n}_dot", "m/s2", 0.0, f"rate of {body}_v{n}")
-            for n in (1, 2, 3)
-        ),
-        *(
-            model.algebraic(
-                acceleration if n == axis else f"{body}_w{n}_dot",
-                "rad/s2",
-                0.0,
-                f"angular acceleration of {body} about its axis {n}",
-                nominal=10.0,
-            )
-            for n in (1, 2, 3)
-        ),
-    )
+    w_tilts = states([f"w{i}", f"w{j}"], "rad/s", f"angular velocity of {body} about axis")
+    accelerations = _accelerations(model, body, axis, acceleration)
+
+    # Angular velocity of the turns i, j, axis, solved for the rates of the angles
     a, b = ca.vertsplit(tilts)
+    w_i, w_j = ca.vertsplit(w_tilts)
     a_dot = (w_i * cos(angle) - w_j * sin(angle)) / cos(b)
     b_dot = w_i * sin(angle) + w_j * cos(angle)
     named = {i: w_i, j: w_j, axis: rate}
@@ -115,3 +101,20 @@ def free_joint(
         speeds=speeds,
         accelerations=accelerations,
     )
+
+
+def _accelerations(model: Model, body: str, axis: int, about_axis: str) -> SX:
+    linear = [
+        model.algebraic(f"{body}_v{n}_dot", "m/s2", 0.0, f"rate of {body}_v{n}") for n in (1, 2, 3)
+    ]
+    angular = [
+        model.algebraic(
+            about_axis if n == axis else f"{body}_w{n}_dot",
+            "rad/s2",
+            0.0,
+            f"angular acceleration of {body} about its axis {n}",
+            nominal=10.0,
+        )
+        for n in (1, 2, 3)
+    ]
+    return ca.vertcat(*linear, *angular)
