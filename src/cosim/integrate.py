@@ -92,7 +92,14 @@ def simulate(
         states, stopped = np.tile(x0[:, None], len(grid)), ""
     else:
         engine = solvers.build(
-            dae, grid, name, tolerance, step_size=step_size, inputs=inputs, compiled=compiled
+            dae,
+            grid,
+            name,
+            tolerance,
+            step_size=step_size,
+            inputs=inputs,
+            compiled=compiled,
+            sensitivities=False,
         )
         ready = perf_counter()
         states, stopped = _run(engine, dae, x0, z0, values)

@@ -128,6 +128,7 @@ def build(
     step_size: float | None = None,
     inputs: InputSeries | None = None,
     compiled: bool = False,
+    sensitivities: bool = True,
 ) -> Engine:
     """Return the engine of a solver for a grid of at least two increasing times.
 
@@ -145,13 +146,21 @@ def build(
     tolerances = (tolerance or Tolerance()).pair
     if compiled and chosen.plugin in ("erk", "rosenbrock"):
         return _generated(dae, grid, chosen, tolerances, inputs)
-    return _interpreted(dae, grid, chosen, tolerances, inputs, compiled)
+    function = equations(dae, sensitivities=sensitivities)
+    return _interpreted(dae, grid, chosen, tolerances, inputs, function, compiled)
 
 
-def equations(dae: Dae) -> ca.Function:
-    """Return `dae(t, x, z, u, p) -> (ode, alg)`."""
+def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
+    """Return `dae(t, x, z, u, p) -> (ode, alg)`.
+
+    Without `sensitivities` it has derivatives with respect to x and z only, which is all that an
+    integration needs: a third to a half of the code.
+    """
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return ca.Function("dae", symbols, [dae.ode, dae.alg], _CALL, ["ode", "alg"], {"cse": True})
+    options: dict[str, Any] = {"cse": True}
+    if not sensitivities:
+        options["is_diff_in"] = [False, True, True, False, False]
+    return ca.Function("dae", symbols, [dae.ode, dae.alg], _CALL, ["ode", "alg"], options)
 
 
 def external(functions: list[ca.Function], key: str, names: list[str]) -> list[ca.Function]:
@@ -192,10 +201,10 @@ def _interpreted(
     chosen: Method,
     tolerances: tuple[float, float],
     inputs: InputSeries | None,
+    function: ca.Function,
     compiled: bool,
 ) -> Engine:
     """CasADi's integrator; only its equations are machine code where `compiled`."""
-    function = equations(dae)
     if compiled:
         (function,) = external(
             [function, function.jacobian()], cache_key("sundials", function), ["dae"]
