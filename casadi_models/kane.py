@@ -29,7 +29,7 @@ def _none() -> SX:
     return SX(0, 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
 class Inertia:
     """A momentum and the rate it goes with, both resolved in one frame.
 
@@ -44,7 +44,7 @@ class Inertia:
     frame_rate: SX | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Load:
     """A force with its point's velocity, or a torque with its body's angular velocity."""
 
@@ -52,7 +52,7 @@ class Load:
     force: SX
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class System:
     """A mechanical system, declared once; every formulation is derived from it.
 
@@ -61,7 +61,11 @@ class System:
         free, dependent, prescribed, held: Symbols of the speeds by role, columns.
         prescribed_dot: Accelerations of the prescribed speeds.
         inertias, loads: What resists and what drives.
-        constraints: g(q, u) = 0, linear in the speeds.
+        constraints: g(q, u) = 0, linear in the speeds; one for each dependent speed if there are
+            any.
+
+    Raises:
+        ValueError: Columns that belong together differ in length.
     """
 
     q: SX
@@ -74,6 +78,15 @@ class System:
     prescribed_dot: SX = field(default_factory=_none)
     held: SX = field(default_factory=_none)
     constraints: SX = field(default_factory=_none)
+
+    def __post_init__(self) -> None:
+        pairs = [("q", "q_dot"), ("prescribed", "prescribed_dot")]
+        if self.dependent.numel():
+            pairs.append(("dependent", "constraints"))
+        for names in pairs:
+            rows = [SX(getattr(self, name)).shape for name in names]
+            if rows[0] != rows[1]:
+                raise ValueError(f"{names[0]} has shape {rows[0]}, {names[1]} has {rows[1]}")
 
     @property
     def unknown(self) -> SX:
@@ -92,7 +105,7 @@ class System:
         return ca.jtimes(expression, ca.vertcat(*along), ca.vertcat(*rate))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Accelerations:
     """Accelerations of the free and the dependent speeds; `relation` is J of u_D = J u_I."""
 
@@ -156,8 +169,13 @@ def accelerations(system: System) -> Accelerations:
     """Solve Kane's equations for the free speeds, the dependent speeds being eliminated.
 
     The partial rates are projected on the free speeds before the mass matrix is formed.
+
+    Raises:
+        ValueError: The system has constraints, but no dependent speeds to eliminate by them.
     """
     free, dependent = system.free, system.dependent
+    if system.constraints.numel() and not dependent.numel():
+        raise ValueError("constraints without dependent speeds; use multiplier_equations")
     relation, offset = SX(0, free.numel()), _none()
     if dependent.numel():
         relation = speed_relation(system)
@@ -213,7 +231,12 @@ def multiplier_equations(system: System, free_dot: SX, multipliers: SX) -> SX:
         system: A system without dependent speeds.
         free_dot: Symbols of the unknown accelerations.
         multipliers: Symbols of the unknown constraint loads, which do power against `constraints`.
+
+    Raises:
+        ValueError: The system has dependent speeds.
     """
+    if system.dependent.numel():
+        raise ValueError("dependent speeds are eliminated already; declare all of them free")
     partial = system.at_rest(ca.jacobian(system.constraints, system.free))
     motion = imbalance(system, free_dot, system.free) - partial.T @ multipliers
     return ca.vertcat(motion, constraint_acceleration(system, free_dot))
@@ -232,10 +255,15 @@ def reactions(system: System, unknown_dot: SX, multipliers: SX | None = None) ->
         system: The mechanical system.
         unknown_dot: Accelerations of `System.unknown`.
         multipliers: Loads of the constraints; needed where the system has any.
+
+    Raises:
+        ValueError: They are missing.
     """
     rows = ca.vertcat(system.prescribed, system.held)
     load = imbalance(system, unknown_dot, rows)
     if multipliers is None:
+        if system.constraints.numel():
+            raise ValueError("the loads of the constraints are missing; give them as multipliers")
         return load
     return load - system.at_rest(ca.jacobian(system.constraints, rows)).T @ multipliers
 

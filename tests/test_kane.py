@@ -319,3 +319,32 @@ def test_gyrostat_is_body_and_rotor_as_two_bodies():
     assert_equal(found, expected, *ranges)
     energies = [kane.kinetic_energy(kane.System(inertias=i, **parts)) for i in (merged, parted)]
     assert_equal(*energies, *ranges)
+
+
+# -- refusals -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"q_dot": SX.zeros(3)}, r"q has shape \(2, 1\), q_dot has \(3, 1\)"),
+        ({"prescribed_dot": SX(0, 1)}, r"prescribed has shape \(1, 1\), prescribed_dot has"),
+        ({"dependent": SX.sym("v", 2)}, r"dependent has shape \(2, 1\), constraints has \(3, 1\)"),
+    ],
+)
+def test_columns_that_belong_together_must_have_one_length(change, reason):
+    parts, (_, omega, velocity, *_), _ = ball_on_turntable()
+    with pytest.raises(ValueError, match=reason):
+        kane.System(**({"free": omega, "dependent": velocity} | parts | change))
+
+
+def test_constraints_are_never_left_out_silently():
+    parts, (_, omega, velocity, *_), _ = ball_on_turntable()
+    kept = kane.System(free=ca.vertcat(omega, velocity), **parts)
+    with pytest.raises(ValueError, match="constraints without dependent speeds"):
+        kane.accelerations(kept)
+    with pytest.raises(ValueError, match="the loads of the constraints are missing"):
+        kane.reactions(kept, SX.zeros(6))
+    eliminated = kane.System(free=omega, dependent=velocity, **parts)
+    with pytest.raises(ValueError, match="declare all of them free"):
+        kane.multiplier_equations(eliminated, SX.zeros(3), SX.zeros(3))
