@@ -136,8 +136,8 @@ def two_body() -> Dae:
     data = _data(model)
     # Place of the column's foot A in the world, of the bar's centre G from the arm's end; both
     # velocities in F
-    frame = free_joint(model, "frame", 3, phi, Omega, "phi_ddot", velocity_in="body")
-    bar = free_joint(model, "bar", 2, theta, theta_dot, "theta_ddot", velocity_in="carrier")
+    frame = free_joint(model, "frame", 3, phi, Omega, "phi_dot_dot", velocity_in="body")
+    bar = free_joint(model, "bar", 2, theta, theta_dot, "theta_dot_dot", velocity_in="carrier")
 
     def of_frame(point: SX) -> SX:
         """Return the velocity of a point of F, in F."""

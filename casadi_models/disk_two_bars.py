@@ -113,8 +113,8 @@ def multipliers() -> Dae:
     joints = [
         free_joint(model, body, 1, angle, rate, acceleration, velocity_in="carrier")
         for body, angle, rate, acceleration in (
-            ("bar1", motion.theta1, motion.theta1_dot, "theta1_ddot"),
-            ("bar2", motion.theta2, motion.theta2_dot, "theta2_ddot"),
+            ("bar1", motion.theta1, motion.theta1_dot, "theta1_dot_dot"),
+            ("bar2", motion.theta2, motion.theta2_dot, "theta2_dot_dot"),
         )
     ]
     bar1, bar2 = (_Bar(j.rotation, j.omega, j.shift, j.velocity) for j in joints)

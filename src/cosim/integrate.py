@@ -144,6 +144,8 @@ def integrator(
     Returns:
         `(x0, z0, p, u, ...) -> (xf, zf, ...)` with one column per time of the grid, in the order
         of `dae.x`, `dae.z`, `dae.p`, `dae.u`. What is not given is 0: see `start_vectors`.
+        Compiled `erk`, `rosenbrock`, `rk4` and `ode8` have no derivatives; pass `compiled=False`
+        where an optimizer needs them.
 
     Raises:
         ParameterError: The grid is not increasing or not finite.

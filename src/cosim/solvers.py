@@ -37,7 +37,12 @@ class Method:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-_QUIET = {"disable_internal_warnings": True, "show_eval_warnings": False, "max_num_steps": 100_000}
+_QUIET = {
+    "disable_internal_warnings": True,
+    "show_eval_warnings": False,
+    "max_num_steps": 100_000,
+    "second_order_correction": False,  # compiled equations have first derivatives only
+}
 SOLVERS: dict[str, Method] = {
     "cvodes": Method("cvodes", False, options=_QUIET),
     "cvodes_adams": Method(

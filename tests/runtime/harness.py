@@ -75,7 +75,9 @@ def run(command: Sequence[Any], timeout: float = 300) -> str:
     return done.stdout
 
 
-class _Callbacks(ctypes.Structure):
+class Callbacks(ctypes.Structure):
+    """fmi2CallbackFunctions; without memory functions the instance uses its own."""
+
     _fields_ = [
         ("logger", c_void_p),
         ("allocate", c_void_p),
@@ -115,18 +117,20 @@ class Fmu2:
         *,
         guid: str | None = "{toy-guid}",
         name: str | None = "one",
+        resources: str | None = None,
         logging: bool = True,
     ) -> None:
         self.lib = lib
         self.reference = {name: i for i, name in enumerate(names)}
         self.messages: list[tuple[int, str, str]] = []
+        self.instance_names: set[bytes] = set()
         signature = CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
         self._logger = signature(self._log)
-        self._callbacks = _Callbacks(logger=ctypes.cast(self._logger, c_void_p))
+        self._callbacks = Callbacks(logger=ctypes.cast(self._logger, c_void_p))
         lib.fmi2Instantiate.restype = c_void_p
-        texts = [text if text is None else text.encode() for text in (name, guid)]
+        texts = [text if text is None else text.encode() for text in (name, guid, resources)]
         self.component = lib.fmi2Instantiate(
-            texts[0], interface, texts[1], None, byref(self._callbacks), 0, int(logging)
+            texts[0], interface, texts[1], texts[2], byref(self._callbacks), 0, int(logging)
         )
 
     def free(self) -> None:
@@ -134,7 +138,8 @@ class Fmu2:
         self.lib.fmi2FreeInstance(c_void_p(self.component))
         self.component = None
 
-    def _log(self, _: Any, __: bytes, status: int, category: bytes, text: bytes) -> None:
+    def _log(self, _: Any, name: bytes, status: int, category: bytes, text: bytes) -> None:
+        self.instance_names.add(name)
         self.messages.append((status, category.decode(), text.decode()))
 
     def __call__(self, function: str, *arguments: Any) -> int:

@@ -3,13 +3,15 @@
 Every function follows CasADi's calling convention; fmu/runtime/equations.h declares them.
 """
 
+from math import log2
+
 import casadi as ca
-from casadi import SX
+from casadi import MX, SX
 
 from casadi_models.dae import Dae
 from cosim.consistent import algebraic_function, start_function
 from cosim.export.sensitivities import sensitivity_functions
-from cosim.generated import run_time_tolerances
+from cosim.generated import differential_errors, run_time_tolerances
 
 _CALL = ["t", "x", "z", "u", "p"]
 
@@ -29,7 +31,8 @@ def equations_code(dae: Dae) -> str:
     code = str(generator.dump())
     if not dae.states:
         return code
-    return run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
+    code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
+    return differential_errors(code) if dae.algebraics else code
 
 
 def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:
@@ -38,25 +41,29 @@ def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:
 
 
 def step_function(dae: Dae) -> ca.Function:
-    """Return `model_step(x, z, q, ...) -> (x_end, z_end, ...)`, the co-simulation solver.
+    """Return `model_step(x, z, q) -> (x_end, z_end)`, the co-simulation solver.
 
     q = (t0, h, relative tolerance, u0, du, p): integrates over h with inputs u0 + s du, s from 0 to
-    1, by CasADi's `erk`, or `rosenbrock` where there are algebraic unknowns.
+    1, by CasADi's `erk`, or `rosenbrock` where there are algebraic unknowns. The states are scaled
+    by their nominal values, so that one tolerance fits all of them.
     """
-    s = SX.sym("s")
+    s, scaled = SX.sym("s"), SX.sym("scaled", dae.x.numel())
     t0, h, rtol = SX.sym("t0"), SX.sym("h"), SX.sym("rtol")
     u0, du = SX.sym("u0", dae.u.numel()), SX.sym("du", dae.u.numel())
-    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u], [t0 + s * h, u0 + s * du])
-    problem = {
-        "t": s,
-        "x": dae.x,
-        "z": dae.z,
-        "p": ca.vertcat(t0, h, rtol, u0, du, dae.p),
-        "ode": h * ode,
-        "alg": alg,
-    }
+    q = ca.vertcat(t0, h, rtol, u0, du, dae.p)
+    x, z, parameters = _like(dae.x), _like(dae.z), _like(q)
     if not dae.states:  # nothing moves, and CasADi integrates nothing
-        return ca.Function("model_step", [dae.x, dae.z, problem["p"]], [dae.x, dae.z])
+        return ca.Function("model_step", [x, z, parameters], [x, z])
+    # a power of two: scaling there and back changes no bit
+    scale = ca.DM([2.0 ** round(log2(state.nominal)) for state in dae.states])
+    moving = [t0 + s * h, u0 + s * du, scale * scaled]
+    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
+    problem = {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
     plugin = "rosenbrock" if dae.algebraics else "erk"
-    options = {"show_eval_warnings": False}
-    return ca.integrator("model_step", plugin, problem, 0.0, [1.0], options)
+    run = ca.integrator("run", plugin, problem, 0.0, [1.0], {"show_eval_warnings": False})
+    end = run(x0=x / scale, z0=z, p=parameters)
+    return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])
+
+
+def _like(symbol: SX) -> MX:
+    return MX.sym("argument", symbol.sparsity())
