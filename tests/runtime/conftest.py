@@ -26,14 +26,18 @@ def library(model: Path, tmp_path_factory: pytest.TempPathFactory) -> CDLL:
     return harness.library(model, 2, tmp_path_factory.mktemp("fmi2"))
 
 
-@pytest.fixture
-def fmi2(library: CDLL) -> Iterator[Callable[..., harness.Fmu2]]:
-    """Make FMI 2 instances of the toy: 0 for model exchange, 1 for co-simulation."""
-    names = [row.name for row in toy.TABLE]
-    made: list[harness.Fmu2] = []
+@pytest.fixture(scope="session")
+def library3(model: Path, tmp_path_factory: pytest.TempPathFactory) -> CDLL:
+    """The toy as FMI 3 library."""
+    return harness.library(model, 3, tmp_path_factory.mktemp("fmi3"))
 
-    def make(interface: int = 0, **options: Any) -> harness.Fmu2:
-        made.append(harness.Fmu2(library, names, interface, **options))
+
+def _factory(kind: type[harness.Fmu], library: CDLL) -> Iterator[Callable[..., harness.Fmu]]:
+    names = [row.name for row in toy.TABLE]
+    made: list[harness.Fmu] = []
+
+    def make(interface: int = 0, **options: Any) -> harness.Fmu:
+        made.append(kind(library, names, interface, **options))
         return made[-1]
 
     yield make
@@ -42,12 +46,24 @@ def fmi2(library: CDLL) -> Iterator[Callable[..., harness.Fmu2]]:
 
 
 @pytest.fixture
-def me(fmi2: Callable[..., harness.Fmu2]) -> harness.Fmu2:
+def fmi2(library: CDLL) -> Iterator[Callable[..., harness.Fmu]]:
+    """Make FMI 2 instances of the toy: 0 for model exchange, 1 for co-simulation."""
+    yield from _factory(harness.Fmu2, library)
+
+
+@pytest.fixture
+def fmi3(library3: CDLL) -> Iterator[Callable[..., harness.Fmu]]:
+    """Make FMI 3 instances of the toy."""
+    yield from _factory(harness.Fmu3, library3)
+
+
+@pytest.fixture
+def me(fmi2: Callable[..., harness.Fmu]) -> harness.Fmu:
     """A model exchange instance."""
     return fmi2()
 
 
 @pytest.fixture
-def cs(fmi2: Callable[..., harness.Fmu2]) -> harness.Fmu2:
+def cs(fmi2: Callable[..., harness.Fmu]) -> harness.Fmu:
     """A co-simulation instance."""
     return fmi2(1)

@@ -5,7 +5,18 @@ import os
 import shutil
 import subprocess
 from collections.abc import Sequence
-from ctypes import CFUNCTYPE, byref, c_char, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from ctypes import (
+    CFUNCTYPE,
+    byref,
+    c_bool,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_uint,
+    c_void_p,
+)
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +45,7 @@ def sources(version: int) -> list[Path]:
 def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Path) -> list[Path]:
     """Compile model (leniently) and runtime (strictly); return the object files."""
     folder.mkdir(parents=True, exist_ok=True)
-    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{HEADERS}"]
+    include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
     objects = []
     for source in [model / "model.c", *sources(version)]:
         target = folder / f"{source.stem}.o"
@@ -57,7 +68,7 @@ def program(
 ) -> Path:
     """Build a C program of this folder with model and runtime, under the sanitizers."""
     objects = compile_objects(model, version, flags, folder)
-    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{HEADERS}", f"-I{HERE}"]
+    include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
     target = folder / name
     source = HERE / f"{name}.c"
     run([compiler(), *STRICT, *flags, *include, source, *objects, "-o", target, "-lm", "-pthread"])
@@ -106,8 +117,66 @@ def references(*values: int) -> ctypes.Array:
     return (ctypes.c_uint * len(values))(*values)
 
 
-class Fmu2:
-    """One FMI 2 instance; `fmu("GetReal", ...)` calls fmi2GetReal on it and returns the status."""
+class Fmu:
+    """One instance; `fmu("Terminate")` calls fmiNTerminate on it and returns the status."""
+
+    prefix: str
+    reader: str
+    writer: str
+
+    def __init__(self, lib: ctypes.CDLL, names: Sequence[str]) -> None:
+        self.lib = lib
+        self.reference = {name: i for i, name in enumerate(names)}
+        self.messages: list[tuple[int, str, str]] = []
+        self.instance_names: set[bytes] = set()
+        self.component: int | None = None
+
+    def __call__(self, function: str, *arguments: Any) -> int:
+        plain = [_plain(argument) for argument in arguments]
+        called = getattr(self.lib, f"{self.prefix}{function}")
+        return int(called(c_void_p(self.component), *plain))
+
+    def free(self) -> None:
+        """Free the instance."""
+        getattr(self.lib, f"{self.prefix}FreeInstance")(c_void_p(self.component))
+        self.component = None
+
+    @property
+    def said(self) -> str:
+        """The last message."""
+        return self.messages[-1][2]
+
+    def refs(self, *names: str) -> ctypes.Array[c_uint]:
+        """Return value references by name."""
+        return references(*(self.reference[name] for name in names))
+
+    def counts(self, count: int) -> tuple[int, ...]:
+        """Return the arguments that say how many values there are."""
+        raise NotImplementedError
+
+    def get(self, *names: str) -> list[float]:
+        """Read variables; they must be readable."""
+        values = reals(*[NAN] * len(names))
+        status = self(self.reader, self.refs(*names), len(names), values, *self.counts(len(names)))
+        assert status == OK, self.said
+        return list(values)
+
+    def set(self, **values: float) -> int:
+        """Set variables; return the status."""
+        array = reals(*values.values())
+        return self(self.writer, self.refs(*values), len(values), array, *self.counts(len(values)))
+
+    def states(self, function: str = "GetContinuousStates", count: int = 4) -> list[float]:
+        """Return what a function yields per state."""
+        values = reals(*[NAN] * count)
+        assert self(function, values, count) == OK, self.said
+        return list(values)
+
+
+class Fmu2(Fmu):
+    """An FMI 2 instance."""
+
+    prefix, reader, writer = "fmi2", "GetReal", "SetReal"
 
     def __init__(
         self,
@@ -120,10 +189,7 @@ class Fmu2:
         resources: str | None = None,
         logging: bool = True,
     ) -> None:
-        self.lib = lib
-        self.reference = {name: i for i, name in enumerate(names)}
-        self.messages: list[tuple[int, str, str]] = []
-        self.instance_names: set[bytes] = set()
+        super().__init__(lib, names)
         signature = CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
         self._logger = signature(self._log)
         self._callbacks = Callbacks(logger=ctypes.cast(self._logger, c_void_p))
@@ -133,49 +199,18 @@ class Fmu2:
             texts[0], interface, texts[1], texts[2], byref(self._callbacks), 0, int(logging)
         )
 
-    def free(self) -> None:
-        """Call fmi2FreeInstance."""
-        self.lib.fmi2FreeInstance(c_void_p(self.component))
-        self.component = None
-
     def _log(self, _: Any, name: bytes, status: int, category: bytes, text: bytes) -> None:
         self.instance_names.add(name)
         self.messages.append((status, category.decode(), text.decode()))
 
-    def __call__(self, function: str, *arguments: Any) -> int:
-        plain = [_plain(argument) for argument in arguments]
-        return int(getattr(self.lib, f"fmi2{function}")(c_void_p(self.component), *plain))
-
-    @property
-    def said(self) -> str:
-        """The last message."""
-        return self.messages[-1][2]
-
-    def refs(self, *names: str) -> ctypes.Array[c_uint]:
-        """Return value references by name."""
-        return references(*(self.reference[name] for name in names))
-
-    def get(self, *names: str) -> list[float]:
-        """Read variables; they must be readable."""
-        values = reals(*[NAN] * len(names))
-        assert self("GetReal", self.refs(*names), len(names), values) == OK, self.said
-        return list(values)
-
-    def set(self, **values: float) -> int:
-        """Set variables; return the status."""
-        return self("SetReal", self.refs(*values), len(values), reals(*values.values()))
-
-    def states(self, function: str = "GetContinuousStates", count: int = 4) -> list[float]:
-        """Return what a function yields per state."""
-        values = reals(*[NAN] * count)
-        assert self(function, values, count) == OK, self.said
-        return list(values)
+    def counts(self, count: int) -> tuple[int, ...]:
+        """Return nothing: FMI 2 gives the count once."""
+        return ()
 
     def set_up(self, start: float = 0.0, stop: float | None = None, tolerance: float = 0.0) -> int:
         """Call fmi2SetupExperiment."""
-        return self(
-            "SetupExperiment", int(tolerance != 0), tolerance, start, int(stop is not None), stop or 0.0
-        )
+        has_tolerance, has_stop = int(tolerance != 0), int(stop is not None)
+        return self("SetupExperiment", has_tolerance, tolerance, start, has_stop, stop or 0.0)
 
     def take(self) -> c_void_p:
         """Return a new FMU state."""
@@ -200,7 +235,66 @@ class Fmu2:
         return self
 
 
+class Fmu3(Fmu):
+    """An FMI 3 instance; interface 0 is model exchange, 1 co-simulation, 2 scheduled execution."""
+
+    prefix, reader, writer = "fmi3", "GetFloat64", "SetFloat64"
+
+    def __init__(
+        self,
+        lib: ctypes.CDLL,
+        names: Sequence[str],
+        interface: int = 0,
+        *,
+        token: str | None = "{toy-guid}",
+        name: str | None = "one",
+        events: bool = False,
+        logging: bool = True,
+    ) -> None:
+        super().__init__(lib, names)
+        signature = CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
+        self._logger = signature(self._log)
+        kind = ("ModelExchange", "CoSimulation", "ScheduledExecution")[interface]
+        create = getattr(lib, f"fmi3Instantiate{kind}")
+        create.restype = c_void_p
+        texts = [text if text is None else text.encode() for text in (name, token)]
+        extra = {0: [], 1: [events, True, None, c_size_t(0)], 2: []}[interface]
+        callbacks = {0: [], 1: [None], 2: [None, None, None]}[interface]
+        self.component = create(
+            *texts, None, False, logging, *extra, None, self._logger, *callbacks
+        )
+
+    def _log(self, _: Any, status: int, category: bytes, text: bytes) -> None:
+        self.messages.append((status, category.decode(), text.decode()))
+
+    def counts(self, count: int) -> tuple[int, ...]:
+        """Return the number of values, which FMI 3 wants besides that of the references."""
+        return (count,)
+
+    def enter(self, start: float = 0.0, stop: float | None = None, tolerance: float = 0.0) -> int:
+        """Call fmi3EnterInitializationMode."""
+        has_tolerance, has_stop = tolerance != 0, stop is not None
+        return self(
+            "EnterInitializationMode", has_tolerance, tolerance, start, has_stop, stop or 0.0
+        )
+
+    def initialize(self, experiment: dict[str, float] | None = None, **start: float) -> "Fmu3":
+        """Go through initialization mode."""
+        assert self.set(**start) == OK, self.said
+        assert self.enter(**experiment or {}) == OK
+        assert self("ExitInitializationMode") == OK, self.said
+        return self
+
+    def step(self, time: float, length: float) -> tuple[int, list[bool], float]:
+        """Call fmi3DoStep; return status, the three flags and the time reached."""
+        flags, reached = [c_bool(True) for _ in range(3)], c_double(NAN)
+        status = self("DoStep", time, length, True, *map(byref, flags), byref(reached))
+        return status, [flag.value for flag in flags], reached.value
+
+
 def _plain(argument: Any) -> Any:
+    if isinstance(argument, bool):
+        return c_bool(argument)
     if isinstance(argument, float):
         return c_double(argument)
     return c_size_t(argument) if isinstance(argument, int) else argument

@@ -4,7 +4,19 @@ from math import isclose, sqrt
 
 import numpy as np
 import pytest
-from harness import DISCARD, ERROR, INF, NAN, OK, WARNING, EventInfo, byref, c_int, reals, references
+from harness import (
+    DISCARD,
+    ERROR,
+    INF,
+    NAN,
+    OK,
+    WARNING,
+    EventInfo,
+    byref,
+    c_int,
+    reals,
+    references,
+)
 
 
 def continuous(fmu):

@@ -51,7 +51,9 @@ def test_time_can_be_a_known(me):
     me.initialize()
     me("EnterContinuousTimeMode")
     me("SetTime", 0.4)
-    assert directional(me, ["wave"], ["time"], [1.0])[0] == pytest.approx(3 * np.cos(1.2), abs=1e-14)
+    assert directional(me, ["wave"], ["time"], [1.0])[0] == pytest.approx(
+        3 * np.cos(1.2), abs=1e-14
+    )
 
 
 def test_in_initialization_calculated_starts_follow_the_parameters(me):
@@ -87,9 +89,7 @@ def test_seeds_add_up(me):
 def test_what_is_not_unknown_or_known_is_an_error_that_names_it(me, unknown, known):
     me.initialize()
     room = reals(0)
-    status = me(
-        "GetDirectionalDerivative", me.refs(unknown), 1, me.refs(known), 1, reals(1), room
-    )
+    status = me("GetDirectionalDerivative", me.refs(unknown), 1, me.refs(known), 1, reals(1), room)
     assert status == ERROR
     assert "is not a" in me.said
 
@@ -104,7 +104,5 @@ def test_missing_seed_and_missing_room_are_errors(me, fmi2):
 
 def test_a_derivative_that_is_not_finite_is_discarded(me):
     me.initialize(q=-5.0)  # log(q + 5)
-    status = me(
-        "GetDirectionalDerivative", me.refs("log"), 1, me.refs("q"), 1, reals(1), reals(0)
-    )
+    status = me("GetDirectionalDerivative", me.refs("log"), 1, me.refs("q"), 1, reals(1), reals(0))
     assert status == DISCARD

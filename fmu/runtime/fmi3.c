@@ -1,0 +1,197 @@
+/* FMI 3.0: the functions common to model exchange and co-simulation. */
+#include <stdlib.h>
+
+#include "fmi3Functions.h"
+#include "fmi3_modes.h"
+#include "snapshot.h"
+
+/* -- information, creation, logging ----------------------------------------------------------- */
+
+const char *fmi3GetVersion(void) {
+    return fmi3Version;
+}
+
+static void log_fmi3(const Instance *self, Status status, const char *category, const char *text) {
+    const fmi3LogMessageCallback logger = (fmi3LogMessageCallback)self->host.logger;
+    logger(self->host.environment, (fmi3Status)status, category, text);
+}
+
+static Host host_of(fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger) {
+    return (Host){
+        .fmi_version = 3,
+        .log = log_fmi3,
+        .logger = (void (*)(void))logger,
+        .environment = environment,
+        .allocate = calloc,
+        .release = free,
+    };
+}
+
+/* The resources are not needed and not read; nothing is ever visible. */
+fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String instantiationToken,
+                                          fmi3String resourcePath, fmi3Boolean visible,
+                                          fmi3Boolean loggingOn,
+                                          fmi3InstanceEnvironment instanceEnvironment,
+                                          fmi3LogMessageCallback logMessage) {
+    (void)resourcePath, (void)visible;
+    const Host host = host_of(instanceEnvironment, logMessage);
+    return create(&host, __func__, instanceName, instantiationToken, MODEL_EXCHANGE, loggingOn);
+}
+
+/* No event mode and no intermediate updates: the model has no events. */
+fmi3Instance fmi3InstantiateCoSimulation(
+    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
+    fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
+    fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
+    size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
+    fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate) {
+    (void)resourcePath, (void)visible, (void)earlyReturnAllowed;
+    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables;
+    (void)intermediateUpdate;
+    const Host host = host_of(instanceEnvironment, logMessage);
+    const unsigned interface = eventModeUsed ? 0 : CO_SIMULATION;
+    return create(&host, __func__, instanceName, instantiationToken, interface, loggingOn);
+}
+
+fmi3Instance fmi3InstantiateScheduledExecution(
+    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
+    fmi3Boolean visible, fmi3Boolean loggingOn, fmi3InstanceEnvironment instanceEnvironment,
+    fmi3LogMessageCallback logMessage, fmi3ClockUpdateCallback clockUpdate,
+    fmi3LockPreemptionCallback lockPreemption, fmi3UnlockPreemptionCallback unlockPreemption) {
+    (void)resourcePath, (void)visible, (void)clockUpdate, (void)lockPreemption;
+    (void)unlockPreemption;
+    const Host host = host_of(instanceEnvironment, logMessage);
+    return create(&host, __func__, instanceName, instantiationToken, 0, loggingOn);
+}
+
+void fmi3FreeInstance(fmi3Instance instance) {
+    destroy(instance);
+}
+
+fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
+                               const fmi3String categories[]) {
+    Instance *self = instance;
+    if (!allowed(self, IN_SET_DEBUG_LOGGING, __func__)) return fmi3Error;
+    return (fmi3Status)choose_categories(self, loggingOn, nCategories, categories);
+}
+
+/* -- initialization, termination, reset ------------------------------------------------------- */
+
+fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined,
+                                       fmi3Float64 tolerance, fmi3Float64 startTime,
+                                       fmi3Boolean stopTimeDefined, fmi3Float64 stopTime) {
+    Instance *self = instance;
+    if (!allowed(self, IN_ENTER_INITIALIZATION_MODE, __func__)) return fmi3Error;
+    const Status status = set_up(self, toleranceDefined ? &tolerance : NULL, startTime,
+                                 stopTimeDefined ? &stopTime : NULL);
+    if (status != ERROR) self->state.mode = INITIALIZATION_MODE;
+    return (fmi3Status)status;
+}
+
+fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
+    Instance *self = instance;
+    if (!allowed(self, IN_EXIT_INITIALIZATION_MODE, __func__)) return fmi3Error;
+    return (fmi3Status)finish_initialization(self);
+}
+
+fmi3Status fmi3Terminate(fmi3Instance instance) {
+    Instance *self = instance;
+    if (!allowed(self, IN_TERMINATE, __func__)) return fmi3Error;
+    self->state.mode = TERMINATED;
+    return fmi3OK;
+}
+
+fmi3Status fmi3Reset(fmi3Instance instance) {
+    Instance *self = instance;
+    if (!allowed(self, IN_RESET, __func__)) return fmi3Error;
+    reset(self);
+    return fmi3OK;
+}
+
+/* -- variables: all are Float64 scalars ----------------------------------------------------------- */
+
+static bool one_each(Instance *self, size_t values, size_t variables_asked) {
+    if (values == variables_asked) return true;
+    refuse(self, ERROR, "%zu values for %zu scalar variables", values, variables_asked);
+    return false;
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                          size_t nValueReferences, fmi3Float64 values[], size_t nValues) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_VALUES, __func__)) return fmi3Error;
+    if (!one_each(self, nValues, nValueReferences)) return fmi3Error;
+    return (fmi3Status)get_values(self, valueReferences, nValueReferences, values);
+}
+
+fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                          size_t nValueReferences, const fmi3Float64 values[], size_t nValues) {
+    Instance *self = instance;
+    if (!allowed(self, IN_SET_FLOAT, __func__)) return fmi3Error;
+    if (!one_each(self, nValues, nValueReferences)) return fmi3Error;
+    return (fmi3Status)set_values(self, valueReferences, nValueReferences, values);
+}
+
+/* -- derivatives with respect to variables ---------------------------------------------------- */
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
+                                        size_t nUnknowns, const fmi3ValueReference knowns[],
+                                        size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
+                                        fmi3Float64 sensitivity[], size_t nSensitivity) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_DERIVATIVE, __func__)) return fmi3Error;
+    if (!one_each(self, nSeed, nKnowns) || !one_each(self, nSensitivity, nUnknowns))
+        return fmi3Error;
+    return (fmi3Status)directional(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity);
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
+                                    size_t nUnknowns, const fmi3ValueReference knowns[],
+                                    size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
+                                    fmi3Float64 sensitivity[], size_t nSensitivity) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_DERIVATIVE, __func__)) return fmi3Error;
+    if (!one_each(self, nSeed, nUnknowns) || !one_each(self, nSensitivity, nKnowns))
+        return fmi3Error;
+    return (fmi3Status)adjoint(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity);
+}
+
+/* -- the FMU state ---------------------------------------------------------------------------- */
+
+fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
+    Instance *self = instance;
+    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
+    return (fmi3Status)take_snapshot(self, FMUState);
+}
+
+fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState) {
+    Instance *self = instance;
+    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
+    return (fmi3Status)restore_snapshot(self, FMUState);
+}
+
+fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
+    Instance *self = instance;
+    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
+    return (fmi3Status)release_snapshot(self, FMUState);
+}
+
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
+    Instance *self = instance;
+    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
+    return (fmi3Status)snapshot_size(self, FMUState, size);
+}
+
+fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
+                                 fmi3Byte serializedState[], size_t size) {
+    Instance *self = instance;
+    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
+    return (fmi3Status)serialize(self, FMUState, serializedState, size);
+}
+
+fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[],
+                                   size_t size, fmi3FMUState *FMUState) {
+    Instance *self = instance;
+    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
+    return (fmi3Status)deserialize(self, serializedState, size, FMUState);
+}

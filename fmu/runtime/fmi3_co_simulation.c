@@ -1,0 +1,40 @@
+/* FMI 3.0: the functions of co-simulation. Steps are computed without a stop in between. */
+#include "fmi3Functions.h"
+#include "fmi3_modes.h"
+#include "stepping.h"
+
+/* A step that fails is discarded: the instance is as it was before, and a shorter one may do.
+   The standard keeps early returns for other reasons (4.2, fmi3DoStep). */
+fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
+                      fmi3Float64 communicationStepSize,
+                      fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                      fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
+                      fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime) {
+    Instance *self = instance;
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!allowed(self, IN_DO_STEP, __func__)) return fmi3Error;
+    if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
+        return (fmi3Status)refuse(self, ERROR, "there is no room for the results");
+    const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
+    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+    *lastSuccessfulTime = self->state.values[TIME];
+    return (fmi3Status)status;
+}
+
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance,
+                                    const fmi3ValueReference valueReferences[],
+                                    size_t nValueReferences, const fmi3Int32 orders[],
+                                    fmi3Float64 values[], size_t nValues) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_OUTPUT_DERIVATIVES, __func__)) return fmi3Error;
+    if (nValues != nValueReferences)
+        return (fmi3Status)refuse(self, ERROR, "%zu values for %zu scalar variables", nValues,
+                                  nValueReferences);
+    return (fmi3Status)get_rates(self, valueReferences, nValueReferences, orders, values);
+}
+
+/* Out of an event mode that co-simulation here does not enter. */
+fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
+    allowed(instance, NEVER, __func__);
+    return fmi3Error;
+}

@@ -1,0 +1,115 @@
+/* FMI 3.0: the functions of model exchange. The models have no events. */
+#include "fmi3Functions.h"
+#include "fmi3_modes.h"
+
+/* -- modes ------------------------------------------------------------------------------------ */
+
+static fmi3Status enter(Instance *self, unsigned modes, const char *function, uint32_t mode) {
+    if (!allowed(self, modes, function)) return fmi3Error;
+    self->state.mode = mode;
+    return fmi3OK;
+}
+
+fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
+    return enter(instance, IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+}
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
+    return enter(instance, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
+}
+
+/* There are no discrete states. */
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
+    return enter(instance, IN_DISCRETE_STATES, __func__, EVENT_MODE);
+}
+
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
+                                    fmi3Boolean *terminateSimulation,
+                                    fmi3Boolean *nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean *valuesOfContinuousStatesChanged,
+                                    fmi3Boolean *nextEventTimeDefined,
+                                    fmi3Float64 *nextEventTime) {
+    Instance *self = instance;
+    if (!allowed(self, IN_DISCRETE_STATES, __func__)) return fmi3Error;
+    if (!discreteStatesNeedUpdate || !terminateSimulation || !nominalsOfContinuousStatesChanged ||
+        !valuesOfContinuousStatesChanged || !nextEventTimeDefined || !nextEventTime)
+        return (fmi3Status)refuse(self, ERROR, "there is no room for the results");
+    *discreteStatesNeedUpdate = *terminateSimulation = *nextEventTimeDefined = fmi3False;
+    *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
+    *nextEventTime = 0.0;
+    return fmi3OK;
+}
+
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
+                                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi3Boolean *enterEventMode,
+                                       fmi3Boolean *terminateSimulation) {
+    Instance *self = instance;
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!allowed(self, IN_COMPLETED_INTEGRATOR_STEP, __func__)) return fmi3Error;
+    if (!enterEventMode || !terminateSimulation)
+        return (fmi3Status)refuse(self, ERROR, "there is no room for the results");
+    *enterEventMode = *terminateSimulation = fmi3False;
+    return fmi3OK;
+}
+
+/* -- time and states -------------------------------------------------------------------------- */
+
+fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
+    Instance *self = instance;
+    if (!allowed(self, IN_SET_TIME, __func__)) return fmi3Error;
+    return (fmi3Status)set_time(self, time);
+}
+
+fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
+                                   size_t nContinuousStates) {
+    Instance *self = instance;
+    if (!allowed(self, IN_SET_CONTINUOUS_STATES, __func__)) return fmi3Error;
+    return (fmi3Status)set_states(self, continuousStates, nContinuousStates);
+}
+
+fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[],
+                                   size_t nContinuousStates) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
+    return (fmi3Status)get_block(self, FIRST_STATE, continuousStates, nContinuousStates);
+}
+
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
+                                             size_t nContinuousStates) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
+    return (fmi3Status)get_block(self, FIRST_DERIVATIVE, derivatives, nContinuousStates);
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
+                                             size_t nContinuousStates) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
+    return (fmi3Status)get_nominals(self, nominals, nContinuousStates);
+}
+
+fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[],
+                                  size_t nEventIndicators) {
+    Instance *self = instance;
+    (void)eventIndicators;
+    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
+    if (nEventIndicators == 0) return fmi3OK;
+    return (fmi3Status)refuse(self, ERROR, "%zu asked, the model has no event indicators",
+                              nEventIndicators);
+}
+
+static fmi3Status count(Instance *self, const char *function, size_t number, size_t *result) {
+    if (!allowed(self, IN_GET_COUNTS, function)) return fmi3Error;
+    if (!result) return (fmi3Status)refuse(self, ERROR, "there is no room for the number");
+    *result = number;
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators) {
+    return count(instance, __func__, 0, nEventIndicators);
+}
+
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates) {
+    return count(instance, __func__, NX, nContinuousStates);
+}
