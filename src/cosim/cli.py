@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     export = verbs.add_parser("export", parents=[common], help="write a model as an FMU")
     export.add_argument("model", metavar="MODEL")
     export.add_argument("-o", "--output-file", metavar="FILE.fmu", help="MODEL.fmu by default")
-    export.add_argument("--fmi", default="2", metavar="2", help="version of FMI")
+    export.add_argument("--fmi", default="2", metavar="2|3", help="version of FMI; 2")
     export.add_argument("--outputs", metavar="A,B", help="what importers record; all by default")
 
     crosscheck = verbs.add_parser(

@@ -90,14 +90,18 @@ def do_export(args: argparse.Namespace) -> int:
     """Write a model as an FMU: `cosim export MODEL -o FILE.fmu`."""
     from cosim.export import export_fmu
 
-    if args.fmi != "2":
-        raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2",))
+    if args.fmi not in ("2", "3"):
+        raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
     dae = load(args.model)
     identifier = None if ".py:" in args.model else args.model
     name = (identifier or dae.full_name).replace("/", "_")
     outputs = args.outputs.split(",") if args.outputs else None
     path = export_fmu(
-        dae, args.output_file or f"{name}.fmu", identifier=identifier, outputs=outputs
+        dae,
+        args.output_file or f"{name}.fmu",
+        fmi=int(args.fmi),
+        identifier=identifier,
+        outputs=outputs,
     )
     if not args.quiet:
         print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)

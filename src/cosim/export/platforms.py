@@ -12,30 +12,41 @@ _PORTABLE = ("-std=c11", "-fvisibility=hidden", "-ffp-contract=off")
 
 @dataclass(frozen=True)
 class Platform:
-    """A platform by FMI's name.
+    """A platform by FMI's names.
 
     Attributes:
-        folder: Below `binaries/` in an FMI 2.0 FMU.
+        folder2, folder3: Below `binaries/` in FMUs of FMI 2.0 and 3.0.
         suffix: Of the shared library.
         options: Of the compiler.
         command: The compiler; the machine's own when None.
     """
 
-    folder: str
+    folder2: str
+    folder3: str
     suffix: str
     options: tuple[str, ...] = _PORTABLE
     command: tuple[str, ...] | None = None
+
+    def folder(self, fmi: int) -> str:
+        """Return the folder's name in a version of FMI."""
+        return self.folder2 if fmi == 2 else self.folder3
 
 
 def native_platform() -> Platform:
     """Return the platform of this machine.
 
     Raises:
-        ExportError: FMI 2.0 has no name for it.
+        ExportError: FMI has no name for it.
     """
     bits = "64" if sys.maxsize > 2**32 else "32"
-    folders = {"linux": ("linux", ".so"), "win32": ("win", ".dll"), "darwin": ("darwin", ".dylib")}
-    if sys.platform not in folders:
-        raise ExportError(f"FMI 2.0 knows no platform {sys.platform} ({machine.machine()})")
-    folder, suffix = folders[sys.platform]
-    return Platform(folder + bits, suffix)
+    systems = {
+        "linux": ("linux", "linux", ".so"),
+        "win32": ("win", "windows", ".dll"),
+        "darwin": ("darwin", "darwin", ".dylib"),
+    }
+    if sys.platform not in systems:
+        raise ExportError(f"FMI knows no platform {sys.platform} ({machine.machine()})")
+    old, new, suffix = systems[sys.platform]
+    processor = machine.machine().lower()
+    architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(processor, processor)
+    return Platform(old + bits, f"{architecture}-{new}", suffix)
