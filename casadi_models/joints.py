@@ -105,7 +105,8 @@ def free_joint(
 
 def _accelerations(model: Model, body: str, axis: int, about_axis: str) -> SX:
     linear = [
-        model.algebraic(f"{body}_v{n}_dot", "m/s2", 0.0, f"rate of {body}_v{n}") for n in (1, 2, 3)
+        model.algebraic(f"{body}_v{n}_dot", "m/s2", 0.0, f"rate of {body}_v{n}", nominal=10.0)
+        for n in (1, 2, 3)
     ]
     angular = [
         model.algebraic(
@@ -113,7 +114,7 @@ def _accelerations(model: Model, body: str, axis: int, about_axis: str) -> SX:
             "rad/s2",
             0.0,
             f"angular acceleration of {body} about its axis {n}",
-            nominal=10.0,
+            nominal=50.0,
         )
         for n in (1, 2, 3)
     ]

@@ -26,12 +26,12 @@ TABLE = """
 cosim._fmu
 casadi_models
 cosim.errors
-cosim.files | cosim.loading | cosim.resources | cosim.values
+cosim.files | cosim.inputs | cosim.loading | cosim.resources | cosim.values
 cosim.trajectory
-cosim.compile | cosim.consistent | cosim.generated | cosim.reduce | cosim.scene
+cosim.compile | cosim.consistent | cosim.generated | cosim.reduction | cosim.scene
 cosim.runge_kutta cosim.solvers cosim.integrate | cosim.export | cosim.fmpy_run
-cosim.compare
-cosim.crosscheck | cosim.tradeoff | cosim.extremes
+cosim.comparison
+cosim.crosschecks | cosim.tradeoff | cosim.extremes
 cosim.plots
 cosim
 cosim.cli cosim.commands
@@ -153,7 +153,7 @@ def test_exception_is_still_needed(module, imported):
         pytest.param("cosim.integrate", "from cosim.export.package import export_fmu", id="roads"),
         pytest.param("cosim.export.package", "import cosim.solvers", id="roads, the other way"),
         pytest.param("cosim.export.package", "from . import variables", id="relative"),
-        pytest.param("cosim.compare", "import cosim.new", id="import of what has no layer"),
+        pytest.param("cosim.comparison", "import cosim.new", id="import of what has no layer"),
         pytest.param("cosim.new", "", id="without a layer"),
         pytest.param("cosim._fmu", "import casadi_models", id="C sources"),
     ],
@@ -165,7 +165,7 @@ def test_guard_sees_a_violation(module, source):
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("cosim.compare", "from cosim.trajectory import Trajectory\nimport casadi_models.dae"),
+        ("cosim.comparison", "from cosim.trajectory import Trajectory\nimport casadi_models.dae"),
         ("cosim.export.package", "from cosim.export import variables"),
         ("cosim.integrate", "from cosim import solvers"),
         ("casadi_models", "import_module(f'casadi_models.{model}')"),

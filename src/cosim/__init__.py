@@ -8,24 +8,26 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.compare import Comparison, compare
-    from cosim.crosscheck import crosscheck
+    from cosim.comparison import Comparison, compare
+    from cosim.crosschecks import crosscheck
     from cosim.errors import CosimError
     from cosim.export import export_fmu
     from cosim.fmpy_run import simulate_fmu
     from cosim.integrate import integrator, simulate, start_vectors
     from cosim.loading import load
+    from cosim.reduction import reduce
     from cosim.trajectory import Trajectory
 
 _HOMES = {
-    "Comparison": "compare",
+    "Comparison": "comparison",
     "CosimError": "errors",
     "Trajectory": "trajectory",
-    "compare": "compare",
-    "crosscheck": "crosscheck",
+    "compare": "comparison",
+    "crosscheck": "crosschecks",
     "export_fmu": "export",
     "integrator": "integrate",
     "load": "loading",
+    "reduce": "reduction",
     "simulate": "integrate",
     "simulate_fmu": "fmpy_run",
     "start_vectors": "integrate",
@@ -40,6 +42,7 @@ __all__ = [
     "export_fmu",
     "integrator",
     "load",
+    "reduce",
     "simulate",
     "simulate_fmu",
     "start_vectors",

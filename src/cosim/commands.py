@@ -110,7 +110,7 @@ def do_export(args: argparse.Namespace) -> int:
 
 def do_crosscheck(args: argparse.Namespace) -> int:
     """Compare all roads and formulations: `cosim crosscheck [MODEL...]`."""
-    from cosim.crosscheck import BOUND, TOLERANCE, crosscheck
+    from cosim.crosschecks import BOUND, TOLERANCE, crosscheck
     from cosim.values import number
 
     bound = (

@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim import fmpy_inputs
 from cosim.errors import FmuError, SecurityError, UnknownName, UsageError
+from cosim.inputs import InputSeries
 from cosim.trajectory import Column, Trajectory
 from cosim.values import number
 
@@ -28,6 +30,7 @@ def simulate_fmu(
     output_interval: float | None = None,
     relative_tolerance: float | None = None,
     start: Mapping[str, float] | None = None,
+    inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
 ) -> Trajectory:
     """Simulate an FMU with fmpy.
@@ -38,7 +41,8 @@ def simulate_fmu(
             does); what fmpy takes when None: co-simulation where the FMU has it.
         start_time, stop_time, output_interval: s; the FMU's default experiment when None.
         relative_tolerance: Error per step; the FMU's default experiment when None.
-        start: Start values, parameters and inputs by name, in the FMU's units.
+        start: Start values, parameters and constant inputs by name, in the FMU's units.
+        inputs: Time series of some inputs, in the FMU's units.
         outputs: Names to record; the FMU's outputs when None.
 
     Returns:
@@ -59,6 +63,7 @@ def simulate_fmu(
         log: list[str] = []
         instance = _instantiate(folder, description, kind, log, path)
         calls = _counted(instance) if kind == "ModelExchange" else None
+        table = _driven(path, instance, description, kind, inputs, start_time, values)
         result = _simulated(
             path,
             log,
@@ -72,16 +77,17 @@ def simulate_fmu(
             output_interval=output_interval,
             relative_tolerance=relative_tolerance,
             start_values=values,
+            input=table,
             output=names,
             record_events=False,
         )
     columns = tuple(_column(variables[name]) for name in names)
-    table = np.column_stack([result[name].astype(float) for name in names])
+    rows = np.column_stack([result[name].astype(float) for name in names])
     stats: dict[str, Any] = {"solver": f"fmpy {kind}", "wall_time": perf_counter() - began}
     if calls is not None:
         stats["rhs_calls"] = calls[0]
     time = np.array(result["time"], dtype=float)
-    run = Trajectory(description.modelName, time, columns, table, stats)
+    run = Trajectory(description.modelName, time, columns, rows, stats)
     return _checked(run, description, stop_time, path, log)
 
 
@@ -213,6 +219,38 @@ def _counted(instance: Any) -> list[int]:
 
     setattr(instance, name, counted)
     return calls
+
+
+def _driven(
+    path: object,
+    instance: Any,
+    description: Any,
+    kind: str,
+    series: InputSeries | None,
+    start_time: float | None,
+    values: dict[str, float],
+) -> Any:
+    """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
+    if series is None:
+        return None
+    known = {v.name: v for v in description.modelVariables if v.causality == "input"}
+    for name in series.names:
+        if name not in known:
+            raise UnknownName.among(str(path), "input", name, known)
+    references = [known[name].valueReference for name in series.names]
+    experiment = description.defaultExperiment
+    default = experiment.startTime if experiment and experiment.startTime is not None else 0.0
+    at_start = float(default) if start_time is None else start_time
+    values |= fmpy_inputs.start_values(series, at_start)
+    if kind == "CoSimulation":
+        fmpy_inputs.drive_co_simulation(instance, series, references, description.coSimulation)
+        return None
+    constants = {
+        name: values.get(name, float(variable.start or 0.0))
+        for name, variable in known.items()
+        if name not in series.names
+    }
+    return fmpy_inputs.drive_model_exchange(instance, series, references, constants)
 
 
 def _simulated(path: object, log: list[str], **arguments: Any) -> Any:

@@ -35,6 +35,20 @@ def formulations(model: str) -> tuple[str, ...]:
     return found
 
 
+def observable(dae: Dae) -> tuple[str, ...]:
+    """Return the names that a run of a model can record: states, algebraic unknowns, outputs."""
+    return tuple(v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables))
+
+
+def no_such_output(dae: Dae, name: str) -> UnknownName:
+    """Return the error for an output that a model lacks; it names a formulation that has it."""
+    for entry in casadi_models.CATALOG:
+        other = entry != dae.full_name and entry.partition("/")[0] == dae.name
+        if other and name in observable(casadi_models.load(entry)):
+            return UnknownName(f"{dae.full_name} does not compute '{name}'; {entry} does")
+    return UnknownName.among(dae.full_name, "output", name, observable(dae))
+
+
 def _unknown(name: str) -> UnknownName:
     model, slash, formulation = name.partition("/")
     catalog = casadi_models.CATALOG

@@ -14,6 +14,12 @@ def runtime_sources() -> tuple[Traversable, ...]:
     return tuple(sorted(found, key=lambda entry: entry.name))
 
 
+def shipped_scenes() -> tuple[Path, ...]:
+    """Return the scenes that come with the package, by name."""
+    folder = Path(__file__).parent / "scenes"
+    return tuple(sorted(folder.glob("*.toml")))
+
+
 def cache_folder() -> Path:
     """Return the folder for compiled code: $COSIM_CACHE, else the platform's place for caches."""
     if chosen := os.environ.get("COSIM_CACHE"):

@@ -76,7 +76,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     for name, value in given.items():
         if name not in settable:
             raise _unknown(dae, name, settable)
-        given[name] = _checked(dae, settable[name], value)
+        given[name] = checked(dae, settable[name], value)
     x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
     p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
     u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
@@ -84,7 +84,13 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     return Values(x, p, u)
 
 
-def _checked(dae: Dae, variable: Variable, value: Any) -> float:
+def checked(dae: Dae, variable: Variable, value: Any) -> float:
+    """Return a number that a user gives to one of a model's variables.
+
+    Raises:
+        InitialConditionError: It is a start value that follows from others.
+        ParameterError: It is no finite number, or out of its bounds.
+    """
     if variable.start_kind is Start.CALCULATED:
         free = [v.name for v in dae.states if v.start_kind is Start.EXACT]
         raise InitialConditionError(

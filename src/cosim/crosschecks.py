@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi_models
 from casadi_models.dae import Dae
-from cosim.compare import Comparison, compare
+from cosim.comparison import Comparison, compare
 from cosim.export import export_fmu
 from cosim.fmpy_run import INTERFACES, simulate_fmu
 from cosim.integrate import simulate

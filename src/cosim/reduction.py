@@ -12,9 +12,9 @@ import numpy as np
 from casadi import SX
 from numpy.typing import NDArray
 
-import casadi_models
 from casadi_models.dae import Dae, StartRule, Variable
 from cosim.errors import UnknownName, UsageError
+from cosim.loading import no_such_output, observable
 
 Pattern = NDArray[np.bool_]
 
@@ -99,26 +99,14 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
 def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
     if not outputs or isinstance(outputs, str):
         raise UsageError(f"{dae.full_name}: name the wanted outputs, as a list")
-    available = _observable(dae)
+    available = observable(dae)
     for name in outputs:
         if name not in available:
-            raise _missing(dae, name, available)
+            raise no_such_output(dae, name)
     if len(set(outputs)) < len(outputs):
         twice = next(name for name in outputs if list(outputs).count(name) > 1)
         raise UsageError(f"{dae.full_name}: output '{twice}' is named twice; name it once")
     return frozenset(outputs)
-
-
-def _missing(dae: Dae, name: str, available: Sequence[str]) -> UnknownName:
-    others = (e for e in casadi_models.CATALOG if e.partition("/")[0] == dae.name)
-    for entry in others:
-        if entry != dae.full_name and name in _observable(casadi_models.load(entry)):
-            return UnknownName(f"{dae.full_name} does not compute '{name}'; {entry} does")
-    return UnknownName.among(dae.full_name, "output", name, available)
-
-
-def _observable(dae: Dae) -> list[str]:
-    return [v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables)]
 
 
 def _freeze(dae: Dae, names: Collection[str]) -> Dae:

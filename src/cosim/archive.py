@@ -1,0 +1,149 @@
+"""FMU files of any origin: opened only where nothing in them reaches outside its own folder.
+
+What an archive holds is looked at before a byte of it is written, and its XML before it is read.
+"""
+
+import os
+import stat
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import BinaryIO
+from xml.parsers import expat
+
+from cosim.errors import FmuError, SecurityError
+
+MOST_BYTES = 2**30  # of an unpacked FMU
+MOST_ENTRIES = 10_000
+MOST_XML_BYTES = 2**26
+MOST_XML_DEPTH = 64
+DESCRIPTION = "modelDescription.xml"
+_READ_BY_TOOLS = (DESCRIPTION, "sources/buildDescription.xml")
+
+Source = str | os.PathLike[str] | BinaryIO
+
+
+@contextmanager
+def opened(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[zipfile.ZipFile]:
+    """Open an FMU whose entries and XML files are harmless.
+
+    Args:
+        source: The file, by name or open for reading.
+        most_bytes: Of all entries, unpacked.
+
+    Raises:
+        FmuError: The file is missing, damaged or no archive, or has no model description.
+        SecurityError: An entry lies outside the archive, is a link, occurs twice or is too large,
+            or an XML file declares entities.
+    """
+    name = source if isinstance(source, str | os.PathLike) else "this file"
+    try:
+        archive = zipfile.ZipFile(source)
+    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a zip archive"
+        raise FmuError(f"cannot read {name}: {reason}; give an FMU") from error
+    with archive:
+        try:
+            _refuse_dangerous_entries(archive, most_bytes)
+            for entry in _READ_BY_TOOLS:
+                if entry in archive.namelist():
+                    refuse_dangerous_xml(entry, content_of(archive, entry, MOST_XML_BYTES))
+            if DESCRIPTION not in archive.namelist():
+                raise FmuError(f"it has no {DESCRIPTION}; give an FMU")
+        except FmuError as error:
+            raise type(error)(f"{name}: {error}") from error.__cause__
+        yield archive
+
+
+@contextmanager
+def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
+    """Unpack an FMU into a folder that is gone afterwards.
+
+    Raises:
+        FmuError, SecurityError: See `opened`.
+    """
+    with (
+        opened(source, most_bytes=most_bytes) as archive,
+        tempfile.TemporaryDirectory(prefix="cosim-") as folder,
+    ):
+        try:
+            archive.extractall(folder)
+        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+            raise FmuError(f"cannot unpack {archive.filename}: {error}") from error
+        yield Path(folder).resolve()
+
+
+def content_of(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:
+    """Return an entry's content.
+
+    Raises:
+        FmuError: It is damaged or encrypted.
+        SecurityError: It is larger than `most_bytes`.
+    """
+    if archive.getinfo(entry).file_size > most_bytes:
+        raise SecurityError(f"entry '{entry}' has more than {most_bytes} bytes; do not use it")
+    try:
+        return archive.read(entry)
+    except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
+        raise FmuError(f"entry '{entry}' cannot be read: {error}") from error
+
+
+def refuse_dangerous_xml(name: str, content: bytes) -> None:
+    """Refuse XML that declares a document type, the door to entities, or nests without end.
+
+    Raises:
+        FmuError: It is not well-formed.
+        SecurityError: It has a document type, or elements within elements beyond all use.
+    """
+    depth = 0
+
+    def doctype(*_declaration: object) -> None:
+        raise SecurityError(f"{name} declares a document type; FMUs have none, do not use it")
+
+    def enter(*_element: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MOST_XML_DEPTH:
+            raise SecurityError(f"{name} nests {depth} elements; do not use it")
+
+    def leave(_element: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = doctype
+    parser.StartElementHandler = enter
+    parser.EndElementHandler = leave
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the latter: unknown encoding
+        raise FmuError(f"{name} is not well-formed: {error}") from error
+
+
+def _refuse_dangerous_entries(archive: zipfile.ZipFile, most_bytes: int) -> None:
+    entries = archive.infolist()
+    if len(entries) > MOST_ENTRIES:
+        raise SecurityError(f"{len(entries)} entries are more than {MOST_ENTRIES}")
+    size = sum(entry.file_size for entry in entries)
+    if size > most_bytes:
+        raise SecurityError(f"it unpacks to {size:.3g} bytes, more than {most_bytes}")
+    seen: set[str] = set()
+    for entry in entries:
+        name = entry.orig_filename
+        if leaves_archive(name):
+            raise SecurityError(f"entry {name!r} lies outside the archive; do not use it")
+        kind = stat.S_IFMT(entry.external_attr >> 16)
+        if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+            raise SecurityError(f"entry '{name}' is a link or device; do not use this file")
+        if name.lower().rstrip("/") in seen:
+            raise SecurityError(f"entry '{name}' occurs twice; do not use this file")
+        seen.add(name.lower().rstrip("/"))
+
+
+def leaves_archive(name: str) -> bool:
+    """Tell whether an entry's name leads elsewhere on some operating system."""
+    windows = PureWindowsPath(name)
+    climbs = ".." in (*PurePosixPath(name).parts, *windows.parts)
+    return climbs or name.startswith(("/", "\\")) or bool(windows.drive) or "\0" in name

@@ -1,0 +1,125 @@
+"""Shared libraries read as files: which processor they are for, and what they export.
+
+Libraries of other platforms cannot be loaded here, and those of strangers should not be.
+
+References:
+    System V ABI, Object Files; Microsoft, PE Format; Apple, mach-o/loader.h and mach-o/fat.h.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+_ELF_PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64", 0x03: "x86"}
+_PE_PROCESSORS = {0x8664: "x86_64", 0xAA64: "aarch64", 0x14C: "x86"}
+_MACH_PROCESSORS = {0x01000007: "x86_64", 0x0100000C: "aarch64"}
+_DYNAMIC_SYMBOLS = 11  # SHT_DYNSYM
+_SYMBOL_TABLE = 2  # LC_SYMTAB
+
+
+@dataclass(frozen=True)
+class Library:
+    """A shared library for one processor.
+
+    Attributes:
+        system: "linux", "windows" or "darwin".
+        processor: "x86_64", "aarch64" or "x86".
+        exports: Names of the functions and data that a program may look up.
+    """
+
+    system: str
+    processor: str
+    exports: frozenset[str]
+
+
+def read_libraries(content: bytes) -> tuple[Library, ...]:
+    """Return the libraries in a file; more than one in a fat Mach-O file.
+
+    Raises:
+        ValueError: It is no shared library of a known kind, or damaged.
+    """
+    try:
+        if content[:4] == b"\x7fELF":
+            return (_elf(content),)
+        if content[:2] == b"MZ":
+            return (_pe(content),)
+        if content[:4] == b"\xca\xfe\xba\xbe":
+            (count,) = struct.unpack_from(">I", content, 4)
+            places = [struct.unpack_from(">5I", content, 8 + 20 * i) for i in range(count)]
+            return tuple(_mach(content[start : start + size]) for _, _, start, size, _ in places)
+        if content[:4] == b"\xcf\xfa\xed\xfe":
+            return (_mach(content),)
+    except (struct.error, IndexError, KeyError) as error:
+        raise ValueError(f"it is damaged or for an unknown processor ({error!r})") from error
+    raise ValueError("it is no shared library for Linux, Windows or macOS")
+
+
+def _text(content: bytes, start: int) -> str:
+    return content[start : content.index(b"\0", start)].decode("ascii", "replace")
+
+
+def _elf(content: bytes) -> Library:
+    if content[4:6] != b"\x02\x01":
+        raise ValueError("it is not a 64-bit little-endian library")
+    (kind, machine) = struct.unpack_from("<HH", content, 16)
+    if kind != 3:
+        raise ValueError("it is not a shared library")
+    (headers,) = struct.unpack_from("<Q", content, 0x28)
+    (size, count) = struct.unpack_from("<HH", content, 0x3A)
+    sections = [
+        struct.unpack_from("<IIQQQQIIQQ", content, headers + size * i) for i in range(count)
+    ]
+    symbols = next(s for s in sections if s[1] == _DYNAMIC_SYMBOLS)
+    names = sections[symbols[6]][4]
+
+    def exports() -> Iterator[str]:
+        for place in range(symbols[4], symbols[4] + symbols[5], 24):
+            name, info, _, section = struct.unpack_from("<IBBH", content, place)
+            if section and info >> 4:  # defined here, not local
+                yield _text(content, names + name)
+
+    return Library("linux", _ELF_PROCESSORS[machine], frozenset(exports()))
+
+
+def _pe(content: bytes) -> Library:
+    (start,) = struct.unpack_from("<I", content, 0x3C)
+    if content[start : start + 4] != b"PE\0\0":
+        raise ValueError("it is not a Windows library")
+    machine, count = struct.unpack_from("<HH", content, start + 4)
+    (optional,) = struct.unpack_from("<H", content, start + 20)
+    (magic,) = struct.unpack_from("<H", content, start + 24)
+    (directory,) = struct.unpack_from("<I", content, start + 24 + (112 if magic == 0x20B else 96))
+    headers = start + 24 + optional
+    sections = [struct.unpack_from("<4I", content, headers + 40 * i + 8) for i in range(count)]
+
+    def place(address: int) -> int:
+        for size, virtual, raw_size, raw in sections:
+            if virtual <= address < virtual + max(size, raw_size):
+                return address - virtual + raw
+        raise IndexError(address)
+
+    if not directory:
+        return Library("windows", _PE_PROCESSORS[machine], frozenset())
+    named, _, names = struct.unpack_from("<3I", content, place(directory) + 24)
+    table = struct.unpack_from(f"<{named}I", content, place(names))
+    exports = frozenset(_text(content, place(address)) for address in table)
+    return Library("windows", _PE_PROCESSORS[machine], exports)
+
+
+def _mach(content: bytes) -> Library:
+    _, processor, _, kind, count, _ = struct.unpack_from("<6I", content)
+    if kind != 6:
+        raise ValueError("it is not a shared library")
+    exports: set[str] = set()
+    place = 32
+    for _ in range(count):
+        command, size = struct.unpack_from("<2I", content, place)
+        if command == _SYMBOL_TABLE:
+            symbols, amount, names, _ = struct.unpack_from("<4I", content, place + 8)
+            for i in range(amount):
+                name, flags, _, _, _ = struct.unpack_from("<IBBHQ", content, symbols + 16 * i)
+                # external, not private to the library, defined in a section
+                if flags & 0x1F == 0x0F:
+                    exports.add(_text(content, names + name).removeprefix("_"))
+        place += size
+    return Library("darwin", _MACH_PROCESSORS[processor], frozenset(exports))
