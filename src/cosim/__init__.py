@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cosim.comparison import Comparison, compare
     from cosim.crosschecks import crosscheck
+    from cosim.dae_builder import from_dae_builder
     from cosim.errors import CosimError
     from cosim.export import export_fmu
     from cosim.fmpy_run import simulate_fmu
@@ -25,6 +26,7 @@ _HOMES = {
     "compare": "comparison",
     "crosscheck": "crosschecks",
     "export_fmu": "export",
+    "from_dae_builder": "dae_builder",
     "integrator": "integrate",
     "load": "loading",
     "reduce": "reduction",
@@ -40,6 +42,7 @@ __all__ = [
     "compare",
     "crosscheck",
     "export_fmu",
+    "from_dae_builder",
     "integrator",
     "load",
     "reduce",

@@ -3,8 +3,11 @@
 import importlib.util
 from pathlib import Path
 
+import casadi as ca
+
 import casadi_models
 from casadi_models.dae import Dae
+from cosim.dae_builder import from_dae_builder
 from cosim.errors import UnknownName, UsageError
 
 
@@ -75,9 +78,15 @@ def _from_file(path: str, function: str) -> Dae:
     if not callable(builder):
         callables = [n for n, v in vars(module).items() if callable(v) and not n.startswith("_")]
         raise UnknownName.among(path, "function", function, callables)
-    dae = builder()
-    if not isinstance(dae, Dae):
+    try:
+        built = builder()
+    except Exception as error:
+        raise UsageError(f"{path}:{function} failed: {type(error).__name__}: {error}") from error
+    if isinstance(built, ca.DaeBuilder):
+        return from_dae_builder(built)
+    if not isinstance(built, Dae):
         raise UsageError(
-            f"{path}:{function} returned {type(dae).__name__}; return what Model.freeze() returns"
+            f"{path}:{function} returned {type(built).__name__}; return what Model.freeze() "
+            "returns, or a casadi.DaeBuilder"
         )
-    return dae
+    return built
