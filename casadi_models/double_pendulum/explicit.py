@@ -61,7 +61,13 @@ def _euler(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
         rate = links.rate_states(model, link, start)
         angles = ca.vertcat(
             *(
-                model.state(f"{name}{link}", "rad", 0.0, f"3-1-3 angle {name} of link {link}")
+                model.state(
+                    f"{name}{link}",
+                    "rad",
+                    0.0,
+                    f"3-1-3 angle {name} of link {link}",
+                    nominal=10.0 if axis == 3 and name != "theta" else 1.0,  # they run on
+                )
                 for name in ("psi", "theta", "phi")
             )
         )

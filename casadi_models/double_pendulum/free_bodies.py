@@ -1,6 +1,7 @@
 """The double pendulum as two free bodies held by ball joints: an index-1 DAE."""
 
 from collections.abc import Callable
+from functools import partial
 
 import casadi as ca
 from casadi import SX
@@ -24,12 +25,12 @@ def multipliers() -> Dae:
     q2 = links.quaternion_states(model, 2, starts[1], w2)
     r1, r2 = (_vector(model.state, f"{{}}_G{i}", "m", f"G{i}: place along") for i in (1, 2))
     v1, v2 = (_vector(model.state, f"v{{}}_G{i}", "m/s", f"G{i}: velocity along") for i in (1, 2))
+    large = partial(model.algebraic, nominal=30.0)
     v1_dot, v2_dot = (
-        _vector(model.algebraic, f"v{{}}_G{i}_dot", "m/s2", f"G{i}: acceleration along")
-        for i in (1, 2)
+        _vector(large, f"v{{}}_G{i}_dot", "m/s2", f"G{i}: acceleration along") for i in (1, 2)
     )
     w1_dot, w2_dot = (  # across the link only
-        _vector(model.algebraic, f"w{i}_{{}}_dot", "rad/s2", f"link {i}: rate of w{i} along", "xy")
+        _vector(large, f"w{i}_{{}}_dot", "rad/s2", f"link {i}: rate of w{i} along", "xy")
         for i in (1, 2)
     )
     forces = [model.algebraic(n, "N", 0.0, text, nominal=30.0) for n, text in links.JOINT_FORCES]

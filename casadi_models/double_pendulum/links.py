@@ -92,7 +92,13 @@ def rate_states(model: Model, link: int, start: Start) -> SX:
     """Declare the angular velocity of a link in its frame."""
     rate = ca.vertcat(
         *(
-            model.state(f"w{link}_{axis}", "rad/s", 0.0, f"rate of link {link} about its {axis}")
+            model.state(
+                f"w{link}_{axis}",
+                "rad/s",
+                0.0,
+                f"rate of link {link} about its {axis}",
+                nominal=5.0,
+            )
             for axis in "xyz"
         )
     )
