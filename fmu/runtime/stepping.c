@@ -6,9 +6,10 @@
 
 #include "equations.h"
 
-/* Attempts in one communication step. A failed one is repeated at half its length, so that the
-   step ends within about 2^-10 of what stops it. Each is bounded, by the integrator's own limit. */
-enum { MOST_ATTEMPTS = 20 };
+/* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
+   that the step ends within about 4^-5 of its length before what stops it. Attempts times the
+   integrator's own limit of steps bound the work of a call. */
+enum { MOST_ATTEMPTS = 12 };
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
@@ -49,7 +50,7 @@ static bool advance_to(Instance *self, double end) {
         if (advance(self, last ? rest : length))
             *time = last ? end : *time + length;
         else
-            length = (last ? rest : length) / 2;
+            length = (last ? rest : length) / 4;
     }
     return *time >= end;
 }

@@ -26,15 +26,15 @@ def continuous(fmu):
 
 def test_the_calculated_start_solves_its_equation(me):
     (w,) = me.initialize().get("w")
-    assert abs(w + w**3 - 2) < 1e-12  # load 2; measured 0
+    assert abs(w + w**2 - 2) < 1e-12  # load 2; measured 0
 
 
 def test_the_calculated_start_follows_a_parameter_set_in_initialization_mode(me):
     me.set_up()
     me("EnterInitializationMode")
     assert me.get("w")[0] == pytest.approx(1.0, abs=1e-12)
-    assert me.set(load=10.0) == OK
-    assert me.get("w")[0] == pytest.approx(2.0, abs=1e-12)  # 2 + 8 = 10
+    assert me.set(load=6.0) == OK
+    assert me.get("w")[0] == pytest.approx(2.0, abs=1e-12)  # 2 + 4 = 6
 
 
 def test_algebraics_derivatives_and_outputs_satisfy_the_equations(me):
@@ -182,10 +182,23 @@ def test_an_output_outside_its_domain_does_not_hide_the_others(me):
 
 def test_start_values_without_a_solution_are_an_error_that_names_the_states(me):
     me.set_up()
-    assert me.set(load=1e6) == OK
+    assert me.set(load=-1.0) == OK  # w + w^2 = -1 has no real root
     assert me("EnterInitializationMode") == OK
-    status = me("ExitInitializationMode")
-    assert status == OK or "start values of w" in me.messages[-2][2]
+    assert me("GetReal", me.refs("w"), 1, reals(0)) == DISCARD
+    assert me.said.startswith("fmi2GetReal: the start values of w cannot be calculated (defect ")
+    assert me.set(load=2.0) == OK
+    assert me.get("w")[0] == pytest.approx(1.0, abs=1e-12)
+    assert me.set(load=-1.0) == OK
+    assert me("ExitInitializationMode") == ERROR
+    assert "start values of w cannot be calculated" in me.messages[-2][2]
+
+
+def test_algebraic_equations_without_a_solution_are_an_error(me):
+    me.set_up()
+    assert me.set(mass=0.2) == OK  # (mass - 0.2) a = ...
+    assert me("EnterInitializationMode") == OK
+    assert me("ExitInitializationMode") == ERROR
+    assert "the algebraic equations have no solution at time 0" in me.messages[-2][2]
 
 
 @pytest.mark.parametrize("reference", [len("x" * 22), 2**31, 2**32 - 1])

@@ -1,0 +1,106 @@
+/* Seeded random arguments, sensible and senseless, and the time that calls take. */
+#ifndef RANDOM_VALUES_H
+#define RANDOM_VALUES_H
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "variables.h"
+
+enum { MOST = 12 }; /* length of every array of arguments */
+
+static uint64_t random_state;
+
+/* SplitMix64 (Steele, Lea, Flood, 2014). */
+static inline uint64_t next_random(void) {
+    uint64_t z = random_state += UINT64_C(0x9e3779b97f4a7c15);
+    z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+    z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
+    return z ^ z >> 31;
+}
+
+static inline unsigned below(unsigned bound) {
+    return bound ? (unsigned)(next_random() % bound) : 0;
+}
+
+static inline int one_in(unsigned n) {
+    return below(n) == 0;
+}
+
+static inline double uniform(double low, double high) {
+    return low + (high - low) * (double)(next_random() >> 11) * 0x1p-53;
+}
+
+/* Mostly ordinary numbers; one in five is at or beyond the edge of what numbers can be. */
+static inline double some_real(void) {
+    static const double edges[] = {0.0,     -0.0,     NAN,     INFINITY,      -INFINITY, DBL_MAX,
+                                   DBL_MIN, 4.9e-324, 1e300,   -1e300,        1e-300,    1e16,
+                                   -DBL_MAX, 1e-16,   -1e-300, DBL_EPSILON};
+    return one_in(5) ? edges[below(sizeof edges / sizeof *edges)] : uniform(-2, 2);
+}
+
+static inline uint32_t some_reference(void) {
+    static const uint32_t wild[] = {N_VARIABLES, N_VARIABLES + 1, INT32_MAX, UINT32_MAX,
+                                    UINT32_C(1) << 31};
+    return one_in(30) ? wild[below(5)] : below(N_VARIABLES);
+}
+
+static inline size_t some_length(void) {
+    static const size_t wild[] = {0, NX - 1, NX + 1, SIZE_MAX, SIZE_MAX / 2, SIZE_MAX / 8 + 1};
+    return one_in(6) ? wild[below(6)] : NX;
+}
+
+/* Arguments in blocks of their own, so that the sanitizer sees every step beyond an end. */
+typedef struct {
+    size_t n, m; /* used lengths of references, others and values */
+    uint32_t *references, *others;
+    int32_t *orders;
+    double *values, *results;
+} Arguments;
+
+static inline Arguments some_arguments(void) {
+    Arguments a = {.n = below(MOST + 1), .m = below(MOST + 1)};
+    a.references = one_in(40) ? NULL : malloc(a.n * sizeof *a.references + 1);
+    a.others = one_in(40) ? NULL : malloc(a.m * sizeof *a.others + 1);
+    a.orders = one_in(40) ? NULL : malloc(MOST * sizeof *a.orders);
+    a.values = one_in(40) ? NULL : malloc(MOST * sizeof *a.values);
+    a.results = one_in(40) ? NULL : malloc(MOST * sizeof *a.results);
+    const unsigned role = one_in(2) ? FIRST_INPUT : 0; /* else few lists were of inputs only */
+    for (size_t i = 0; a.references && i < a.n; i++)
+        a.references[i] = role ? role + below(NU) : some_reference();
+    for (size_t i = 0; a.others && i < a.m; i++) a.others[i] = some_reference();
+    for (size_t i = 0; a.orders && i < MOST; i++) a.orders[i] = one_in(9) ? (int)below(9) - 4 : 1;
+    for (size_t i = 0; a.values && i < MOST; i++) a.values[i] = some_real();
+    for (size_t i = 0; a.results && i < MOST; i++) a.results[i] = 0;
+    return a;
+}
+
+static inline void drop_arguments(Arguments *a) {
+    free(a->references);
+    free(a->others);
+    free(a->orders);
+    free(a->values);
+    free(a->results);
+}
+
+static inline double seconds(void) { /* of this process alone */
+    return (double)clock() / CLOCKS_PER_SEC;
+}
+
+static inline void demand(int condition, const char *what) {
+    if (condition) return;
+    fprintf(stderr, "violated: %s\n", what);
+    abort();
+}
+
+static inline void demand_finite(const double values[], size_t count) {
+    for (size_t i = 0; i < count; i++) demand(isfinite(values[i]), "finite result when all is well");
+}
+
+#endif

@@ -1,0 +1,56 @@
+"""The runtime under sanitizers: random calls, failing memory, many instances and threads."""
+
+from pathlib import Path
+
+import pytest
+import toy
+from harness import program, run
+
+THREADED = ["-g", "-O1", "-fsanitize=thread"]
+
+
+@pytest.fixture(scope="module")
+def fuzzers(model: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    folder = tmp_path_factory.mktemp("fuzz")
+    return {v: program(f"fuzz_fmi{v}", model, v, folder / str(v)) for v in (2, 3)}
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_random_calls_do_no_harm(fuzzers, version):
+    check(fuzzers[version], seed=1, calls=100_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 6))
+@pytest.mark.parametrize("version", [2, 3])
+def test_millions_of_random_calls_do_no_harm(fuzzers, version, seed):
+    check(fuzzers[version], seed, calls=1_000_000)
+
+
+def check(fuzzer, seed, calls):
+    done, fine, longest = run([fuzzer, seed, calls], timeout=900).split()
+    assert int(done) == calls
+    assert int(fine) > 0.2 * calls  # measured 0.30 and 0.34
+    assert float(longest) < 1.0  # s of CPU, under sanitizers; measured 0.07 to 0.09
+
+
+def test_a_failing_allocation_leaves_nothing_behind(model, tmp_path):
+    failures = run([program("allocation", model, 2, tmp_path)])
+    assert int(failures) == 3  # instance, FMU state, de-serialized state
+
+
+def test_64_threads_and_1000_instances_give_the_bits_of_serial_runs(model, tmp_path):
+    crowd = program("crowd", model, 2, tmp_path, ["-g", "-O2"])
+    assert int(run([crowd, 64, 1000])) == 1000
+
+
+def test_threads_share_nothing(model, tmp_path):
+    crowd = program("crowd", model, 2, tmp_path, THREADED)
+    assert int(run([crowd, 16, 32])) == 32
+
+
+def test_a_model_with_nothing_but_a_state_compiles_without_a_warning(tmp_path):
+    toy.write(tmp_path, toy.bare(), toy.BARE)
+    for version in (2, 3):
+        fuzzer = program(f"fuzz_fmi{version}", tmp_path, version, tmp_path / str(version))
+        assert int(run([fuzzer, 1, 20_000]).split()[0]) == 20_000
