@@ -90,7 +90,8 @@ static Status check_setting(Instance *self, const VariableInfo *variable, double
         return refuse(self, ERROR, "%s, a %s%s, cannot be set now", variable->name,
                       variable->start_kind == CALCULATED ? "calculated " : "",
                       role_name(variable->role));
-    if (!isfinite(value)) return refuse(self, DISCARD, "%s = %g is not finite", variable->name, value);
+    if (!isfinite(value))
+        return refuse(self, DISCARD, "%s = %g is not finite", variable->name, value);
     const bool starting = self->state.mode & (INSTANTIATED | INITIALIZATION_MODE);
     if (starting && variable->role != INPUT &&
         !(value >= variable->minimum && value <= variable->maximum))
@@ -131,7 +132,8 @@ Status get_block(Instance *self, size_t first, double values[], size_t count) {
 
 Status get_nominals(Instance *self, double nominals[], size_t count) {
     if (count != NX) return refuse(self, ERROR, "%zu asked, the model has %d states", count, NX);
-    if (count > 0 && !nominals) return refuse(self, ERROR, "there is no room for %zu values", count);
+    if (count > 0 && !nominals)
+        return refuse(self, ERROR, "there is no room for %zu values", count);
     for (size_t i = 0; i < count; i++) nominals[i] = variables[FIRST_STATE + i].nominal;
     return OK;
 }

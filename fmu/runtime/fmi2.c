@@ -93,7 +93,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
     return fmi2OK;
 }
 
-/* -- variables: all are Real -------------------------------------------------------------------- */
+/* -- variables: all are Real ------------------------------------------------------------------ */
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        fmi2Real value[]) {

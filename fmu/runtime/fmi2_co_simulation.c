@@ -34,7 +34,7 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
     return allowed(c, IN_CANCEL_STEP, __func__) ? fmi2OK : fmi2Error;
 }
 
-/* -- status of the last step: discard what cannot be told --------------------------------------- */
+/* -- status of the last step: discard what cannot be told ------------------------------------- */
 
 static bool tells(Instance *self, const char *function, bool offered, const void *room,
                   fmi2Status *status) {

@@ -108,7 +108,7 @@ fmi3Status fmi3Reset(fmi3Instance instance) {
     return fmi3OK;
 }
 
-/* -- variables: all are Float64 scalars ----------------------------------------------------------- */
+/* -- variables: all are Float64 scalars ------------------------------------------------------- */
 
 static bool one_each(Instance *self, size_t values, size_t variables_asked) {
     if (values == variables_asked) return true;

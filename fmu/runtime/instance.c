@@ -59,8 +59,9 @@ Instance *create(const Host *host, const char *function, const char *name, const
         return NULL;
     }
     if (!token || strcmp(token, MODEL_GUID) != 0) {
-        log_text(&draft, ERROR, "the model description belongs to another binary: its GUID is %.80s, "
-                 "this binary's is %s", token ? token : "missing", MODEL_GUID);
+        log_text(&draft, ERROR,
+                 "the model description is not this binary's: its GUID is %.80s, the binary's is %s",
+                 token ? token : "missing", MODEL_GUID);
         return NULL;
     }
 

@@ -50,8 +50,10 @@ static void *drive(void *argument) {
 int main(int argc, char *argv[]) {
     demand(argc == 3, "usage: crowd THREADS INSTANCES");
     const int threads = atoi(argv[1]), count = atoi(argv[2]);
-    Run *alone = calloc((size_t)count, sizeof *alone), *together = calloc((size_t)count, sizeof *together);
+    Run *alone = calloc((size_t)count, sizeof *alone);
+    Run *together = calloc((size_t)count, sizeof *together);
     pthread_t *thread = calloc((size_t)threads, sizeof *thread);
+    demand(alone && together && thread, "memory");
     for (int i = 0; i < count; i++) {
         alone[i].number = together[i].number = i;
         create(&alone[i]);

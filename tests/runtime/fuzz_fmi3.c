@@ -1,9 +1,6 @@
-/* Random calls of FMI 3 functions on a few instances: fuzz_fmi3 SEED CALLS.
-   Prints how many calls there were, how many did what they should, and the longest, in s. */
+/* Random calls of FMI 3 functions on a few instances: fuzz_fmi3 SEED CALLS. */
 #include "fmi3Functions.h"
-#include "random_values.h"
-
-enum { INSTANCES = 4, SNAPSHOTS = 3, FUNCTIONS = 46 };
+#include "fuzz.h"
 
 static struct {
     fmi3Instance instance;
@@ -21,6 +18,7 @@ static void logger(fmi3InstanceEnvironment environment, fmi3Status status, fmi3S
 }
 
 static void create(unsigned k) {
+    if (pool[k].instance) return;
     const char *name = one_in(20) ? "" : "one", *token = one_in(20) ? "{other}" : MODEL_GUID;
     fmi3LogMessageCallback log = one_in(9) ? NULL : logger;
     pool[k].steps = (int)below(2);
@@ -62,14 +60,15 @@ static fmi3Status copy_snapshot(fmi3Instance c, fmi3FMUState *from, fmi3FMUState
 }
 
 /* The calls that lead on from where an error has left the instance. */
-static void lead_on(fmi3Instance c, int steps) {
+static void lead_on(unsigned k) {
+    fmi3Instance c = pool[k].instance;
     const fmi3ValueReference parameter = FIRST_PARAMETER + below(NP);
     const double value = some_real();
     fmi3Reset(c);
     fmi3SetFloat64(c, &parameter, 1, &value, 1);
     fmi3EnterInitializationMode(c, one_in(2), 1e-6, 0.0, false, 0.0);
-    if (one_in(4) || fmi3ExitInitializationMode(c) != fmi3OK || steps || one_in(4)) return;
-    fmi3EnterContinuousTimeMode(c);
+    if (one_in(4) || fmi3ExitInitializationMode(c) != fmi3OK) return;
+    if (!pool[k].steps && !one_in(4)) fmi3EnterContinuousTimeMode(c);
 }
 
 static fmi3Status read_values(fmi3Instance c, Arguments *a) {
@@ -102,7 +101,7 @@ static fmi3Status differentiate(fmi3Instance c, Arguments *a, int backwards) {
                                                     a->values, given, a->results, results);
 }
 
-static fmi3Status call(unsigned which, unsigned k, Arguments *a) {
+static fmi3Status call_one(unsigned which, unsigned k, Arguments *a) {
     fmi3Instance c = one_in(500) ? NULL : pool[k].instance;
     fmi3FMUState *snapshots = pool[k].snapshots;
     double next;
@@ -161,28 +160,13 @@ static fmi3Status call(unsigned which, unsigned k, Arguments *a) {
     }
 }
 
+static int call(unsigned which, unsigned k, Arguments *a) {
+    return (int)call_one(which, k, a);
+}
+
 int main(int argc, char *argv[]) {
-    demand(argc == 3, "usage: fuzz_fmi3 SEED CALLS");
-    random_state = strtoull(argv[1], NULL, 10);
-    const long calls = strtol(argv[2], NULL, 10);
-    long fine = 0, failed = 0;
-    double longest = 0;
-    for (long i = 0; i < calls; i++) {
-        const unsigned k = below(INSTANCES);
-        if (one_in(500)) destroy(k);
-        if (!pool[k].instance) create(k);
-        Arguments a = some_arguments();
-        const double begin = seconds();
-        const fmi3Status status = call(below(FUNCTIONS), k, &a);
-        longest = fmax(longest, seconds() - begin);
-        fine += status == fmi3OK;
-        failed += status > fmi3Warning;
-        if (status == fmi3Error && one_in(2)) lead_on(pool[k].instance, pool[k].steps);
-        drop_arguments(&a);
-    }
-    for (unsigned k = 0; k < INSTANCES; k++) destroy(k);
-    demand(calls < 1000 || (fine > calls / 5 && failed > calls / 10 && spoken > 0),
-           "a mixture of right and wrong calls");
-    printf("%ld %ld %.3f\n", calls, fine, longest);
-    return 0;
+    const Interface interface = {46, call, create, destroy, lead_on};
+    const int result = fuzz(argc, argv, &interface);
+    demand(spoken > 0, "the log tells of errors");
+    return result;
 }

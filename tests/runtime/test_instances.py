@@ -12,9 +12,9 @@ CATEGORIES = ["logStatusWarning", "logStatusDiscard", "logStatusError"]
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"guid": "{other}"}, "its GUID is {other}, this binary's is {toy-guid}"),
+        ({"guid": "{other}"}, "its GUID is {other}, the binary's is {toy-guid}"),
         ({"guid": None}, "its GUID is missing"),
-        ({"guid": ""}, "its GUID is , this"),
+        ({"guid": ""}, "its GUID is , the"),
         ({"name": None}, "needs a name"),
         ({"name": ""}, "needs a name"),
         ({"name": " \t"}, "needs a name"),

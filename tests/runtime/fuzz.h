@@ -1,6 +1,6 @@
-/* Seeded random arguments, sensible and senseless, and the time that calls take. */
-#ifndef RANDOM_VALUES_H
-#define RANDOM_VALUES_H
+/* Random calls: seeded arguments, sensible and senseless, and the loop that makes the calls. */
+#ifndef FUZZ_H
+#define FUZZ_H
 
 #include <float.h>
 #include <math.h>
@@ -13,7 +13,7 @@
 
 #include "variables.h"
 
-enum { MOST = 12 }; /* length of every array of arguments */
+enum { INSTANCES = 4, SNAPSHOTS = 3, MOST = 12 }; /* MOST: length of arrays of arguments */
 
 static uint64_t random_state;
 
@@ -100,7 +100,43 @@ static inline void demand(int condition, const char *what) {
 }
 
 static inline void demand_finite(const double values[], size_t count) {
-    for (size_t i = 0; i < count; i++) demand(isfinite(values[i]), "finite result when all is well");
+    for (size_t i = 0; i < count; i++) demand(isfinite(values[i]), "finite results if all is OK");
+}
+
+/* What differs between the versions of the FMI; statuses are numbered alike. */
+typedef struct {
+    unsigned functions;
+    int (*call)(unsigned function, unsigned instance, Arguments *arguments);
+    void (*create)(unsigned instance); /* unless there is one */
+    void (*destroy)(unsigned instance);
+    void (*lead_on)(unsigned instance); /* from where an error has left it */
+} Interface;
+
+/* Make SEED CALLS of the command line; print how many there were, how many were OK and the
+   longest, in s. */
+static inline int fuzz(int argc, char *argv[], const Interface *interface) {
+    demand(argc == 3, "usage: PROGRAM SEED CALLS");
+    random_state = strtoull(argv[1], NULL, 10);
+    const long calls = strtol(argv[2], NULL, 10);
+    long fine = 0, refused = 0;
+    double longest = 0;
+    for (long i = 0; i < calls; i++) {
+        const unsigned k = below(INSTANCES);
+        if (one_in(500)) interface->destroy(k);
+        interface->create(k);
+        Arguments a = some_arguments();
+        const double begin = seconds();
+        const int status = interface->call(below(interface->functions), k, &a);
+        longest = fmax(longest, seconds() - begin);
+        fine += status == 0;
+        refused += status > 1;
+        if (status == 3 && one_in(2)) interface->lead_on(k);
+        drop_arguments(&a);
+    }
+    for (unsigned k = 0; k < INSTANCES; k++) interface->destroy(k);
+    demand(fine > calls / 5 && refused > calls / 10, "a mixture of right and wrong calls");
+    printf("%ld %ld %.3f\n", calls, fine, longest);
+    return 0;
 }
 
 #endif
