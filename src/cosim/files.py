@@ -1,7 +1,10 @@
 """Files that are whole or not there: written beside their place, then renamed."""
 
 import os
+import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from cosim.errors import ExportError
@@ -10,37 +13,67 @@ from cosim.errors import ExportError
 def write_atomically(target: str | os.PathLike[str], content: bytes) -> Path:
     """Write a file so that its name always stands for the whole old or the whole new content.
 
+    Links are followed; a device or a pipe is written to as it is.
+
     Raises:
         ExportError: The folder is missing or read-only, the disk is full, the name is a folder.
     """
-    path = Path(target)
-    if path.is_dir():
-        raise ExportError(f"cannot write {path}: it is a directory; give a file name")
+    with _explained(target):
+        place = _place(target)
+        if place.exists() and not place.is_file():
+            place.write_bytes(content)
+            return Path(target)
+        mode = stat.S_IMODE(place.stat().st_mode) if place.exists() else 0o666 & ~_umask()
+        temporary = _sibling(place)
+        try:
+            with temporary.open("wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            temporary.chmod(mode)
+            temporary.replace(place)
+        finally:
+            temporary.unlink(missing_ok=True)
+    return Path(target)
+
+
+def refuse_unwritable(target: str | os.PathLike[str]) -> None:
+    """Refuse a name under which nothing can be written, before anything is computed for it.
+
+    Raises:
+        ExportError: See `write_atomically`.
+    """
+    with _explained(target):
+        place = _place(target)
+        if not place.exists() or place.is_file():
+            _sibling(place).unlink()
+
+
+def _place(target: str | os.PathLike[str]) -> Path:
+    place = Path(os.path.realpath(target))
+    if place.is_dir():
+        raise ExportError(f"cannot write {target}: it is a directory; give a file name")
+    return place
+
+
+def _sibling(place: Path) -> Path:
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name[:40]}.")
+    os.close(handle)
+    return Path(name)
+
+
+@contextmanager
+def _explained(target: str | os.PathLike[str]) -> Iterator[None]:
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
-    except OSError as error:
-        raise _refusal(path, error) from error
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        Path(temporary).chmod(0o666 & ~_umask())
-        Path(temporary).replace(path)
-    except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise _refusal(path, error) from error
-        raise
-    return path
+        yield
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        folder = Path(target).parent
+        hint = f"; create {folder} first" if isinstance(error, FileNotFoundError) else ""
+        reason = getattr(error, "strerror", None) or error
+        raise ExportError(f"cannot write {target}: {reason}{hint}") from error
 
 
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-def _refusal(path: Path, error: OSError) -> ExportError:
-    hint = "" if path.parent.is_dir() else f"; create {path.parent} first"
-    return ExportError(f"cannot write {path}: {error.strerror or error}{hint}")
