@@ -13,7 +13,7 @@
 
 #include "variables.h"
 
-enum { INSTANCES = 4, SNAPSHOTS = 3, MOST = 12 }; /* MOST: length of arrays of arguments */
+enum { INSTANCES = 4, SNAPSHOTS = 3, MOST = NX > 12 ? NX : 12 /* length of argument arrays */ };
 
 static uint64_t random_state;
 

@@ -111,6 +111,19 @@ def test_reading_outputs_between_steps_changes_nothing(cs, fmi2):
     assert cs.get(*cs.reference) == silent.get(*silent.reference)
 
 
+def test_reset_forgets_experiment_and_input_derivatives(cs, fmi2):
+    cs.initialize({"stop": 0.1, "tolerance": 1e-3})
+    assert cs("SetRealInputDerivatives", cs.refs("force"), 1, ONE, reals(3.0)) == OK
+    assert cs("Reset") == OK
+    fresh = fmi2(1)
+    for fmu in (cs, fresh):
+        fmu.initialize()
+        assert fmu("DoStep", 0.0, 0.5, 1) == OK, fmu.said
+    assert cs.get(*cs.reference) == fresh.get(*fresh.reference)
+    assert cs("Reset") == OK
+    assert cs("EnterInitializationMode") == ERROR  # an experiment is due again
+
+
 def test_a_blow_up_ends_the_step_early_at_the_last_good_state(cs):
     cs.initialize(blow=1.0)  # s = 1 / (1 - t)
     assert cs("DoStep", 0.0, 0.5, 1) == OK
