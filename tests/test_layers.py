@@ -26,15 +26,16 @@ TABLE = """
 cosim._fmu
 casadi_models
 cosim.errors
-cosim.files | cosim.inputs | cosim.loading | cosim.resources | cosim.values
+cosim.files | cosim.inputs | cosim.loading | cosim.resources | cosim.toml_file | cosim.values
 cosim.trajectory
-cosim.compile | cosim.consistent | cosim.generated | cosim.reduction | cosim.scene
-cosim.runge_kutta cosim.solvers cosim.integrate | cosim.export | cosim.fmpy_run
-cosim.comparison
+cosim.compile | cosim.consistent | cosim.generated | cosim.reduction | cosim.scene cosim.scene_figures
+cosim.runge_kutta cosim.solvers cosim.integrate | cosim.export | cosim.fmpy_run cosim.fmpy_inputs
+cosim.comparison | cosim.roads | cosim.scene_file
 cosim.crosschecks | cosim.tradeoff | cosim.extremes
-cosim.plots
+cosim.plots cosim.figures cosim.picture_files
+cosim.proof | cosim.ssp
 cosim
-cosim.cli cosim.commands
+cosim.cli cosim.commands cosim.arguments
 cosim.__main__
 """
 LAYERS = {

@@ -1,0 +1,5 @@
+"""Fixtures of the tests with other importers."""
+
+from riding import pair
+
+__all__ = ["pair"]
