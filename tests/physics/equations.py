@@ -46,9 +46,17 @@ class Equations:
         return np.array(self._linear(0.0, *self._columns(values))[0])
 
     def run(
-        self, stop_time: float, rtol: float = 1e-10, points: int = 201, **values: float
+        self,
+        stop_time: float,
+        rtol: float = 1e-10,
+        points: int = 201,
+        atol: float | None = None,
+        **values: float,
     ) -> dict[str, Vector]:
-        """Integrate with SciPy's DOP853; return every variable and `time` at equal steps."""
+        """Integrate with SciPy's DOP853; return every variable and `time` at equal steps.
+
+        The absolute tolerance is `rtol` times the nominal values when None.
+        """
         start, u, p = self._columns(values)
         nominal = np.array([v.nominal for v in self.dae.states])
         times = np.linspace(0.0, stop_time, points)
@@ -59,7 +67,7 @@ class Equations:
             method="DOP853",
             t_eval=times,
             rtol=rtol,
-            atol=rtol * nominal,
+            atol=rtol * nominal if atol is None else atol,
         )
         assert solution.success, solution.message
         rows = []

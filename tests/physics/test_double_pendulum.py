@@ -42,8 +42,9 @@ def pendulum(request, formulations):
 
 @pytest.fixture(scope="module")
 def default_runs(formulations):
+    # absolute tolerance of `cosim.simulate`: a hundredth of the relative one, in SI units
     return {
-        name: equations.run(10.0, rtol=1e-11, points=101, **started(equations))
+        name: equations.run(10.0, rtol=1e-11, atol=1e-13, points=101, **started(equations))
         for name, equations in formulations.items()
     }
 
@@ -234,7 +235,7 @@ def test_conical_motion_is_steady(pendulum):
 def test_invariants_hold_to_the_tolerance_over_the_default_run(default_runs):
     for run in default_runs.values():
         for name in ("energy", "angular_momentum_z", "w1_z", "w2_z"):
-            assert run[name] == pytest.approx(run[name][0], rel=1e-9)  # measured 1.5e-10
+            assert run[name] == pytest.approx(run[name][0], rel=1e-9)  # measured 3.4e-10
 
 
 def test_formulations_agree_at_the_tip_over_the_default_run(default_runs):
@@ -289,7 +290,7 @@ def test_a_gap_in_a_joint_closes_with_its_double_root(formulations):
     at = ({name: values[k] for name, values in run.items()} for k in range(len(run["time"])))
     gaps = np.array([joint_gaps(values) for values in at])
     decay = (1 + run["time"]) * np.exp(-run["time"])  # g'' + 2 g' + g = 0 from rest
-    np.testing.assert_allclose(gaps, np.outer(decay, gaps[0]), rtol=0, atol=1e-9)  # measured 4e-12
+    np.testing.assert_allclose(gaps, np.outer(decay, gaps[0]), rtol=0, atol=1e-9)  # measured 7e-12
 
 
 @pytest.mark.parametrize("offset", [10.0**-k for k in range(1, 13)])
@@ -299,7 +300,7 @@ def test_near_singular_start_gives_the_motion_of_the_quaternions(formulations, o
     for name in ("quaternion", "euler_313_axial"):
         equations = formulations[name]
         ends.append(tip(equations.run(2.0, rtol=1e-9, points=3, **started(equations, **start))))
-    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-8)  # m; measured 2e-10
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-8)  # m; measured 6e-10
 
 
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "rosenbrock"])
@@ -318,7 +319,8 @@ def test_passing_the_singularity_ends_accurate_or_refused(formulations, solver, 
             start=start,
             compiled=False,
         )
-    except SolverError:
+    except SolverError:  # only rosenbrock at 1e-12 and 0
+        assert (solver, miss < 1e-9) == ("rosenbrock", True)
         return
     np.testing.assert_allclose(tip(run), reference, rtol=0, atol=3e-6)  # m; measured 5e-7
 
@@ -346,7 +348,7 @@ def test_vanishing_diameter_and_fast_spin_stay_regular(pendulum):
     assert np.isfinite([pendulum(**thin)[name] for name in UNITS]).all()
     assert rates["w1_z"] == rates["w2_z"] == 0
     run = pendulum.run(0.5, rtol=1e-9, points=11, **started(pendulum, w1_z0=1e3, w2_z0=-1e3))
-    assert run["energy"] == pytest.approx(run["energy"][0], rel=1e-8)  # measured 8e-10
+    assert run["energy"] == pytest.approx(run["energy"][0], rel=1e-8)  # measured 2e-9
 
 
 def test_equations_of_motion_cost_no_more_than_recorded(pendulum):
