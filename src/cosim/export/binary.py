@@ -1,4 +1,4 @@
-"""Shared libraries read as files: which processor they are for, and what they export.
+"""Shared libraries as files: which processor they are for, what they export, and fat ones.
 
 Libraries of other platforms cannot be loaded here, and those of strangers should not be.
 
@@ -7,12 +7,13 @@ References:
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 _ELF_PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64", 0x03: "x86"}
 _PE_PROCESSORS = {0x8664: "x86_64", 0xAA64: "aarch64", 0x14C: "x86"}
 _MACH_PROCESSORS = {0x01000007: "x86_64", 0x0100000C: "aarch64"}
+_FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _DYNAMIC_SYMBOLS = 11  # SHT_DYNSYM
 _SYMBOL_TABLE = 2  # LC_SYMTAB
 
@@ -49,13 +50,34 @@ def read_libraries(content: bytes) -> tuple[Library, ...]:
             return tuple(_mach(content[start : start + size]) for _, _, start, size, _ in places)
         if content[:4] == b"\xcf\xfa\xed\xfe":
             return (_mach(content),)
-    except (struct.error, IndexError, KeyError) as error:
+    except (struct.error, IndexError, KeyError, StopIteration) as error:
         raise ValueError(f"it is damaged or for an unknown processor ({error!r})") from error
     raise ValueError("it is no shared library for Linux, Windows or macOS")
 
 
+def fat_library(libraries: Sequence[bytes]) -> bytes:
+    """Return one Mach-O file of libraries for several processors, as `lipo -create` makes it.
+
+    Raises:
+        ValueError: One of them is no Mach-O library.
+    """
+    page = 1 << _FAT_ALIGNMENT
+    header, body = struct.pack(">2I", 0xCAFEBABE, len(libraries)), b""
+    for content in libraries:
+        if content[:4] != b"\xcf\xfa\xed\xfe":
+            raise ValueError("only Mach-O libraries can be put into one file")
+        processor, model = struct.unpack_from("<2I", content, 4)
+        start = page + len(body)
+        header += struct.pack(">5I", processor, model, start, len(content), _FAT_ALIGNMENT)
+        body += content + bytes(-len(content) % page)
+    return header.ljust(page, b"\0") + body
+
+
 def _text(content: bytes, start: int) -> str:
-    return content[start : content.index(b"\0", start)].decode("ascii", "replace")
+    end = content.find(b"\0", start)
+    if end < 0:
+        raise IndexError(start)
+    return content[start:end].decode("ascii", "replace")
 
 
 def _elf(content: bytes) -> Library:
@@ -95,7 +117,7 @@ def _pe(content: bytes) -> Library:
     def place(address: int) -> int:
         for size, virtual, raw_size, raw in sections:
             if virtual <= address < virtual + max(size, raw_size):
-                return address - virtual + raw
+                return int(address - virtual + raw)
         raise IndexError(address)
 
     if not directory:
@@ -114,6 +136,8 @@ def _mach(content: bytes) -> Library:
     place = 32
     for _ in range(count):
         command, size = struct.unpack_from("<2I", content, place)
+        if not size:
+            raise IndexError(place)
         if command == _SYMBOL_TABLE:
             symbols, amount, names, _ = struct.unpack_from("<4I", content, place + 8)
             for i in range(amount):

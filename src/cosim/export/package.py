@@ -3,27 +3,27 @@
 import hashlib
 import io
 import os
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 
 from casadi_models.dae import Dae
-from cosim.compile import compile_library, find_compiler
-from cosim.errors import ExportError, UnknownName
+from cosim.errors import ExportError, ParameterError, UnknownName
 from cosim.export import description2, description3
+from cosim.export.build import binaries
+from cosim.export.check import check_fmu
 from cosim.export.documentation import documentation_page
 from cosim.export.identifier import model_identifier
-from cosim.export.platforms import Platform, native_platform
+from cosim.export.platforms import NATIVE, targets
 from cosim.export.sources import equations, model_header, variable_table
 from cosim.export.structure import Identity
 from cosim.export.variables import dependencies, fmu_variables
-from cosim.files import write_atomically
+from cosim.files import refuse_unwritable, write_atomically
 from cosim.resources import cache_folder, runtime_sources
+from cosim.values import number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 VERSIONS = {2: description2, 3: description3}
@@ -37,6 +37,7 @@ def export_fmu(
     fmi: int = 2,
     identifier: str | None = None,
     outputs: Sequence[str] | None = None,
+    platforms: Sequence[str] = (NATIVE,),
     tolerance: float = TOLERANCE,
 ) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
@@ -47,6 +48,8 @@ def export_fmu(
         fmi: Version of FMI: 2 (FMI 2.0) or 3 (FMI 3.0).
         identifier: Model name in the FMU; `MODEL_FORMULATION` when None.
         outputs: What importers record; everything observable when None.
+        platforms: What it runs on: "native" (this machine), "linux64", "win64", "darwin64",
+            "aarch64-linux" (FMI 3.0) or "all".
         tolerance: Relative tolerance that the FMU recommends.
 
     Returns:
@@ -54,22 +57,29 @@ def export_fmu(
 
     Raises:
         ExportError: The name is no C name, or the file cannot be written.
-        UnknownName: The model has no such output, or FMI no such version.
-        MissingTool: There is no C compiler.
+        UnknownName: The model has no such output, or FMI no such version or platform.
+        ParameterError: The tolerance is not within 1e-13 ... 0.1.
+        MissingTool: There is no C compiler, or it fails.
     """
     if fmi not in VERSIONS:
         raise UnknownName.among("cosim", "FMI version", str(fmi), map(str, VERSIONS))
     path = Path(target)
+    refuse_unwritable(path)  # before anything has been computed
     name = model_identifier(identifier or dae.full_name)
+    chosen = targets(platforms, fmi)
+    if not 1e-13 <= number("export", "tolerance", tolerance) <= 0.1:
+        raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
     if outputs is not None:
         dae = _observing(dae, outputs)
-    if not path.parent.is_dir() or path.is_dir():
-        write_atomically(path, b"")  # refuses, before anything has been computed
     files = source_files(dae, name, tolerance, fmi)
-    platform = native_platform()
-    binary = compiled_binary(files, name, platform)
-    inside = f"binaries/{platform.folder(fmi)}/{name}{platform.suffix}"
-    return write_atomically(path, _archive(files | {inside: binary}))
+    sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
+    content = zipped(files | binaries(sources, name, chosen))
+    if problems := check_fmu(io.BytesIO(content)):
+        raise ExportError(
+            f"{path} is not written, as it would not be sound: {'; '.join(problems)}; "
+            f"remove what {cache_folder()} holds and try again"
+        )
+    return write_atomically(path, content)
 
 
 def source_files(dae: Dae, name: str, tolerance: float, fmi: int) -> dict[str, bytes]:
@@ -104,44 +114,6 @@ def _belongs(file: str, fmi: int) -> bool:
     return not file.startswith("fmi") or file.startswith(f"fmi{fmi}")
 
 
-def compiled_binary(files: dict[str, bytes], name: str, platform: Platform) -> bytes:
-    """Return the content of the shared library, compiled unless the cache has it.
-
-    Raises:
-        MissingTool: There is no compiler, or it fails.
-    """
-    sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
-    command = platform.command or find_compiler()
-    digest = hashlib.sha256(repr((command, platform)).encode())
-    for file in sorted(sources):
-        digest.update(file.encode() + sources[file])
-    cached = cache_folder() / f"{digest.hexdigest()[:32]}{platform.suffix}"
-    if cached.exists():
-        return cached.read_bytes()
-    cached.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="build-", dir=cached.parent) as build:
-        for file, content in sources.items():
-            (Path(build) / file).write_bytes(content)
-        library = compile_library(
-            sorted(Path(build).glob("*.c")),
-            Path(build) / f"{name}{platform.suffix}",
-            include=[fmi_headers()],
-            options=[f"-ffile-prefix-map={build}=.", *platform.options],
-            command=command,
-        )
-        content = library.read_bytes()
-        library.replace(cached)
-    return content
-
-
-def fmi_headers() -> Path:
-    """Return the folder of the FMI headers, which come with FMPy."""
-    found = find_spec("fmpy")
-    if found is None or not found.submodule_search_locations:
-        raise ExportError("the FMI headers come with fmpy, which is missing; pip install fmpy")
-    return Path(found.submodule_search_locations[0]) / "c-code"
-
-
 def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:
     names = [v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables)]
     for name in outputs:
@@ -150,7 +122,8 @@ def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:
     return replace(dae, observed=tuple(outputs))
 
 
-def _archive(files: dict[str, bytes]) -> bytes:
+def zipped(files: dict[str, bytes]) -> bytes:
+    """Return an archive with these files, the same bytes for the same content."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in sorted(files.items()):

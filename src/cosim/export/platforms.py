@@ -1,52 +1,125 @@
-"""Where an FMU's binary can run: folder names of FMI, and how to compile for them."""
+"""Where an FMU's binaries run: FMI's names, and how to compile for each place.
+
+The machine's own platform takes whatever compiler it has; all others, and its own by name, take
+the one in the package `ziglang`, which brings the headers and libraries of every system along.
+"""
 
 import platform as machine
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 
-from cosim.errors import ExportError
+from cosim.errors import ExportError, MissingTool, UnknownName
 
 # FMI functions alone are visible; no contraction of a * b + c, so that all machines agree.
 _PORTABLE = ("-std=c11", "-fvisibility=hidden", "-ffp-contract=off")
+_SUFFIX = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
+_FMI2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 
 
 @dataclass(frozen=True)
-class Platform:
-    """A platform by FMI's names.
+class Target:
+    """One processor and system that code is compiled for.
 
     Attributes:
-        folder2, folder3: Below `binaries/` in FMUs of FMI 2.0 and 3.0.
-        suffix: Of the shared library.
-        options: Of the compiler.
-        command: The compiler; the machine's own when None.
+        processor: "x86_64" or "aarch64".
+        system: "linux", "windows" or "darwin".
+        triple: What the bundled compiler calls it; empty for the machine's own compiler.
     """
 
-    folder2: str
-    folder3: str
-    suffix: str
-    options: tuple[str, ...] = _PORTABLE
-    command: tuple[str, ...] | None = None
+    processor: str
+    system: str
+    triple: str = ""
+
+    @property
+    def suffix(self) -> str:
+        """Of a shared library."""
+        return _SUFFIX[self.system]
 
     def folder(self, fmi: int) -> str:
-        """Return the folder's name in a version of FMI."""
-        return self.folder2 if fmi == 2 else self.folder3
+        """Return the folder's name below `binaries/` in a version of FMI."""
+        return _FMI2[self.system] if fmi == 2 else f"{self.processor}-{self.system}"
+
+    def command(self) -> tuple[str, ...] | None:
+        """Return the compiler; None for the machine's own.
+
+        Raises:
+            MissingTool: The bundled compiler is not installed.
+        """
+        if not self.triple:
+            return None
+        if find_spec("ziglang") is None:
+            raise MissingTool(
+                f"compiling for {self.processor}-{self.system} needs the compiler in ziglang; "
+                "bring it with: pip install 'cosim-rigid[zig]'"
+            )
+        return (sys.executable, "-m", "ziglang", "cc", "-target", self.triple)
+
+    def options(self, library: str) -> tuple[str, ...]:
+        """Return the compiler's options for a library of this name."""
+        place = f"-Wl,-install_name,@rpath/{library}"
+        return (*_PORTABLE, place) if self.system == "darwin" else _PORTABLE
 
 
-def native_platform() -> Platform:
-    """Return the platform of this machine.
+# The oldest systems that the compiler's own libraries serve: glibc 2.17 (2012), macOS 10.15 and,
+# for its first processors of the kind, 11.
+PLATFORMS: dict[str, tuple[Target, ...]] = {
+    "linux64": (Target("x86_64", "linux", "x86_64-linux-gnu.2.17"),),
+    "win64": (Target("x86_64", "windows", "x86_64-windows-gnu"),),
+    "darwin64": (
+        Target("x86_64", "darwin", "x86_64-macos.10.15"),
+        Target("aarch64", "darwin", "aarch64-macos.11.0"),
+    ),
+    "aarch64-linux": (Target("aarch64", "linux", "aarch64-linux-gnu.2.17"),),
+}
+NATIVE = "native"
+ALL = "all"
+
+
+def targets(names: Sequence[str], fmi: int) -> dict[str, tuple[Target, ...]]:
+    """Return what to compile for platforms, by the folder that it goes to.
+
+    Args:
+        names: Of `PLATFORMS`, "native" or "all".
+        fmi: Version of FMI; FMI 2.0 has one folder for both processors of macOS, and none for
+            Linux on other processors than x86.
+
+    Raises:
+        UnknownName: There is no such platform.
+        ExportError: FMI has no name for it, or two of them share a folder.
+    """
+    chosen: dict[str, tuple[Target, ...]] = {}
+    if not names:
+        raise ExportError("an FMU needs a platform; name one, or leave the choice out")
+    for name in dict.fromkeys(names):
+        if name not in (*PLATFORMS, NATIVE, ALL):
+            raise UnknownName.among("cosim export", "platform", name, (NATIVE, ALL, *PLATFORMS))
+        every = [n for n in PLATFORMS if fmi > 2 or n != "aarch64-linux"]
+        for one in every if name == ALL else [name]:
+            if one == "aarch64-linux" and fmi == 2:
+                raise ExportError("FMI 2.0 has no folder for aarch64-linux; use --fmi 3")
+            for target in (native_target(),) if one == NATIVE else PLATFORMS[one]:
+                folder = target.folder(fmi)
+                chosen[folder] = (*chosen.get(folder, ()), target)
+    for folder, members in chosen.items():
+        processors = [target.processor for target in members]
+        if len(set(processors)) < len(processors):
+            raise ExportError(f"'{NATIVE}' and '{folder}' are one folder here; name one of them")
+    return chosen
+
+
+def native_target() -> Target:
+    """Return this machine.
 
     Raises:
         ExportError: FMI has no name for it.
     """
-    bits = "64" if sys.maxsize > 2**32 else "32"
-    systems = {
-        "linux": ("linux", "linux", ".so"),
-        "win32": ("win", "windows", ".dll"),
-        "darwin": ("darwin", "darwin", ".dylib"),
-    }
-    if sys.platform not in systems:
-        raise ExportError(f"FMI knows no platform {sys.platform} ({machine.machine()})")
-    old, new, suffix = systems[sys.platform]
+    systems = {"linux": "linux", "win32": "windows", "darwin": "darwin"}
     processor = machine.machine().lower()
-    architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(processor, processor)
-    return Platform(old + bits, f"{architecture}-{new}", suffix)
+    processor = {"amd64": "x86_64", "arm64": "aarch64"}.get(processor, processor)
+    if sys.platform not in systems or processor not in ("x86_64", "aarch64"):
+        raise ExportError(f"there is no FMU platform for {sys.platform} on {processor}")
+    if sys.maxsize < 2**32:
+        raise ExportError("FMUs are made by a 64-bit Python; this one has 32 bits")
+    return Target(processor, systems[sys.platform])

@@ -1,0 +1,132 @@
+"""`modelDescription.xml` of FMI 2.0 and 3.0, read into one form for the checks.
+
+Variables are known by their position in the file. Texts stay texts: whether they are numbers is
+for the checks to say.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+_SECTIONS = {
+    "2": {"Outputs": "Outputs", "Derivatives": "Derivatives", "InitialUnknowns": "InitialUnknowns"},
+    "3": {
+        "Outputs": "Output",
+        "Derivatives": "ContinuousStateDerivative",
+        "InitialUnknowns": "InitialUnknown",
+    },
+}
+REAL = ("Real", "Float64", "Float32")
+
+
+@dataclass(frozen=True)
+class Described:
+    """A variable as the file describes it; what is missing is None.
+
+    Attributes:
+        name, kind, causality, variability, initial: As in FMI; `kind` is the type of its values.
+        reference: The value reference.
+        derivative_of: Position of the state; -1 where there is no such variable.
+        texts: The attributes min, max, nominal, start, unit, displayUnit.
+    """
+
+    name: str
+    kind: str
+    causality: str
+    variability: str
+    initial: str | None
+    reference: str
+    derivative_of: int | None
+    texts: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An entry of the model structure: positions of the unknown and of what it depends on.
+
+    -1 stands for what the file does not describe; `needs` is None where nothing is declared.
+    """
+
+    position: int
+    needs: tuple[int, ...] | None
+
+
+@dataclass(frozen=True)
+class Description:
+    """A model description.
+
+    Attributes:
+        version: "2" or "3".
+        root: The whole file.
+        interfaces: Attributes of ModelExchange and CoSimulation, as far as offered.
+        token: GUID or instantiation token.
+        variables: In the order of the file.
+        sections: Outputs, Derivatives, InitialUnknowns.
+    """
+
+    version: str
+    root: ET.Element
+    interfaces: Mapping[str, Mapping[str, str]]
+    token: str
+    variables: tuple[Described, ...]
+    sections: Mapping[str, tuple[Unknown, ...]]
+
+
+def parse(content: bytes) -> Description:
+    """Read a model description of FMI 2.0 or 3.0.
+
+    Raises:
+        ValueError: It is not well-formed or of another version.
+    """
+    try:
+        root = ET.fromstring(content)
+    except ET.ParseError as error:
+        raise ValueError(f"not well-formed: {error}") from error
+    version = root.get("fmiVersion", "")
+    if version != "2.0" and not version.startswith("3.0"):
+        raise ValueError(f"fmiVersion is '{version}'; 2.0 and 3.0 can be checked")
+    major = version[0]
+    found = {name: root.find(name) for name in ("ModelExchange", "CoSimulation")}
+    listed = list(root.find("ModelVariables") or ())
+    by_reference = {element.get("valueReference"): i for i, element in enumerate(listed)}
+
+    def position(text: str | None) -> int:
+        """Find a variable by index (FMI 2) or value reference (FMI 3)."""
+        if major == "3":
+            return by_reference.get(text, -1)
+        index = int(text) if text and text.isascii() and text.isdigit() else 0
+        return index - 1 if index <= len(listed) else -1
+
+    def unknown(element: ET.Element) -> Unknown:
+        needs = element.get("dependencies")
+        places = None if needs is None else tuple(position(word) for word in needs.split())
+        return Unknown(position(element.get("index" if major == "2" else "valueReference")), places)
+
+    def described(element: ET.Element) -> Described:
+        facts = element if major == "3" else next(iter(element), ET.Element("nothing"))
+        kind, state = facts.tag, facts.get("derivative")
+        return Described(
+            element.get("name", ""),
+            kind,
+            element.get("causality", "local"),
+            element.get("variability", "continuous" if kind in REAL else "discrete"),
+            element.get("initial"),
+            element.get("valueReference", ""),
+            None if state is None else position(state),
+            dict(facts.attrib),
+        )
+
+    structure = root.find("ModelStructure")
+    tables: dict[str, tuple[Unknown, ...]] = {}
+    for name, tag in _SECTIONS[major].items():
+        path = f"{tag}/Unknown" if major == "2" else tag
+        elements = [] if structure is None else structure.findall(path)
+        tables[name] = tuple(unknown(element) for element in elements)
+    return Description(
+        major,
+        root,
+        {name: element.attrib for name, element in found.items() if element is not None},
+        root.get("guid" if major == "2" else "instantiationToken", ""),
+        tuple(described(element) for element in listed),
+        tables,
+    )
