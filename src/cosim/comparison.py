@@ -7,6 +7,7 @@ import numpy as np
 
 from cosim.errors import UsageError
 from cosim.trajectory import Trajectory
+from cosim.values import number
 
 
 @dataclass(frozen=True)
@@ -67,15 +68,19 @@ def compare(
         without: Names to leave out.
 
     Raises:
-        UsageError: The runs have no variable in common, or other output times.
+        ParameterError: The bound is not a positive number.
+        UsageError: The runs have no variable in common, no output times or other ones.
     """
+    number("compare", "bound", bound, positive=True)
     names = [name for name in first.names if name in second.names and name not in without]
     if not names:
         raise UsageError(f"{first.model} and {second.model} have no variable in common")
     _refuse_other_times(first, second)
     differences = []
     for name in names:
-        gap = np.abs(first[name] - second[name]) / first.column(name).nominal
+        with np.errstate(invalid="ignore"):  # infinity less infinity
+            gap = np.abs(first[name] - second[name]) / first.column(name).nominal
+        gap = np.where(np.isnan(gap), np.inf, gap)  # what is not a number agrees with nothing
         at = int(np.argmax(gap))
         differences.append(Difference(name, float(gap[at]), float(first.time[at])))
     differences.sort(key=lambda difference: -difference.scaled)
@@ -83,6 +88,8 @@ def compare(
 
 
 def _refuse_other_times(first: Trajectory, second: Trajectory) -> None:
+    if not len(first):
+        raise UsageError(f"{_label(first)} has no output times; there is nothing to compare")
     if len(first) != len(second):
         raise UsageError(
             f"{_label(first)} has {len(first)} output times, {_label(second)} has {len(second)}; "

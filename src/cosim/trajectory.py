@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TextIO
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import MissingTool, UnknownName
+from cosim.errors import MissingTool, UnknownName, UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,7 +33,7 @@ class Column:
     meaning: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class Trajectory:
     """Values of variables over time, in SI units.
 
@@ -43,6 +44,9 @@ class Trajectory:
         values: One column per variable, (n, len(columns)).
         stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
+
+    Raises:
+        UsageError: The shapes do not fit, or a variable occurs twice.
     """
 
     model: str
@@ -53,8 +57,19 @@ class Trajectory:
     status: str = "complete"
 
     def __post_init__(self) -> None:
-        for array in (self.time, self.values):
+        for name in ("time", "values"):
+            array = np.array(getattr(self, name), dtype=float)
             array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if self.time.ndim != 1 or self.values.shape != (len(self.time), len(self.columns)):
+            raise UsageError(
+                f"{self.model}: {len(self.columns)} variables, but time of shape {self.time.shape} "
+                f"and values of shape {self.values.shape}; give (n,) and (n, {len(self.columns)})"
+            )
+        names = ("time", *self.names)
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise UsageError(f"{self.model}: '{twice}' is recorded twice; name it once")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,10 +106,15 @@ class Trajectory:
         return len(self.time)
 
     def select(self, names: Sequence[str]) -> Trajectory:
-        """Return the same run with these variables only, in this order."""
+        """Return the same run with these variables only, in this order.
+
+        Raises:
+            UnknownName: One was not recorded.
+            UsageError: One is named twice.
+        """
         chosen = [self._index(name) for name in names]
         columns = tuple(self.columns[i] for i in chosen)
-        return replace(self, columns=columns, values=self.values[:, chosen].copy())
+        return replace(self, columns=columns, values=self.values[:, chosen])
 
     @property
     def structured(self) -> NDArray[Any]:
@@ -105,13 +125,16 @@ class Trajectory:
             table[name] = values
         return table
 
-    def to_csv(self, target: str | TextIO) -> None:
-        """Write `time` and every variable with 17 digits; a file name is written at once or not.
+    def to_csv(self, target: str | os.PathLike[str] | TextIO) -> None:
+        """Write `time` and every variable with 17 significant digits.
 
         Args:
             target: File name, replaced atomically, or an open text file.
+
+        Raises:
+            ExportError: The file cannot be written.
         """
-        if not isinstance(target, str):
+        if not isinstance(target, str | os.PathLike):
             self._write_csv(target)
             return
         from cosim.files import write_atomically  # only where a file is wanted
