@@ -265,6 +265,8 @@ def _observe(
     dae: Dae, time: Vector, states: Vector, z0: Vector, u: Vector, p: Vector, compiled: bool
 ) -> Vector:
     """Evaluate algebraic unknowns and outputs from the states; one row per time."""
+    if not len(time):
+        return np.empty((0, len(_all_columns(dae))))
     observe = _observer(dae)
     if compiled and len(time) > 1:
         (observe,) = solvers.external([observe], solvers.cache_key("observe", observe), ["observe"])
