@@ -10,11 +10,13 @@
    model_outputs            t, x, z, u, p                         -> y
    model_directional        t, x, z, u, p, seed_x, seed_u, seed_p, seed_t -> sens_dx, sens_z, sens_y
    model_adjoint            t, x, z, u, p, seed_dx, seed_z, seed_y -> sens_x, sens_u, sens_p, sens_t
+   model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
    model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
 
    The two start derivatives are of x as function of the exact starts and p: calculated entries
    of seed_x (directional) and of sens_x (adjoint) have no influence. model_directional and
-   model_adjoint see z as function of the rest. model_step integrates from t to t + h with the
+   model_adjoint see z as function of the rest, and so does model_jacobian: derivatives of dx and z
+   with respect to x and u, column by column, dense. model_step integrates from t to t + h with the
    inputs u + s du, s from 0 to 1. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
@@ -31,11 +33,11 @@ enum { MOST_ARGUMENTS = 9, MOST_RESULTS = 4 };
 
 Equation model_start, model_start_directional, model_start_adjoint;
 Equation model_algebraic, model_ode, model_outputs;
-Equation model_directional, model_adjoint, model_step;
+Equation model_directional, model_adjoint, model_jacobian, model_step;
 
 WorkSize model_start_work, model_start_directional_work, model_start_adjoint_work;
 WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
-WorkSize model_directional_work, model_adjoint_work, model_step_work;
+WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
 
 #if defined __GNUC__ && !defined _WIN32
 #pragma GCC visibility pop

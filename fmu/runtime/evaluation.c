@@ -89,7 +89,10 @@ static Status renew(Instance *self, unsigned result) {
     case START_VALUES: return settle_start(self);
     case ALGEBRAICS: return solve_algebraics(self);
     case DERIVATIVES: return compute(self, model_ode, values + FIRST_DERIVATIVE, "derivatives");
-    default: return compute(self, model_outputs, values + FIRST_OUTPUT, "outputs");
+    case OUTPUTS: return compute(self, model_outputs, values + FIRST_OUTPUT, "outputs");
+    default:
+        self->res[1] = self->jacobian + NX * (NX + NU);
+        return compute(self, model_jacobian, self->jacobian, "Jacobian");
     }
 }
 
@@ -97,8 +100,8 @@ static Status renew(Instance *self, unsigned result) {
    nothing is lost, and the importer may shorten its step. */
 Status refresh(Instance *self, unsigned results) {
     if (results & AFTER_START) results |= START_VALUES;
-    if (results & (DERIVATIVES | OUTPUTS)) results |= ALGEBRAICS;
-    for (unsigned result = START_VALUES; result <= OUTPUTS; result <<= 1) {
+    if (results & (DERIVATIVES | OUTPUTS | JACOBIAN)) results |= ALGEBRAICS;
+    for (unsigned result = START_VALUES; result <= JACOBIAN; result <<= 1) {
         if (!(results & self->state.stale & result)) continue;
         const Status status = renew(self, result);
         if (status != OK) return status;

@@ -15,7 +15,8 @@ static const double LOOSEST_TOLERANCE = 0.1;
 static WorkSize *const work_sizes[] = {
     model_start_work,       model_start_directional_work, model_start_adjoint_work,
     model_algebraic_work,   model_ode_work,               model_outputs_work,
-    model_directional_work, model_adjoint_work,           model_step_work,
+    model_directional_work, model_adjoint_work,           model_jacobian_work,
+    model_step_work,
 };
 
 typedef struct {
@@ -67,7 +68,8 @@ Instance *create(const Host *host, const char *function, const char *name, const
 
     const Room room = work_room();
     const size_t name_size = strlen(name) + 1;
-    const size_t size = sizeof(Instance) + room.arg * sizeof *draft.arg +
+    const size_t jacobian = (NX + NZ) * (NX + NU);
+    const size_t size = sizeof(Instance) + jacobian * sizeof(double) + room.arg * sizeof *draft.arg +
                         room.res * sizeof *draft.res + room.iw * sizeof *draft.iw +
                         room.w * sizeof *draft.w + name_size;
     Instance *self = host->allocate(1, size);
@@ -78,7 +80,8 @@ Instance *create(const Host *host, const char *function, const char *name, const
     *self = draft;
     self->magic = MAGIC;
     self->categories = logging ? UINT32_MAX : 0;
-    self->w = (double *)(self + 1);
+    self->jacobian = (double *)(self + 1);
+    self->w = self->jacobian + jacobian;
     self->iw = (long long *)(self->w + room.w);
     self->arg = (const double **)(self->iw + room.iw);
     self->res = (double **)(self->arg + room.arg);

@@ -45,7 +45,8 @@ enum {
     ALGEBRAICS = 1 << 1,
     DERIVATIVES = 1 << 2,
     OUTPUTS = 1 << 3,
-    AFTER_START = ALGEBRAICS | DERIVATIVES | OUTPUTS,
+    JACOBIAN = 1 << 4,
+    AFTER_START = ALGEBRAICS | DERIVATIVES | OUTPUTS | JACOBIAN,
     EVERYTHING = START_VALUES | AFTER_START
 };
 
@@ -58,7 +59,7 @@ typedef struct {
     double tolerance;           /* relative, of co-simulation */
     uint32_t interface;         /* MODEL_EXCHANGE or CO_SIMULATION */
     uint32_t mode;              /* one of INSTANTIATED ... FAULTY */
-    uint32_t stale;             /* of START_VALUES ... OUTPUTS */
+    uint32_t stale;             /* of START_VALUES ... JACOBIAN */
     uint32_t experiment_set;    /* start time and tolerance are settled */
     uint32_t slopes_spent;      /* they belong to a step that is over */
     uint32_t step_status;       /* of the last communication step */
@@ -83,6 +84,7 @@ struct Instance {
     const char *name;
     const char *function; /* the FMI function that runs, for messages */
     uint32_t categories;  /* log categories that are on, a bit each */
+    double *jacobian;     /* of dx, then of z, with respect to x and u; columns */
     const double **arg;   /* work space of the equations */
     double **res;
     long long *iw;

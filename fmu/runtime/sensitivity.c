@@ -45,12 +45,15 @@ static Status run(Instance *self, Equation *equation) {
     return OK;
 }
 
+static Status refuse_not_finite(Instance *self, uint32_t reference, double value) {
+    return refuse(self, DISCARD, "the derivative of %s is %g", variables[reference].name, value);
+}
+
 static Status gather(Instance *self, const uint32_t references[], size_t count,
                      const double results[], double values[]) {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(results[references[i]]))
-            return refuse(self, DISCARD, "the derivative of %s is %g",
-                          variables[references[i]].name, results[references[i]]);
+            return refuse_not_finite(self, references[i], results[references[i]]);
     for (size_t i = 0; i < count; i++) values[i] = results[references[i]];
     return OK;
 }
@@ -100,6 +103,39 @@ static Status push_forward(Instance *self, double seed[]) {
     return status;
 }
 
+/* Does the Jacobian of dx and z with respect to x and u answer? It costs as much as two or three
+   columns on their own, is kept until a setter makes it stale, and serves importers that ask column
+   by column. */
+static bool in_jacobian(const Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                        const uint32_t knowns[], size_t n_knowns) {
+    if (starting(self) || n_knowns != 1) return false;
+    const Role known_role = variables[knowns[0]].role;
+    if (known_role != STATE && known_role != INPUT) return false;
+    for (size_t i = 0; i < n_unknowns; i++) {
+        const Role role = variables[unknowns[i]].role;
+        if (role != DERIVATIVE && role != ALGEBRAIC) return false;
+    }
+    return true;
+}
+
+static Status column_of_jacobian(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                                 uint32_t known_reference, double seed, double sensitivity[]) {
+    const Status status = refresh(self, JACOBIAN);
+    if (status != OK) return status;
+    const bool is_state = variables[known_reference].role == STATE;
+    const size_t column =
+        is_state ? known_reference - FIRST_STATE : known_reference - FIRST_INPUT + NX;
+    const double *dx = self->jacobian + column * NX;
+    const double *z = self->jacobian + NX * (NX + NU) + column * NZ;
+    for (size_t i = 0; i < n_unknowns; i++) {
+        const uint32_t k = unknowns[i];
+        const bool is_rate = variables[k].role == DERIVATIVE;
+        sensitivity[i] = seed * (is_rate ? dx[k - FIRST_DERIVATIVE] : z[k - FIRST_ALGEBRAIC]);
+        if (!isfinite(sensitivity[i])) return refuse_not_finite(self, k, sensitivity[i]);
+    }
+    return OK;
+}
+
 /* Jacobian of the unknowns with respect to the knowns, times the seed of the knowns. */
 Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
                    const uint32_t knowns[], size_t n_knowns, const double seed[],
@@ -109,6 +145,8 @@ Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
     if (n_knowns > 0 && !seed) return refuse(self, ERROR, "the seed is missing");
     if (n_unknowns > 0 && !sensitivity) return refuse(self, ERROR, "there is no room for results");
 
+    if (in_jacobian(self, unknowns, n_unknowns, knowns, n_knowns))
+        return column_of_jacobian(self, unknowns, n_unknowns, knowns[0], seed[0], sensitivity);
     double along[N_VARIABLES] = {0};
     for (size_t i = 0; i < n_knowns; i++) along[knowns[i]] += seed[i];
     if (starting(self)) status = spread_to_starts(self, along);

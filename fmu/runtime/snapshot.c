@@ -102,6 +102,7 @@ Status take_snapshot(Instance *self, void **snapshot) {
     const char *reason = *snapshot ? foreign(self, &copy->header) : NULL;
     if (reason) return reject(self, reason);
     copy->state = self->state;
+    copy->state.stale |= JACOBIAN; /* it is not part of the state */
     copy->header = header_of(self, &copy->state);
     *snapshot = copy;
     return OK;

@@ -1,5 +1,7 @@
 """Directional derivatives against finite differences of the values the FMU itself gives."""
 
+from ctypes import byref
+
 import numpy as np
 import pytest
 from harness import DISCARD, ERROR, OK, reals
@@ -45,6 +47,29 @@ def test_in_continuous_time_the_jacobian_of_states_and_inputs_is_exact(me):
     evaluate(KNOWNS)
     error = np.abs(jacobian(me, UNKNOWNS, KNOWNS) - expected).max()
     assert error < 1e-9  # of the differences; measured 1.5e-10
+
+
+def test_the_kept_jacobian_follows_every_setter_and_every_restored_state(me):
+    me.initialize()
+    me("EnterContinuousTimeMode")
+    rates = UNKNOWNS[:6]
+
+    def columns_agree():
+        columns = jacobian(me, rates, KNOWNS)  # one known each: columns of the kept Jacobian
+        runs = [directional(me, rates, [k, k], [0.25, 0.75]) for k in KNOWNS]  # seeds: run anew
+        np.testing.assert_allclose(columns, np.column_stack(runs), rtol=0, atol=1e-13)
+        return columns
+
+    first, snapshot = columns_agree(), me.take()
+    assert me.set(q=2.0) == OK
+    assert not np.array_equal(columns_agree(), first)
+    assert me("SetContinuousStates", reals(0.5, 0.1, 0.2, 0.3), 4) == OK
+    columns_agree()
+    assert me.set(force=0.5) == me("SetTime", 0.7) == OK
+    columns_agree()
+    assert me("SetFMUstate", snapshot) == OK
+    assert np.array_equal(columns_agree(), first)
+    assert me("FreeFMUstate", byref(snapshot)) == OK
 
 
 def test_time_can_be_a_known(me):

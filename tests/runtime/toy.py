@@ -158,8 +158,13 @@ def _contract(m: Equations) -> list[ca.Function]:
         ca.Function("model_outputs", known, [m.y]),
         ca.Function("model_directional", [*known, *along], forward),
         ca.Function("model_adjoint", [*known, *weights], ca.vertsplit(backward, sizes)),
+        ca.Function("model_jacobian", known, [_dense(ode, m), _dense(solved, m)]),
         _step_function(m),
     ]
+
+
+def _dense(results: SX, m: Equations) -> SX:
+    return ca.densify(ca.jacobian(results, ca.vertcat(m.x, m.u)))
 
 
 def _cumulated(*columns: SX) -> list[int]:

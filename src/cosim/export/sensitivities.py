@@ -14,6 +14,7 @@ def sensitivity_functions(dae: Dae) -> list[ca.Function]:
     return [
         directional_function(dae),
         adjoint_function(dae),
+        jacobian_function(dae),
         start_directional_function(dae),
         start_adjoint_function(dae),
     ]
@@ -47,6 +48,21 @@ def directional_function(dae: Dae) -> ca.Function:
     sens_z = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
     sens_ode, sens_outputs = explicit(*arguments, sens_z)
     return ca.Function("model_directional", arguments, [sens_ode, sens_z, sens_outputs])
+
+
+def jacobian_function(dae: Dae) -> ca.Function:
+    """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense."""
+    call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
+    blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+    arguments = [_like(symbol) for symbol in call]
+    ode_known, ode_z, alg_known, alg_z = ca.Function("blocks", call, blocks, {"cse": True})(
+        *arguments
+    )
+    if not dae.algebraics:
+        return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
+    z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
+    total = ca.densify(ode_known + ode_z @ z_known)
+    return ca.Function("model_jacobian", arguments, [total, z_known])
 
 
 def adjoint_function(dae: Dae) -> ca.Function:
