@@ -15,6 +15,10 @@ _INDEPENDENT = "phi_dot thetaR_dot delta_dot"
 _DEPENDENT = "psi_dot theta_dot thetaF_dot"
 _RESIDUALS = "loop_closure slip_1 slip_2 slip_3"
 
+# Double root with which a gap to the ground closes and slip dies out, 1/s (Baumgarte, 1972). At 0
+# they add up, beyond 1 little is gained; docs/bicycle.md has the figures.
+CLOSING_RATE = 1.0
+
 
 def independent() -> Dae:
     """Return the ODE in three independent speeds, the dependent ones eliminated: 11 states."""
@@ -59,7 +63,10 @@ def multipliers() -> Dae:
 
     # In N, so that the multipliers are the components of the ground's force
     system = replace(moving.system, constraints=moving.C_to_N @ moving.W_to_C @ moving.slip)
-    model.equation(kane.multiplier_equations(system, u_dot, front))
+    slip = system.at_rest(system.constraints)  # its part along N3 is the rate of the closure
+    closing = 2 * CLOSING_RATE * slip + ca.vertcat(0, 0, CLOSING_RATE**2 * moving.closure)
+    residual = kane.multiplier_equations(system, u_dot, front)
+    model.equation(residual + ca.vertcat(SX.zeros(u.numel()), closing))
     model.derivative(ca.vertcat(q, u, path), ca.vertcat(u, u_dot, moving.path_rate))
 
     rolling = replace(moving.system, free=u[:3], dependent=u[3:], constraints=moving.slip)

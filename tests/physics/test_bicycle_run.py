@@ -66,6 +66,20 @@ def test_energy_and_constraints_drift_no_more_than_the_tolerance_allows(run):
         assert np.abs(run[name]).max() < RTOL  # m, m/s; measured up to 0.09
 
 
+def test_multipliers_bring_a_slipping_wheel_above_the_ground_back(bikes):
+    bike = bikes["multipliers"]
+    start = {"theta": 1e-3, "theta_dot": 1e-3, "thetaF_dot": -13.0}
+    run = bike.run(20.0, RTOL, **start)
+    t, gap, rate = run["time"], run["loop_closure"][0], bike.rates(**start)["loop_closure"]
+    # Critically damped with a time constant of 1 s, as declared; a gap of 1 mm at first
+    expected = (gap + (rate + gap) * t) * np.exp(-t)
+    np.testing.assert_allclose(
+        run["loop_closure"], expected, rtol=0, atol=1e-11
+    )  # m; measured 9e-13
+    for name in ("slip_1", "slip_2", "slip_3"):
+        assert abs(run[name][-1]) < 1e-7 * abs(run[name][0])  # measured up to 5e-9
+
+
 def test_formulations_agree_over_the_run(runs, bikes):
     reference = runs["multipliers"]
     variables = {v.name: v for v in bikes["independent"].dae.variables}
