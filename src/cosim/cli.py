@@ -22,6 +22,7 @@ _EXAMPLES = """examples:
   cosim simulate crank_shaft --stop-time 1 --output-file crank.csv
   cosim simulate bicycle -p phi_dot=30deg/s --outputs phi,delta
   cosim export bicycle/multipliers -o bicycle.fmu
+  cosim plot bicycle_model_1.toml --output-file bicycle.pdf
   cosim crosscheck crank_shaft bar_on_frame bicycle
 
 exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ,
@@ -70,30 +71,39 @@ def _parser() -> argparse.ArgumentParser:
     info = verbs.add_parser("info", parents=[common], help="variables and equations of a model")
     info.add_argument("model", metavar="MODEL")
 
-    simulate = verbs.add_parser(
-        "simulate", parents=[common, run, values], help="one run of a model or an FMU, as CSV"
-    )
-    simulate.add_argument("model", metavar="MODEL|FILE.fmu")
+    simulate = verbs.add_parser("simulate", parents=[common, run, values], help="one run, as CSV")
+    simulate.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     _solver_options(simulate)
     simulate.add_argument("--output-file", metavar="FILE", help="CSV; standard output by default")
 
     export = verbs.add_parser("export", parents=[common], help="write a model as an FMU")
-    export.add_argument("model", metavar="MODEL")
+    export.add_argument("model", metavar="MODEL|SCENE.toml")
     export.add_argument("-o", "--output-file", metavar="FILE.fmu", help="MODEL.fmu by default")
     export.add_argument("--fmi", default="2", metavar="2|3", help="version of FMI; 2")
-    export.add_argument("--outputs", metavar="A,B", help="what importers record; all by default")
+    export.add_argument(
+        "--platform",
+        default="native",
+        metavar="A,B",
+        help="native, linux64, win64, darwin64, aarch64-linux, all; native by default",
+    )
+    export.add_argument("--outputs", metavar="A,B", help="what to compute; all by default")
 
     crosscheck = verbs.add_parser(
         "crosscheck", parents=[common, run], help="the same run on every road, and the differences"
     )
-    crosscheck.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
+    crosscheck.add_argument("models", metavar="MODEL|SCENE.toml", nargs="*", help="all by default")
     crosscheck.add_argument("--bound", type=float, metavar="B", help="in nominal values; 1e-6")
 
     plot = verbs.add_parser(
         "plot", parents=[common, run, values], help="a run as curves, to a window or a file"
     )
-    plot.add_argument("model", metavar="MODEL|FILE.fmu")
+    plot.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     _solver_options(plot)
+    plot.add_argument(
+        "--compare",
+        metavar="ROAD",
+        help="draw a second run and the difference: fmu, fmu-me, fmu-cs, a solver, a formulation",
+    )
     plot.add_argument("--output-file", metavar="FILE", help="PNG, SVG or PDF; a window by default")
     return parser
 
@@ -118,7 +128,7 @@ def _run_options() -> _Parser:
 def _value_options() -> _Parser:
     values = _Parser(add_help=False)
     values.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
-    values.add_argument("--outputs", metavar="A,B", help="what to record; everything by default")
+    values.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
     values.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
     )

@@ -8,19 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import casadi_models
-from casadi_models.dae import Dae, Start, Variable
+from casadi_models.dae import Start, Variable
+from cosim.arguments import named_scene, scene_from, start_numbers
 from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.loading import load
+from cosim.roads import run_scene, scene_dae, variant
+from cosim.scene import Scene
+from cosim.scene_file import scene_summaries
 from cosim.trajectory import Trajectory
-from cosim.values import quantity
 
 
 def do_list(args: argparse.Namespace) -> int:
-    """Show every model and formulation: `cosim list`."""
-    rows = []
+    """Show every model and formulation, and the shipped scenes: `cosim list`."""
+    models = []
     for name in casadi_models.CATALOG:
         dae = load(name)
-        rows.append(
+        models.append(
             {
                 "model": name,
                 "states": len(dae.states),
@@ -30,7 +33,13 @@ def do_list(args: argparse.Namespace) -> int:
                 "description": dae.description,
             }
         )
-    _show(args, rows)
+    scenes = list(scene_summaries())
+    if args.json:
+        print(json.dumps({"models": models, "scenes": scenes}, indent=1))
+        return 0
+    _show(args, models)
+    print("\nscenes, for simulate, export, crosscheck and plot")
+    _show(args, scenes)
     return 0
 
 
@@ -67,14 +76,8 @@ def do_info(args: argparse.Namespace) -> int:
 
 def do_simulate(args: argparse.Namespace) -> int:
     """Run a model or an FMU: `cosim simulate MODEL|FILE.fmu`."""
-    code = 0
-    try:
-        run = _run(args)
-    except SolverError as error:
-        if error.partial is None:
-            raise
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        run, code = error.partial, error.exit_code
+    scene = _scene(args)
+    run, code = _run_or_partial(args, scene)
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
@@ -82,50 +85,65 @@ def do_simulate(args: argparse.Namespace) -> int:
     else:
         run.to_csv(args.output_file or sys.stdout)
     if args.verbose:
+        for line in scene_dae(scene).report if scene else ():
+            print(line, file=sys.stderr)
         print(", ".join(f"{key} {value}" for key, value in run.stats.items()), file=sys.stderr)
     return code
 
 
 def do_export(args: argparse.Namespace) -> int:
-    """Write a model as an FMU: `cosim export MODEL -o FILE.fmu`."""
-    from cosim.export import export_fmu
+    """Write a model or a scene as an FMU: `cosim export MODEL|SCENE.toml -o FILE.fmu`."""
+    from cosim.proof import export_with_proof
 
     if args.fmi not in ("2", "3"):
         raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
-    dae = load(args.model)
-    identifier = None if ".py:" in args.model else args.model
-    name = (identifier or dae.full_name).replace("/", "_")
-    outputs = args.outputs.split(",") if args.outputs else None
-    path = export_fmu(
+    scene = scene_from(args)
+    dae = scene_dae(scene)
+    name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
+    path = export_with_proof(
         dae,
         args.output_file or f"{name}.fmu",
         fmi=int(args.fmi),
-        identifier=identifier,
-        outputs=outputs,
+        identifier=name,
+        platforms=args.platform.split(","),
     )
+    if args.verbose:
+        print(*dae.report, sep="\n", file=sys.stderr)
+    if scene.inputs and not args.quiet:
+        told = ", ".join(scene.inputs.names)
+        print(f"{told}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
     if not args.quiet:
         print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
     return 0
 
 
 def do_crosscheck(args: argparse.Namespace) -> int:
-    """Compare all roads and formulations: `cosim crosscheck [MODEL...]`."""
-    from cosim.crosschecks import BOUND, TOLERANCE, crosscheck
+    """Compare all roads and formulations: `cosim crosscheck [MODEL|SCENE.toml|FILE.fmu...]`."""
+    from itertools import chain
+
+    from cosim.crosschecks import BOUND, crosscheck
+    from cosim.proof import check_file
     from cosim.values import number
 
     bound = (
         BOUND if args.bound is None else number("crosscheck", "bound", args.bound, positive=True)
     )
-    rows = []
-    for check in crosscheck(
-        args.models or None,
+    files = [name for name in args.models if name.endswith(".fmu")]
+    items = [
+        named_scene(name) if name.endswith(".toml") else name
+        for name in args.models
+        if name not in files
+    ]
+    models = crosscheck(
+        items or None,
         stop_time=args.stop_time,
         output_interval=args.output_interval,
-        relative_tolerance=TOLERANCE
-        if args.relative_tolerance is None
-        else args.relative_tolerance,
+        relative_tolerance=args.relative_tolerance,
         bound=bound,
-    ):
+    )
+    rows = []
+    proofs = chain.from_iterable(map(check_file, files))
+    for check in chain(proofs, models if items or not files else ()):
         row = check.row()
         rows.append(row)
         if not args.quiet:
@@ -136,83 +154,71 @@ def do_crosscheck(args: argparse.Namespace) -> int:
 
 
 def do_plot(args: argparse.Namespace) -> int:
-    """Draw a run: `cosim plot MODEL`."""
-    from cosim.plots import save, show
+    """Draw a run, or two and their difference: `cosim plot MODEL|SCENE.toml|FILE.fmu`."""
+    from cosim.figures import default_specs, draw_figures
+    from cosim.picture_files import picture_format, save, show
 
-    figure = _run(args).plot()
     if args.output_file:
-        save(figure, args.output_file)
+        picture_format(args.output_file)  # refuses before anything has been computed
+    scene = _scene(args)
+    run, code = _run_or_partial(args, scene)
+    if args.compare:
+        other = _compared(args, scene)
+        specs = (scene and scene.figures) or default_specs(run, other)
+        figures = draw_figures(specs, run, other)
     else:
-        show(figure)
-    return 0
+        figures = draw_figures(scene.figures, run) if scene and scene.figures else [run.plot()]
+    if not args.output_file:
+        show(figures)
+        return code
+    for path in save(figures, args.output_file):
+        if not args.quiet:
+            print(path, file=sys.stderr)
+    return code
 
 
-def _run(args: argparse.Namespace) -> Trajectory:
-    tolerance = (
-        {} if args.relative_tolerance is None else {"relative_tolerance": args.relative_tolerance}
-    )
-    outputs = args.outputs.split(",") if args.outputs else None
-    span = {"stop_time": args.stop_time, "output_interval": args.output_interval}
-    if args.model.endswith(".fmu"):
-        from cosim.fmpy_run import simulate_fmu
-
-        for option in ("solver", "absolute_tolerance", "step_size"):
-            if getattr(args, option) is not None:
-                raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
-        return simulate_fmu(
-            args.model,
-            interface=args.interface_type,
-            start_time=args.start_time,
-            start=_numbers(args),
-            outputs=outputs,
-            **span,
-            **tolerance,
-        )
-    from cosim.integrate import simulate
-
-    dae = load(args.model)
-    return simulate(
-        dae,
-        start_time=args.start_time or 0.0,
-        solver=args.solver,
-        absolute_tolerance=args.absolute_tolerance,
-        step_size=args.step_size,
-        start=_numbers(args, dae),
-        outputs=outputs,
-        compiled=False if args.interpreted else None,
-        **span,
-        **tolerance,
-    )
+def _scene(args: argparse.Namespace) -> Scene | None:
+    """Return the scene that a command line asks for; None for an FMU."""
+    return None if args.model.endswith(".fmu") else scene_from(args)
 
 
-def _numbers(args: argparse.Namespace, dae: Dae | None = None) -> dict[str, float]:
-    """Read `-p NAME=VALUE[UNIT]` and `--start-values NAME VALUE ...`."""
-    words = args.start_values
-    if len(words) % 2:
-        raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
-    pairs = [*zip(words[::2], words[1::2], strict=True)]
-    for item in args.values:
-        name, equals, text = item.partition("=")
-        if not equals:
-            raise UsageError(f"-p {item}: write NAME=VALUE[UNIT]")
-        pairs.append((name, text))
-    numbers: dict[str, float] = {}
-    for name, text in pairs:
-        if name in numbers:
-            raise UsageError(f"{name} is given twice; give it once")
-        numbers[name] = quantity(text, _variable(dae, name))
-    return numbers
-
-
-def _variable(dae: Dae | None, name: str) -> Variable:
-    if dae is None:  # of an FMU: numbers only, in its own units
-        return Variable(name, "1", "start value", 0.0)
+def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
+    """Return a run and its exit code; of a failed run, what was computed."""
     try:
-        return dae.variable(name)
-    except KeyError:
-        known = [v.name for v in (*dae.states, *dae.parameters, *dae.inputs)]
-        kind = "state, parameter or input"
-        raise UnknownName.among(dae.full_name, kind, name, known) from None
+        return _run(args, scene), 0
+    except SolverError as error:
+        if error.partial is None or not len(error.partial):
+            raise
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return error.partial, error.exit_code
+
+
+def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
+    if scene is not None:
+        return run_scene(scene, compiled=False if args.interpreted else None)
+    from cosim.fmpy_run import simulate_fmu
+
+    for option in ("solver", "absolute_tolerance", "step_size"):
+        if getattr(args, option) is not None:
+            raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
+    return simulate_fmu(
+        args.model,
+        interface=args.interface_type,
+        start_time=args.start_time,
+        stop_time=args.stop_time,
+        output_interval=args.output_interval,
+        relative_tolerance=args.relative_tolerance,
+        start=start_numbers(args, None),
+        outputs=args.outputs.split(",") if args.outputs else None,
+    )
+
+
+def _compared(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
+    """Return the run that `--compare` asks for."""
+    if scene is None:
+        raise UsageError("--compare is for models and scenes; an FMU has one road only")
+    other, road = variant(scene, args.compare)
+    return run_scene(other, road, compiled=False if args.interpreted else None)
 
 
 def _facts(variable: Variable) -> dict[str, Any]:

@@ -77,9 +77,10 @@ def drive_co_simulation(
     def driven_step(begin: float, length: float) -> Any:
         inner = (series.time > begin) & (series.time < begin + length)
         inner &= ~np.isclose(series.time, begin) & ~np.isclose(series.time, begin + length)
-        kinks = series.time[inner] if abilities.canHandleVariableCommunicationStepSize else []
+        if not abilities.canHandleVariableCommunicationStepSize:
+            inner[:] = False
         result = None
-        for a, b in pairwise([begin, *map(float, kinks), begin + length]):
+        for a, b in pairwise([begin, *series.time[inner].tolist(), begin + length]):
             first, middle, last = series.at(np.array([a, (a + b) / 2, b])).T
             set_real(references, (first if slopes else middle).tolist())
             if slopes:
@@ -95,7 +96,6 @@ def drive_co_simulation(
 
 
 def _setter(instance: Any) -> Callable[[Sequence[int], list[float]], None]:
-    setter: Callable[[Sequence[int], list[float]], None] = getattr(
-        instance, "setReal", getattr(instance, "setFloat64", None)
-    )
+    setter: Callable[[Sequence[int], list[float]], None]
+    setter = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
     return setter

@@ -3,7 +3,7 @@
 import csv
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
@@ -59,6 +59,12 @@ class InputSeries:
     def at(self, times: Vector) -> Vector:
         """Return the values at some times, (len(names), n)."""
         return np.array([np.interp(times, self.time, column) for column in self.values.T])
+
+    def only(self, names: Collection[str]) -> "InputSeries | None":
+        """Return the series of those inputs that are named; None when none of them is."""
+        left = [i for i, name in enumerate(self.names) if name in names]
+        kept = tuple(self.names[i] for i in left)
+        return InputSeries(kept, self.time, self.values[:, left]) if left else None
 
 
 def read_inputs(path: str | os.PathLike[str], dae: Dae) -> InputSeries:

@@ -2,18 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from casadi_models.units import UNITS
-from cosim.errors import UnknownName
-from cosim.files import write_atomically
 from cosim.trajectory import Column, Trajectory
 
-FORMATS = ("png", "svg", "pdf")
 MOST_PANELS = 24
 
 
@@ -33,12 +29,13 @@ def plot_trajectory(run: Trajectory, names: Sequence[str] | None = None) -> Figu
     figure = Figure(figsize=(4.2 * across, 2.3 * down + 0.4), layout="constrained")
     axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
     for axis, column in zip(axes, shown.columns, strict=False):
-        axis.plot(shown.time, in_display_unit(shown[column.name], column), linewidth=1.2)
+        values = in_display_unit(shown[column.name], column)
+        axis.plot(shown.time, values, linewidth=1.2)
         axis.set_title(column.meaning or column.name, fontsize=9)
         axis.set_ylabel(f"{column.name} [{column.display_unit or column.unit}]", fontsize=9)
         axis.grid(alpha=0.4)
         axis.tick_params(labelsize=8, labelbottom=True)
-        _keep_constant_lines_flat(axis, shown[column.name], column)
+        keep_constant_flat(axis, values, float(in_display_unit(np.array(column.nominal), column)))
     for axis in axes[len(shown.columns) :]:
         axis.set_visible(False)
     for axis in axes[max(0, len(shown.columns) - across) : len(shown.columns)]:
@@ -55,40 +52,15 @@ def in_display_unit(values: np.ndarray, column: Column) -> np.ndarray:
     return values * UNITS[column.unit].factor / UNITS[column.display_unit].factor
 
 
-def save(figure: Figure, target: str) -> None:
-    """Write a figure as PNG, SVG or PDF, by the ending of the name; whole or not at all.
+def keep_constant_flat(axis: Axes, values: np.ndarray, nominal: float) -> None:
+    """Widen the range around constant curves, whose numerical errors would fill the panel.
 
-    Raises:
-        UnknownName: The ending is another one.
-        ExportError: The file cannot be written.
+    Args:
+        axis: Where they are drawn.
+        values: What is drawn, (n,) or (n, curves), in the unit of the axis.
+        nominal: Typical size, in the same unit.
     """
-    import io
-
-    kind = Path(target).suffix.lstrip(".").lower()
-    if kind not in FORMATS:
-        raise UnknownName.among(target, "picture format", kind, FORMATS)
-    content = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "cosim"}):
-        figure.savefig(content, format=kind, dpi=120)
-    write_atomically(target, content.getvalue())
-
-
-def show(figure: Figure) -> None:
-    """Show a figure in a window until it is closed."""
-    import matplotlib.pyplot as plt
-
-    window = plt.figure(figsize=figure.get_size_inches())
-    manager = window.canvas.manager
-    if manager is not None:
-        figure.set_canvas(manager.canvas)
-        manager.canvas.figure = figure
-    plt.show()
-
-
-def _keep_constant_lines_flat(axis: object, values: np.ndarray, column: Column) -> None:
-    """Widen the range around a constant, whose rounding errors would fill the panel."""
-    span = float(np.ptp(values))
-    if span < 1e-9 * max(column.nominal, float(np.abs(values).max())):
-        middle = float(in_display_unit(values[:1], column)[0])
-        margin = 0.1 * abs(middle) or 1.0
-        axis.set_ylim(middle - margin, middle + margin)  # type: ignore[attr-defined]
+    if np.ptp(values) < max(1e-9 * nominal, 1e-6 * float(np.abs(values).max())):
+        middle = float(values.flat[0])
+        margin = 0.1 * abs(middle) if abs(middle) > 1e-9 * nominal else nominal
+        axis.set_ylim(middle - margin, middle + margin)

@@ -93,6 +93,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         observed=tuple(outputs),
         x_start=tuple(frozen.x_start[i] for i in states),
     )
+    small = replace(small, limits=_kept_limits(small))
     return replace(small, report=tuple(_report(dae, small, freeze)))
 
 
@@ -118,13 +119,15 @@ def _freeze(dae: Dae, names: Collection[str]) -> Dae:
     for i, parameter in enumerate(dae.parameters):
         if parameter.name in names:
             values[i] = parameter.start or 0.0
-    fixed = ca.substitute([dae.ode, dae.alg, dae.outputs], [dae.p], [values])
+    margins = ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
+    fixed = ca.substitute([dae.ode, dae.alg, dae.outputs, margins], [dae.p], [values])
     rules = tuple(
         replace(rule, expression=ca.substitute(rule.expression, dae.p, values))
         for rule in dae.start_rules
     )
-    ode, alg, outputs = (ca.densify(column) for column in fixed)
-    return replace(dae, ode=ode, alg=alg, outputs=outputs, start_rules=rules)
+    ode, alg, outputs, margins = (ca.densify(column) for column in fixed)
+    limits = tuple((margins[i], meaning) for i, (_, meaning) in enumerate(dae.limits))
+    return replace(dae, ode=ode, alg=alg, outputs=outputs, start_rules=rules, limits=limits)
 
 
 def _closure(
@@ -184,6 +187,17 @@ def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX],
     )
 
 
+def _kept_limits(small: Dae) -> tuple[tuple[SX, str], ...]:
+    """Return the limits that can still be evaluated: they keep no variable alive."""
+    symbols = ca.symvar(ca.vertcat(small.t, small.x, small.z, small.u, small.p))
+    known = {symbol.element_hash() for symbol in symbols}
+    return tuple(
+        (margin, meaning)
+        for margin, meaning in small.limits
+        if all(symbol.element_hash() in known for symbol in ca.symvar(margin))
+    )
+
+
 def _used(expression: SX, variables: SX) -> list[int]:
     used = _pattern(expression, variables).any(axis=0)
     return [int(i) for i in np.flatnonzero(used)]
@@ -216,6 +230,9 @@ def _report(full: Dae, small: Dae, freeze: Collection[str]) -> Iterator[str]:
         gone = [v.name for v in before if v.name not in names and v.name not in freeze]
         if gone:
             yield f"{what}: {len(before)} -> {len(after)}; {', '.join(gone)}: {why}"
+    after = {meaning for _, meaning in small.limits}
+    if gone := [meaning for _, meaning in full.limits if meaning not in after]:
+        yield f"limits: {len(full.limits)} -> {len(after)}; not watched: {'; '.join(gone)}"
     everything = ca.vertcat(small.ode, small.alg, small.outputs)
     if not ca.depends_on(everything, small.t):
         yield "time: the equations do not depend on it"

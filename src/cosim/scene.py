@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from casadi_models.dae import Dae, Start, Variable
 from cosim.errors import ParameterError
 from cosim.inputs import InputSeries
+from cosim.values import assign
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class FigureSpec:
         title: What stands above it.
         panels: Names of variables, a tuple for each panel.
         x: What the curves are drawn over; "time", or a variable for a path.
+        x_label: What stands at the horizontal axis; the variable's name when empty.
         equal: Whether one metre is as long on both axes.
         labels: What stands at the vertical axes, one per panel; the variables' names when empty.
         legends: What the curves are called, a tuple for each panel; their meaning when empty.
@@ -54,6 +56,7 @@ class FigureSpec:
     title: str
     panels: tuple[tuple[str, ...], ...]
     x: str = "time"
+    x_label: str = ""
     equal: bool = False
     labels: tuple[str, ...] = ()
     legends: tuple[tuple[str, ...], ...] = ()
@@ -78,6 +81,9 @@ class Scene:
         outputs: What shall be computed; everything when empty.
         settings: Span, solver and tolerances.
         figures: What `cosim plot` draws.
+
+    Raises:
+        UnknownName, ParameterError, InitialConditionError: A value does not fit; see `assign`.
     """
 
     name: str
@@ -88,6 +94,9 @@ class Scene:
     outputs: tuple[str, ...] = ()
     settings: Settings = Settings()
     figures: tuple[FigureSpec, ...] = ()
+
+    def __post_init__(self) -> None:
+        assign(self.dae, self.values)
 
     def configured(self) -> Dae:
         """Return the full model with the scene's values and span as its own.

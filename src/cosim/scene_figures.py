@@ -37,6 +37,7 @@ def _figure(
         title=typed(table["title"], str, "a text", file.at(*here, "title")),
         panels=text_rows(table["panels"], file.at(*here, "panels")),
         x=typed(table.get("x", "time"), str, "a variable's name", file.at(*here, "x")),
+        x_label=typed(table.get("x_label", ""), str, "a text", file.at(*here, "x_label")),
         equal=typed(table.get("equal", False), bool, "true or false", file.at(*here, "equal")),
         labels=texts(table.get("labels", []), file.at(*here, "labels")),
         legends=text_rows(table.get("legends", []), file.at(*here, "legends")),

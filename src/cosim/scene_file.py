@@ -1,7 +1,7 @@
 """`read_scene`: from a TOML file to a `Scene`; what is wrong in it is named with its line."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,20 +43,15 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     outputs = _outputs(file, dae)
     constants, series = _inputs(file, dae)
     values = {
-        **_values(file, "parameters", dae, dae.parameters),
-        **_values(file, "start", dae, dae.states),
+        **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
+        **_values(file, "start", _table(file, "start"), dae, dae.states),
         **constants,
     }
-    return Scene(
-        name=file.path.stem,
-        dae=dae,
-        title=_text(file, "title") if "title" in file.data else "",
-        values=values,
-        inputs=series,
-        outputs=outputs,
-        settings=_settings(file),
-        figures=read_figures(file, dae, outputs),
-    )
+    settings = _settings(file)
+    figures = read_figures(file, dae, outputs)
+    title = _text(file, "title") if "title" in file.data else ""
+    with file.naming():
+        return Scene(file.path.stem, dae, title, values, series, outputs, settings, figures)
 
 
 def find_scene(path: str | os.PathLike[str]) -> Path:
@@ -73,6 +68,19 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
         near = UnknownName.among("the working directory or cosim", "scene", given.name, shipped)
         raise UnknownName(f"{near}; all are shown by: cosim list")
     return shipped[given.name]
+
+
+def scene_summaries() -> Iterator[dict[str, Any]]:
+    """Yield a line of facts on each shipped scene, without loading its model."""
+    for path in shipped_scenes():
+        data = read_toml(path).data
+        yield {
+            "scene": path.name,
+            "model": data["model"],
+            "outputs": len(data.get("outputs", ())) or "all",
+            "figures": len(data.get("figures", ())),
+            "title": data["title"],
+        }
 
 
 def _model(file: TomlFile) -> Dae:
@@ -102,12 +110,16 @@ def _outputs(file: TomlFile, dae: Dae) -> tuple[str, ...]:
 
 
 def _values(
-    file: TomlFile, table: str, dae: Dae, variables: Iterable[Variable]
+    file: TomlFile,
+    table: str,
+    entries: Mapping[str, Any],
+    dae: Dae,
+    variables: Iterable[Variable],
 ) -> dict[str, float]:
-    """Read a table of numbers in SI units, or of strings with units."""
+    """Read a table of numbers in SI units, or of texts with units."""
     known = {variable.name: variable for variable in variables}
     numbers: dict[str, float] = {}
-    for name, value in _table(file, table).items():
+    for name, value in entries.items():
         where = file.at(table, name)
         if name not in known:
             raise _misplaced(where, table, name, dae, known)
@@ -134,8 +146,7 @@ def _misplaced(
 def _inputs(file: TomlFile, dae: Dae) -> tuple[dict[str, float], InputSeries | None]:
     table = _table(file, "inputs")
     constants = {key: value for key, value in table.items() if key != "file"}
-    plain = TomlFile(file.path, {"inputs": constants}, file.lines, file.text)
-    values = _values(plain, "inputs", dae, dae.inputs)
+    values = _values(file, "inputs", constants, dae, dae.inputs)
     if "file" not in table:
         return values, None
     with file.naming("inputs", "file"):

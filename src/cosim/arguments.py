@@ -1,0 +1,81 @@
+"""From the words on the command line to a `Scene`: a model or a scene, and what overrides it."""
+
+import argparse
+from dataclasses import replace
+
+from casadi_models.dae import Dae, Variable
+from cosim.errors import UnknownName, UsageError
+from cosim.loading import load
+from cosim.roads import with_solver
+from cosim.scene import Scene
+from cosim.scene_file import read_scene
+from cosim.values import quantity
+
+_SETTINGS = (
+    "start_time",
+    "stop_time",
+    "output_interval",
+    "relative_tolerance",
+    "absolute_tolerance",
+    "step_size",
+)
+
+
+def scene_from(args: argparse.Namespace) -> Scene:
+    """Return the scene that a command line asks for; its options override the scene's file.
+
+    Raises:
+        CosimError: The model, the scene or an option is wrong; see `read_scene` and `load`.
+    """
+    scene = named_scene(args.model)
+    given = {key: getattr(args, key, None) for key in _SETTINGS}
+    changes = {key: value for key, value in given.items() if value is not None}
+    if getattr(args, "solver", None):
+        scene = with_solver(scene, args.solver)
+    scene = replace(scene, settings=replace(scene.settings, **changes))
+    if args.outputs:
+        scene = replace(scene, outputs=tuple(args.outputs.split(",")), figures=())
+    numbers = start_numbers(args, scene.dae) if "values" in args else {}
+    varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
+    inputs = scene.inputs and scene.inputs.only(varying)
+    return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+
+
+def named_scene(name: str) -> Scene:
+    """Return the scene of a file `NAME.toml`, or a model as a scene without settings."""
+    return read_scene(name) if name.endswith(".toml") else Scene(name, load(name))
+
+
+def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
+    """Read `-p NAME=VALUE[UNIT]` and `--start-values NAME VALUE ...`; no units without a model.
+
+    Raises:
+        UsageError, ParameterError: Something is not written like that, or is given twice.
+        UnknownName: The model has no such variable.
+    """
+    words = args.start_values
+    if len(words) % 2:
+        raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
+    pairs = [*zip(words[::2], words[1::2], strict=True)]
+    for item in args.values:
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise UsageError(f"-p {item}: write NAME=VALUE[UNIT]")
+        pairs.append((name, text))
+    numbers: dict[str, float] = {}
+    for name, text in pairs:
+        if name in numbers:
+            raise UsageError(f"{name} is given twice; give it once")
+        numbers[name] = quantity(text, _variable(dae, name))
+    return numbers
+
+
+def _variable(dae: Dae | None, name: str) -> Variable:
+    if dae is None:  # of an FMU: numbers only, in its own units
+        return Variable(name, "1", "start value", 0.0)
+    try:
+        return dae.variable(name)
+    except KeyError:
+        known = [v.name for v in (*dae.states, *dae.parameters, *dae.inputs)]
+        kind = "state, parameter or input"
+        raise UnknownName.among(dae.full_name, kind, name, known) from None

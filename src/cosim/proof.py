@@ -1,0 +1,134 @@
+"""An FMU that carries its own proof: a reference result, how near the FMU comes, a picture.
+
+The reference is the run of road one, not of the FMU; `check_file` repeats the comparison anywhere.
+"""
+
+import csv
+import io
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadi_models.dae import Dae
+from cosim.comparison import compare
+from cosim.crosschecks import BOUND, Check, default_tolerance
+from cosim.errors import FmuError
+from cosim.export import export_fmu
+from cosim.export.package import zipped
+from cosim.files import refuse_unwritable, write_atomically
+from cosim.fmpy_run import INTERFACES, simulate_fmu
+from cosim.integrate import simulate
+from cosim.trajectory import Column, Trajectory
+
+REFERENCE = "documentation/reference.csv"
+MEASURED = "documentation/reference.json"
+MOST_ROWS = 101
+
+
+def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) -> Path:
+    """Export an FMU with a reference result, the measured difference from it, and a picture.
+
+    Args:
+        dae: The model.
+        target: The file, replaced when everything has succeeded.
+        options: See `export_fmu`.
+
+    Raises:
+        CosimError: See `export_fmu`, `simulate`, `simulate_fmu`.
+    """
+    refuse_unwritable(target)
+    tolerance = default_tolerance(dae)
+    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+        plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
+        run = _reference(dae, tolerance)
+        checks = _checks(plain, run, tolerance, BOUND)
+        measured = {check.road: check.comparison.worst for check in checks}
+        with zipfile.ZipFile(plain) as fmu:
+            files = {name: fmu.read(name) for name in fmu.namelist()}
+    text = io.StringIO(newline="")
+    run.to_csv(text)
+    facts = {
+        "model": run.model,
+        "solver": run.stats["solver"],
+        "relative_tolerance": tolerance,
+        "bound": BOUND,
+        "nominal": {column.name: column.nominal for column in run.columns},
+        "largest difference in nominal values": {
+            road: {"variable": worst.name, "difference": worst.scaled, "time": worst.time}
+            for road, worst in measured.items()
+        },
+    }
+    extra = {
+        REFERENCE: text.getvalue().encode(),
+        MEASURED: (json.dumps(facts, indent=1) + "\n").encode(),
+        "model.png": _picture(run),
+    }
+    return write_atomically(target, zipped(files | extra))
+
+
+def check_file(path: str | os.PathLike[str]) -> Iterator[Check]:
+    """Run an FMU through fmpy on every interface and compare with the reference inside it.
+
+    Raises:
+        FmuError: The file is no FMU, or carries no reference.
+    """
+    try:
+        with zipfile.ZipFile(path) as fmu:
+            table = fmu.read(REFERENCE).decode()
+            facts = json.loads(fmu.read(MEASURED))
+    except (OSError, zipfile.BadZipFile) as error:
+        raise FmuError(f"cannot read {path}: {error}") from error
+    except (KeyError, ValueError) as error:
+        raise FmuError(
+            f"{path} carries no reference result; export it with cosim export"
+        ) from error
+    tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
+    yield from _checks(path, _from_csv(table, facts), tolerance, bound)
+
+
+def _reference(dae: Dae, tolerance: float) -> Trajectory:
+    span, interval = dae.experiment.stop_time, dae.experiment.output_interval
+    return simulate(
+        dae,
+        output_interval=max(interval, span / (MOST_ROWS - 1)),
+        relative_tolerance=tolerance,
+        solver="rosenbrock" if dae.algebraics else "erk",
+        outputs=dae.observed,
+        compiled=False,
+    )
+
+
+def _checks(
+    path: str | os.PathLike[str], run: Trajectory, tolerance: float, bound: float
+) -> Iterator[Check]:
+    for interface in INTERFACES:
+        again = simulate_fmu(
+            path,
+            interface=interface,
+            stop_time=float(run.time[-1]),
+            output_interval=float(run.time[1] - run.time[0]),
+            relative_tolerance=tolerance,
+        )
+        difference = compare(run, again, bound=bound)
+        yield Check(run.model, f"fmpy {interface}", "reference", difference, dict(again.stats))
+
+
+def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:
+    head, *rows = csv.reader(io.StringIO(table))
+    numbers = np.array(rows, dtype=float)
+    columns = tuple(Column(name, nominal=facts["nominal"][name]) for name in head[1:])
+    stats = {"solver": facts["solver"]}
+    return Trajectory(facts["model"], numbers[:, 0].copy(), columns, numbers[:, 1:].copy(), stats)
+
+
+def _picture(run: Trajectory) -> bytes:
+    """Draw the first variables of the run: what an importer shows for the model."""
+    from cosim.picture_files import picture
+
+    return picture(run.plot(run.names[:6]), "png", dpi=60)

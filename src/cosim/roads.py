@@ -1,0 +1,151 @@
+"""A scene on any road: the one place that knows both of them."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from casadi_models.dae import Dae
+from cosim.errors import UnknownName
+from cosim.export import export_fmu
+from cosim.fmpy_run import simulate_fmu
+from cosim.inputs import InputSeries
+from cosim.integrate import simulate
+from cosim.loading import formulations, load, no_such_output, observable
+from cosim.reduction import reduce
+from cosim.scene import Scene
+from cosim.solvers import SOLVERS, Tolerance
+from cosim.trajectory import Trajectory
+
+FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
+
+
+def scene_dae(scene: Scene) -> Dae:
+    """Return the DAE that a scene requires: with its values, and reduced to its outputs.
+
+    Raises:
+        UnknownName: The model does not compute an output.
+    """
+    full = scene.configured()
+    return reduce(full, scene.outputs) if scene.outputs else full
+
+
+def run_scene(scene: Scene, road: str | None = None, *, compiled: bool | None = None) -> Trajectory:
+    """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
+
+    Args:
+        scene: What to run.
+        road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
+        compiled: Of CasADi's integrators, see `simulate`.
+
+    Raises:
+        CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
+    """
+    dae, settings = scene_dae(scene), scene.settings
+    if road is not None:
+        if road not in FMU_ROADS:
+            raise UnknownName.among("cosim", "road", road, FMU_ROADS)
+        with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+            path = export_fmu(dae, Path(folder) / "scene.fmu")
+            return run_fmu(scene, dae, path, FMU_ROADS[road])
+    relative = settings.relative_tolerance
+    return simulate(
+        dae,
+        start_time=settings.start_time,
+        stop_time=settings.stop_time,
+        solver=settings.solver,
+        relative_tolerance=Tolerance().relative if relative is None else relative,
+        absolute_tolerance=settings.absolute_tolerance,
+        step_size=settings.step_size,
+        inputs=_felt(scene, dae),
+        outputs=scene.outputs or None,
+        compiled=compiled,
+    )
+
+
+def run_fmu(scene: Scene, dae: Dae, path: Path, interface: str | None) -> Trajectory:
+    """Run the FMU that was made from the DAE of a scene.
+
+    Raises:
+        CosimError: See `simulate_fmu`.
+    """
+    settings = scene.settings
+    span = dae.experiment.stop_time
+    return simulate_fmu(
+        path,
+        interface=interface,
+        start_time=settings.start_time,
+        stop_time=settings.start_time + span if settings.stop_time is None else settings.stop_time,
+        output_interval=dae.experiment.output_interval,
+        relative_tolerance=settings.relative_tolerance,
+        inputs=_felt(scene, dae),
+        outputs=scene.outputs or None,
+    )
+
+
+def variant(scene: Scene, name: str) -> tuple[Scene, str | None]:
+    """Return a scene and a road that compute the same in another way, to compare with.
+
+    Args:
+        scene: What is compared.
+        name: A road ("fmu", "fmu-me", "fmu-cs"), a solver, or a formulation of the model.
+
+    Raises:
+        UnknownName: It is none of them, or that formulation lacks an output.
+    """
+    if name in FMU_ROADS:
+        return scene, name
+    if name in SOLVERS:
+        return with_solver(scene, name), None
+    others = other_formulations(scene)
+    if name in others:
+        return in_formulation(scene, others[name]), None
+    raise UnknownName.among(
+        f"{scene.name}: --compare", "road", name, (*FMU_ROADS, *SOLVERS, *others)
+    )
+
+
+def with_solver(scene: Scene, name: str) -> Scene:
+    """Return a scene with another solver; an adaptive one takes over no step size.
+
+    Raises:
+        UnknownName: There is no such solver.
+    """
+    if name not in SOLVERS:
+        raise UnknownName.among("cosim", "solver", name, SOLVERS)
+    step_size = None if SOLVERS[name].adaptive else scene.settings.step_size
+    return replace(scene, settings=replace(scene.settings, solver=name, step_size=step_size))
+
+
+def in_formulation(scene: Scene, model: str) -> Scene:
+    """Return a scene with another formulation of its model.
+
+    A solver that cannot integrate that formulation gives way to the default.
+
+    Raises:
+        UnknownName: The formulation lacks an output of the scene, or what the scene sets.
+    """
+    dae, settings = load(model), scene.settings
+    for name in scene.outputs:
+        if name not in observable(dae):
+            raise no_such_output(dae, name)
+    exact = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs) if v.start is not None}
+    for name in scene.values:
+        if name not in exact:
+            raise UnknownName(f"{model} cannot be given '{name}', which {scene.name} sets")
+    if dae.algebraics and settings.solver and not SOLVERS[settings.solver].solves_dae:
+        settings = replace(settings, solver=None, step_size=None)
+    return replace(scene, dae=dae, settings=settings)
+
+
+def other_formulations(scene: Scene) -> dict[str, str]:
+    """Return `MODEL/FORMULATION` of a scene's other formulations, by formulation."""
+    try:
+        every = formulations(scene.dae.name)
+    except UnknownName:  # a user's own model
+        return {}
+    return {e.partition("/")[2]: e for e in every if e != scene.dae.full_name}
+
+
+def _felt(scene: Scene, dae: Dae) -> InputSeries | None:
+    """Return the series of those inputs that a reduced model still has."""
+    return scene.inputs and scene.inputs.only({variable.name for variable in dae.inputs})
