@@ -26,11 +26,12 @@ TABLE = """
 cosim._fmu
 casadi_models
 cosim.errors
-cosim.files | cosim.inputs | cosim.loading | cosim.resources | cosim.toml_file | cosim.values
+cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources | cosim.toml_file | cosim.values
 cosim.trajectory
-cosim.archive | cosim.compile | cosim.consistent | cosim.generated | cosim.reduction | cosim.scene cosim.scene_figures
+cosim.archive | cosim.compile | cosim.consistent | cosim.generated
+cosim.reduction | cosim.scene cosim.scene_figures
 cosim.runge_kutta cosim.solvers cosim.integrate | cosim.export | cosim.fmpy_run cosim.fmpy_inputs
-cosim.comparison | cosim.roads | cosim.scene_file
+cosim.comparison | cosim.references | cosim.roads | cosim.scene_file
 cosim.crosschecks | cosim.tradeoff | cosim.extremes
 cosim.plots cosim.figures cosim.picture_files
 cosim.proof | cosim.ssp
