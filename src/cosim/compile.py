@@ -3,10 +3,12 @@
 The compiler is $CC, else cc, gcc, clang, else the one in the package `ziglang`.
 """
 
+import ctypes
 import hashlib
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -21,6 +23,11 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
 TIMEOUT = 600  # s, for one compiler call
 
+# Of generated code; hidden symbols can be inlined. In one long function, a Jacobian, -O2 takes
+# five times as long to compile as -O1 and gains nothing.
+_SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
+_HIDDEN = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
+
 _HOW = "install gcc or clang, or the bundled one: pip install 'cosim-rigid[zig]'"
 
 
@@ -31,7 +38,10 @@ def find_compiler() -> tuple[str, ...]:
         MissingTool: There is none, or $CC names none.
     """
     if chosen := os.environ.get("CC"):
-        command = shlex.split(chosen)
+        try:
+            command = shlex.split(chosen)
+        except ValueError as error:
+            raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
         if not command or shutil.which(command[0]) is None:
             raise MissingTool(f"CC names '{chosen}', which is not there; unset CC, or {_HOW}")
         return tuple(command)
@@ -44,10 +54,16 @@ def find_compiler() -> tuple[str, ...]:
 
 
 def has_compiler() -> bool:
-    """Tell whether code can be compiled here."""
+    """Tell whether code can be compiled here.
+
+    Raises:
+        MissingTool: $CC names a compiler that is not there.
+    """
     try:
         find_compiler()
     except MissingTool:
+        if os.environ.get("CC"):
+            raise
         return False
     return True
 
@@ -76,11 +92,15 @@ def compile_library(
     arguments = [*FLAGS, *(f"-I{folder}" for folder in include), *options]
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), "-lm"]
     try:
-        done = subprocess.run(call, capture_output=True, text=True, timeout=TIMEOUT, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
+        failed, output = _call(call)
+    except subprocess.TimeoutExpired as error:
+        raise MissingTool(
+            f"{compiler[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"
+        ) from error
+    except OSError as error:
         raise MissingTool(f"{compiler[0]} could not be run: {error}; {_HOW}") from error
-    if done.returncode:
-        tail = "\n".join((done.stderr or done.stdout).splitlines()[-20:])
+    if failed or not target.exists():
+        tail = "\n".join(output.splitlines()[-20:])
         raise MissingTool(
             f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
         )
@@ -95,24 +115,62 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         generate: Returns the C code; called only where the library is missing.
 
     Raises:
-        MissingTool: There is no compiler, or it fails.
+        MissingTool: There is no compiler, or it fails, or the cache cannot be written.
     """
     command = find_compiler()
-    digest = hashlib.sha256("\0".join((key, *command, *FLAGS)).encode()).hexdigest()[:32]
+    settings = (*command, *FLAGS, *_HIDDEN, _SHORT, _LONG, str(_LENGTH))
+    digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
     folder = cache_folder()
     target = folder / f"{digest}{SUFFIX}"
-    if target.exists():
+    if _loads(target):
         return target
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        workplace = tempfile.TemporaryDirectory(dir=folder, prefix="build-")
+        with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build:
+            source, library = Path(build) / "code.c", Path(build) / f"code{SUFFIX}"
+            code = generate()
+            source.write_text(code, encoding="utf-8")
+            options = (*_HIDDEN, _SHORT if len(code) < _LENGTH else _LONG)
+            compile_library([source], library, options=options, command=command)
+            library.replace(target)
+    except MissingTool as error:
+        raise MissingTool(f"{error}, or do not compile (--interpreted)") from error
     except OSError as error:
         raise MissingTool(
-            f"cannot keep compiled code in {folder}: {error.strerror}; set COSIM_CACHE"
+            f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
-    with workplace as build:
-        source = Path(build) / "code.c"
-        source.write_text(generate(), encoding="utf-8")
-        built = compile_library([source], Path(build) / f"code{SUFFIX}", command=command)
-        built.replace(target)
     return target
+
+
+def _loads(library: Path) -> bool:
+    """Tell whether a library is there, whole, and made for this machine."""
+    if not library.exists():
+        return False
+    try:
+        ctypes.CDLL(str(library))
+    except OSError:
+        return False
+    return True
+
+
+def _call(command: Sequence[str]) -> tuple[int, str]:
+    """Run a compiler; return its exit code and what it printed. Its children end with it."""
+    with tempfile.TemporaryFile() as output:  # a pipe would stay open as long as a child holds it
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            process.wait(TIMEOUT)
+        except BaseException:  # too late, or interrupted
+            if sys.platform == "win32":
+                process.kill()
+            else:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            raise
+        output.seek(0)
+        return process.returncode, output.read().decode(errors="replace")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from cosim.compile import cached_library
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.generated import COUNTERS, counted, run_time_tolerances
+from cosim.generated import REPORT, in_one_piece, reporting, run_time_tolerances
 from cosim.inputs import InputSeries
 from cosim.runge_kutta import METHODS, step_function
 from cosim.values import number
@@ -270,17 +270,18 @@ def _generated(
         code = run_time_tolerances(
             str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
         )
-        return counted(code)
+        code = reporting(code)
+        return in_one_piece(code) if chosen.plugin == "erk" else code
 
     details = (unit_grid.tobytes(), repr(options.get("max_step_size")).encode())
-    key = cache_key(f"generated-2 {chosen.plugin}", original, *details)
+    key = cache_key(f"generated-3 {chosen.plugin}", original, *details)
     path = str(cached_library(key, generate))
     extra = np.array([grid[0], grid[-1] - grid[0], *tolerances])
-    counters = _counters(path)
+    report = _report(path)
 
     def stats() -> dict[str, Any]:
-        rhs, jacobians, trials, status = counters()
-        found = {"steps": trials // 2, "rhs_calls": rhs, "jacobian_calls": jacobians}
+        steps, rhs, jacobians, status, _, _ = map(int, report())
+        found = {"steps": steps, "rhs_calls": rhs, "jacobian_calls": jacobians}
         return found | ({"cause": _CAUSES.get(status, "it gave up")} if status else {})
 
     return Engine(ca.external("run", path), extra, False, stats, True)
@@ -289,15 +290,15 @@ def _generated(
 _CAUSES = {1: "too many steps", 2: "step size too small", 3: "inconsistent algebraic unknowns"}
 
 
-def _counters(path: str) -> Callable[[], list[int]]:
-    read = ctypes.CDLL(path).cosim_counters
-    numbers = (ctypes.c_longlong * COUNTERS)()
+def _report(path: str) -> Callable[[], list[float]]:
+    read = ctypes.CDLL(path).cosim_report
+    numbers = (ctypes.c_double * REPORT)()
 
-    def counters() -> list[int]:
+    def report() -> list[float]:
         read(numbers)
         return list(numbers)
 
-    return counters
+    return report
 
 
 def _unit_grid(grid: Vector) -> Vector:

@@ -1,0 +1,50 @@
+"""Changes to generated C code: each exactly once, or an error that says so."""
+
+import pytest
+
+from cosim.errors import UsageError
+from cosim.generated import differential_errors, in_one_piece, reporting, run_time_tolerances
+
+DRIVER = """static int casadi_f0(int a) {
+  p.abstol = 1e-8;
+  p.reltol = 1e-6;
+  p.nz_err = 3;
+      if (d.status != IVP_SUCCESS) return 1;
+}
+"""
+
+
+def test_tolerances_become_expressions():
+    code = run_time_tolerances(DRIVER, "arg[2][7]", "arg[2][8]")
+    assert "p.reltol = arg[2][7];\n" in code
+    assert "p.abstol = arg[2][8];\n" in code
+    assert "1e-" not in code
+
+
+def test_algebraic_unknowns_leave_the_error_test():
+    assert "p.nz_err = 0;" in differential_errors(DRIVER)
+
+
+def test_report_is_taken_before_the_driver_gives_up():
+    code = reporting(DRIVER)
+    assert code.index("cosim_seen[i] = seen[i]") < code.index("return 1;")
+    assert "CASADI_SYMBOL_EXPORT void cosim_report(double *out)" in code
+
+
+def test_entry_is_flattened():
+    assert in_one_piece(DRIVER).startswith("__attribute__((flatten)) static int casadi_f0(")
+
+
+@pytest.mark.parametrize("code", ["", DRIVER + DRIVER])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda code: run_time_tolerances(code, "a", "b"),
+        differential_errors,
+        reporting,
+        in_one_piece,
+    ],
+)
+def test_driver_in_another_form_is_refused(code, change):
+    with pytest.raises(UsageError, match=r"casadi .* in another form .*run without compiling"):
+        change(code)
