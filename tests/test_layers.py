@@ -30,10 +30,11 @@ cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources |
 cosim.trajectory
 cosim.archive | cosim.compile | cosim.consistent | cosim.generated
 cosim.reduction | cosim.scene cosim.scene_figures
-cosim.runge_kutta cosim.solvers cosim.integrate | cosim.export | cosim.fmpy_run cosim.fmpy_inputs
-cosim.comparison | cosim.references | cosim.roads | cosim.scene_file
-cosim.crosschecks | cosim.tradeoff | cosim.extremes
-cosim.plots cosim.figures cosim.picture_files
+cosim.runge_kutta cosim.solvers cosim.monitors cosim.integrate | cosim.export | cosim.fmpy_run cosim.fmpy_inputs
+cosim.comparison | cosim.roads | cosim.scene_file
+cosim.references
+cosim.crosschecks | cosim.tradeoffs | cosim.extremes
+cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure
 cosim.proof | cosim.ssp
 cosim
 cosim.cli cosim.commands cosim.arguments

@@ -9,7 +9,7 @@ from math import pi
 from typing import NamedTuple
 
 import casadi as ca
-from casadi import SX
+from casadi import SX, cos
 
 from casadi_models.dae import Model
 
@@ -73,6 +73,9 @@ QUANTITIES: dict[str, tuple[str, str, float]] = {
     "slip_3": ("m/s", "velocity of the front wheel's material at Q along c3", 1.0),
 }
 STARTS = {"phi_dot": 0.5, "thetaR_dot": -15.3333333}  # rad/s; every other start is zero or follows
+
+DRIFT = 1e-3  # m or m/s
+SINGULAR = 1e-3  # of the scaled determinant of the constraint matrix
 
 LOOP_CLOSURE = "pitch: the front wheel touches the ground"
 ROLLING = "dependent rates: the front wheel rolls without slip"
@@ -140,6 +143,36 @@ def outputs(model: Model, names: str, column: SX) -> None:
 def energies(model: Model, kinetic: SX, potential: SX) -> None:
     """Declare the energies."""
     model.energies(kinetic, potential, nominal=1000.0)
+
+
+def limits(model: Model, phi: SX, fz_P: SX, fz_Q: SX) -> None:
+    """Declare what every formulation supposes: two wheels on the ground, no fall."""
+    model.limit(-fz_P, "the ground pushes the rear wheel up; a real one has lifted")
+    model.limit(-fz_Q, "the ground pushes the front wheel up; a real one has lifted")
+    model.limit(cos(phi), "the rear frame leans by less than 90 deg")
+
+
+def drift_limits(model: Model, closure: SX, slip: SX) -> None:
+    """Declare how far a formulation that differentiates the constraints may drift from them."""
+    model.limit(DRIFT - ca.fabs(closure), f"the front wheel is within {DRIFT:g} m of the ground")
+    model.limit(DRIFT - ca.norm_inf(slip), f"the front wheel slips by less than {DRIFT:g} m/s")
+
+
+def elimination_limit(model: Model, bike: Bicycle, constraint_matrix: SX) -> None:
+    """Declare where psi_dot, theta_dot and thetaF_dot can be eliminated.
+
+    Args:
+        model: The formulation.
+        bike: Its parameters.
+        constraint_matrix: d(slip)/d(those rates), (3, 3), m; its determinant is -rF w^2 in the
+            aligned bicycle and changes sign near a steer angle of 92 deg.
+    """
+    regular = -ca.det(constraint_matrix) / (bike.rF * bike.w**2)
+    model.limit(
+        regular - SINGULAR,
+        "the steer angle is below the one (92 deg upright) where rolling no longer determines yaw, "
+        "pitch and front wheel rate (the form with multipliers passes there)",
+    )
 
 
 def torques(model: Model) -> Torques:

@@ -28,12 +28,14 @@ def independent() -> Dae:
     path = declaration.states(model, "xP yP")
     u_D = SX.sym("u_D", 3)
     u = ca.vertcat(u_I, u_D)
-    moving = motion(declaration.bicycle(model), declaration.torques(model), q, u)
+    bike = declaration.bicycle(model)
+    moving = motion(bike, declaration.torques(model), q, u)
 
     # In W only the first constraint holds the front wheel's spin: a 2x2 block remains to be solved
     system = replace(moving.system, free=u_I, dependent=u_D, constraints=moving.slip)
     solution = kane.accelerations(system)
     relation = solution.relation @ u_I
+    rolling_matrix = system.at_rest(ca.jacobian(moving.slip, u_D))
 
     def rolling(*rows: SX) -> SX:
         return ca.substitute(system.at_rest(ca.vertcat(*rows)), u_D, relation)
@@ -49,6 +51,9 @@ def independent() -> Dae:
     declaration.outputs(model, "zP speed", rolling(SX(0), moving.speed))
     declaration.outputs(model, _RESIDUALS, rolling(moving.residuals()))
     declaration.energies(model, rolling(kane.kinetic_energy(system)), moving.potential)
+    fz_Q = (moving.C_to_N @ moving.W_to_C @ front)[2]
+    declaration.limits(model, q[0], *ca.vertsplit(rolling(rear[2], fz_Q)))
+    declaration.elimination_limit(model, bike, rolling_matrix)
     return model.freeze()
 
 
@@ -73,10 +78,14 @@ def multipliers() -> Dae:
     model.start_equation(q[4], moving.closure, declaration.LOOP_CLOSURE)
     model.start(u[3:], kane.speed_relation(rolling) @ u[:3], declaration.ROLLING)
 
-    declaration.outputs(model, "fx_P fy_P fz_P", kane.reactions(system, u_dot, front))
+    rear = kane.reactions(system, u_dot, front)
+    declaration.outputs(model, "fx_P fy_P fz_P", rear)
     declaration.outputs(model, "zP speed", ca.vertcat(0, moving.speed))
-    declaration.outputs(model, _RESIDUALS, system.at_rest(moving.residuals()))
+    residuals = system.at_rest(moving.residuals())
+    declaration.outputs(model, _RESIDUALS, residuals)
     declaration.energies(model, kane.kinetic_energy(system), moving.potential)
+    declaration.limits(model, q[0], rear[2], front[2])
+    declaration.drift_limits(model, residuals[0], residuals[1:])
     return model.freeze()
 
 

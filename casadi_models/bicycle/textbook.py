@@ -30,13 +30,17 @@ def book() -> Dae:
     model.start(y[9:12], s["J"] @ s["u_I"], declaration.ROLLING)
 
     places = _places(k, s)
-    declaration.outputs(model, "fx_P fy_P fz_P fx_Q fy_Q fz_Q", _contact_forces(k, s, places))
+    forces = _contact_forces(k, s, places)
+    declaration.outputs(model, "fx_P fy_P fz_P fx_Q fy_Q fz_Q", forces)
     declaration.outputs(model, "speed", -k.rR * (y[7] + y[10]))
     slip = s["C_1"] @ s["u_I"] + s["C_2"] @ s["u_D"]
     declaration.outputs(model, "loop_closure slip_1 slip_2 slip_3", ca.vertcat(closure, slip))
     kinetic = ca.dot(s["u_I"], s["M"] @ s["u_I"]) / 2
     weight = sum((mass * places[body] for body, mass, _ in bodies(s)), SX.zeros(3)) * s["gravity"]
     declaration.energies(model, kinetic, -weight[2])
+    declaration.limits(model, s["phi"], forces[2], forces[5])
+    declaration.elimination_limit(model, bike, s["C_2"])
+    declaration.drift_limits(model, closure, slip)
     return model.freeze()
 
 

@@ -27,6 +27,7 @@ class Dae:
         observed: Names that a run records; states, algebraics and outputs when not reduced.
         x_start: Start value, or first guess where a rule is implicit, of every state.
         report: What a reduction took away and why, a line each.
+        limits: (scalar expression, meaning): the model holds only while each one is positive.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -55,6 +56,7 @@ class Dae:
     observed: tuple[str, ...]
     x_start: tuple[float, ...]
     report: tuple[str, ...] = ()
+    limits: tuple[tuple[SX, str], ...] = ()
 
     def __post_init__(self) -> None:
         for what, variables, columns in (

@@ -77,6 +77,7 @@ class Model:
         self._residuals: list[SX] = []
         self._rules: list[StartRule] = []
         self._inertias: list[tuple[str, SX]] = []
+        self._limits: list[tuple[SX, str]] = []
 
     # -- declarations ---------------------------------------------------------------------------
 
@@ -161,6 +162,19 @@ class Model:
         self._inertias.append((body, tensor))
         return tensor
 
+    def limit(self, expression: Any, meaning: str) -> None:
+        """Note that the model holds only while a scalar expression is positive.
+
+        Args:
+            expression: Scalar, of any declared symbols.
+            meaning: What is true while it is positive, e.g. "the rear wheel keeps the ground".
+        """
+        if not (isinstance(meaning, str) and meaning.strip()):
+            raise self._refusal("the meaning of a limit is missing; describe it in a few words")
+        if meaning in (known for _, known in self._limits):
+            raise self._refusal(f"limit '{meaning}' is declared twice; keep one")
+        self._limits.append((self._column(f"limit '{meaning}'", expression, 1), meaning))
+
     # -- the result -----------------------------------------------------------------------------
 
     def freeze(self) -> Dae:
@@ -178,6 +192,7 @@ class Model:
             {f"derivative of '{n}'": self._derivatives[n] for n in self._symbols["x"]},
             {f"equation {i}": residual for i, residual in enumerate(self._residuals, start=1)},
             {f"output '{name}'": expression for name, expression in self._outputs.items()},
+            {f"limit '{meaning}'": expression for expression, meaning in self._limits},
         )
         with self._naming_the_model():
             for part in parts:
@@ -185,7 +200,7 @@ class Model:
             inertias = {f"inertia of {body}": ca.vec(matrix) for body, matrix in self._inertias}
             refuse_faulty(inertias, p, "parameters")
             refuse_disorder(self._rules, x, p)
-        ode, alg, outputs = share([column(part.values()) for part in parts])
+        ode, alg, outputs, limits = share([column(part.values()) for part in parts])
         if not is_structurally_regular(alg, z):
             raise self._refusal(
                 "the algebraic equations do not determine every algebraic unknown (index above 1); "
@@ -218,6 +233,7 @@ class Model:
             inertias=tuple(self._inertias),
             observed=(*self._symbols["x"], *self._symbols["z"], *self._outputs),
             x_start=tuple(v.start for v in self._of("x") if v.start is not None),
+            limits=tuple((limits[i], meaning) for i, (_, meaning) in enumerate(self._limits)),
         )
 
     # -- details --------------------------------------------------------------------------------

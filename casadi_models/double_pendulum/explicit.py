@@ -10,6 +10,7 @@ from casadi_models.dae import Dae, Model
 from casadi_models.double_pendulum import links, orientation
 from casadi_models.double_pendulum.links import Link, Rod
 
+NEAR_SINGULAR = 1e-6  # of sin(theta); below, rates of psi and phi lose more than six digits
 Pair = tuple[SX, SX]  # of link 1 and link 2
 
 # Turns components in L into components in E, the frame of the book's angles: the axes 1 agree,
@@ -88,6 +89,11 @@ def _euler(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
             "1",
             sin(angles[1]),
             f"sin(theta{link}); psi{link} and phi{link} do not exist where it is zero",
+        )
+        model.limit(
+            ca.fabs(sin(angles[1])) - NEAR_SINGULAR,
+            f"psi{link} and phi{link} exist: sin(theta{link}) is above {NEAR_SINGULAR:g} "
+            "(the quaternion formulation is regular there)",
         )
         rates.append(rate)
         turns.append(rotations.body_fixed((3, 1, 3), angles, SX.zeros(3))[0] @ axes)

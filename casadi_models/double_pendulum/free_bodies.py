@@ -14,6 +14,7 @@ from casadi_models.double_pendulum.links import Link
 # Double root with which a gap in a joint closes, 1/s (Baumgarte, 1972). At 0 gaps grow without
 # bound, at 5 and more they cost energy; docs/double_pendulum.md has the figures.
 GAP_RATE = 1.0
+GAP_LIMIT = 1e-3  # m
 
 
 def multipliers() -> Dae:
@@ -64,10 +65,11 @@ def multipliers() -> Dae:
     residual += ca.vertcat(SX.zeros(accelerations.numel()), closing)
 
     turns = [rotations.from_quaternion(q1), rotations.from_quaternion(q2)]
-    residual, s1, s2, s1_dot, s2_dot = ca.substitute(
-        [residual, s1, s2, s1_dot, s2_dot], [R1, R2], turns
+    residual, gaps, s1, s2, s1_dot, s2_dot = ca.substitute(
+        [residual, gaps, s1, s2, s1_dot, s2_dot], [R1, R2], turns
     )
     model.equation(residual)
+    model.limit(GAP_LIMIT - ca.norm_inf(gaps), f"the joints are closed to within {GAP_LIMIT:g} m")
     model.derivative(ca.vertcat(r1, r2, v1, v2), ca.vertcat(v1, v2, v1_dot, v2_dot))
     model.derivative(ca.vertcat(w1, w2), ca.vertcat(w1_dot, 0, w2_dot, 0))
     model.start(ca.vertcat(r1, r2), ca.vertcat(s1, 2 * s1 + s2), "closed joints")

@@ -16,6 +16,7 @@ from cosim.compile import has_compiler
 from cosim.consistent import algebraic_function, algebraic_values, start_values
 from cosim.errors import ParameterError, SolverError, UnknownName
 from cosim.inputs import InputSeries
+from cosim.monitors import ON_INVALID, Breach, breaches, too_coarse
 from cosim.solvers import SOLVERS, Engine, Tolerance
 from cosim.trajectory import Column, Trajectory
 from cosim.values import Values, assign, number
@@ -40,6 +41,7 @@ def simulate(
     inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
     compiled: bool | None = None,
+    on_invalid: str = "warn",
 ) -> Trajectory:
     """Integrate a DAE with CVODES, or with IDAS when it has algebraic unknowns.
 
@@ -57,21 +59,27 @@ def simulate(
         inputs: Time series of some inputs, piecewise linear; the others keep their start value.
         outputs: Names to record; everything observable when None.
         compiled: Whether to compile the equations; if a compiler is there when None.
+        on_invalid: What happens where a run leaves the model's limits, or a fixed step is too long
+            for the motion: "warn" says so in `stats["invalid"]`, "stop" ends the run there,
+            "ignore" looks at neither.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
 
     Raises:
-        UnknownName: `start`, `outputs` or `solver` holds a name that does not exist.
+        UnknownName: `start`, `outputs`, `solver` or `on_invalid` holds a name that does not exist.
         ParameterError: A value is not finite or out of its bounds.
         InitialConditionError: The start values contradict the constraints.
-        SolverError: The solver gave up; `partial` holds what it computed.
+        SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the run up
+            to there.
         MissingTool: `compiled` is True and no compiler works.
 
     References:
         Hindmarsh et al., SUNDIALS, ACM TOMS 2005, doi:10.1145/1089014.1089020.
     """
     began = perf_counter()
+    if on_invalid not in ON_INVALID:
+        raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     values = assign(dae, start)
     if start_time and stop_time is None:
         stop_time = start_time + dae.experiment.stop_time
@@ -82,12 +90,13 @@ def simulate(
     )
     columns = _columns(dae, outputs)
     tolerance = Tolerance(relative_tolerance, absolute_tolerance)
-    name, _ = solvers.method(dae, solver)
+    name, method = solvers.method(dae, solver)
     compiled = has_compiler() if compiled is None else compiled
     x0 = start_values(dae, values)
     u = _input_values(dae, grid, values, inputs)
     z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
     stats: dict[str, Any] = {"solver": name, "relative_tolerance": relative_tolerance}
+    coarse: list[Breach] = []
     if len(grid) == 1 or not dae.states:
         states, stopped = np.tile(x0[:, None], len(grid)), ""
     else:
@@ -104,12 +113,21 @@ def simulate(
         ready = perf_counter()
         states, stopped = _run(engine, dae, x0, z0, values)
         stats |= {"solve_time": perf_counter() - ready} | ({} if stopped else engine.stats())
+        if not method.adaptive and not stopped and on_invalid != "ignore":
+            coarse = _step_check(dae, grid, name, step_size, inputs, compiled, states, z0, values)
     reached = grid[: states.shape[1]]
     table = _observe(dae, reached, states, z0, u, values.p, compiled)
+    table, margins = np.split(table, [len(_all_columns(dae))], axis=1)
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if bad.size and not stopped:
         stopped = _not_finite(dae, table[bad[0]], reached[bad[0]])
     end = bad[0] if bad.size else len(reached)
+    if on_invalid != "ignore":
+        found = sorted([*coarse, *breaches(dae, reached[:end], margins[:end])])
+        if found:
+            stats["invalid"] = [breach.text for breach in found]
+        if found and on_invalid == "stop":
+            end, stopped = found[0]
     stats |= {"compiled": compiled, "wall_time": perf_counter() - began}
     status = "complete"
     if stopped:
@@ -243,6 +261,26 @@ def _run(engine: Engine, dae: Dae, x0: Vector, z0: Vector, values: Values) -> tu
     return states[:reached].T, reason
 
 
+def _step_check(
+    dae: Dae,
+    grid: Vector,
+    name: str,
+    step_size: float | None,
+    inputs: InputSeries | None,
+    compiled: bool,
+    states: Vector,
+    z0: Vector,
+    values: Values,
+) -> list[Breach]:
+    """Repeat a run of fixed steps with half of them; say where the states part."""
+    half = (float(np.diff(grid).max()) if step_size is None else step_size) / 2
+    engine = solvers.build(
+        dae, grid, name, step_size=half, inputs=inputs, compiled=compiled, sensitivities=False
+    )
+    finer, _ = _run(engine, dae, states[:, 0], z0, values)
+    return too_coarse(dae, grid, states, finer, 2 * half)
+
+
 def _cause(message: str) -> str:
     """Return the SUNDIALS flag, or the last line of CasADi's message."""
     flag = message.partition('returned "')[2].partition('"')[0]
@@ -264,9 +302,9 @@ def _input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | 
 def _observe(
     dae: Dae, time: Vector, states: Vector, z0: Vector, u: Vector, p: Vector, compiled: bool
 ) -> Vector:
-    """Evaluate algebraic unknowns and outputs from the states; one row per time."""
+    """Evaluate algebraic unknowns, outputs and limits from the states; one row per time."""
     if not len(time):
-        return np.empty((0, len(_all_columns(dae))))
+        return np.empty((0, len(_all_columns(dae)) + len(dae.limits)))
     observe = _observer(dae)
     if compiled and len(time) > 1:
         (observe,) = solvers.external([observe], solvers.cache_key("observe", observe), ["observe"])
@@ -279,7 +317,8 @@ def _observe(
 def _observer(dae: Dae) -> ca.Function:
     names = ["t", "x", "z", "u", "p"]
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    outputs = ca.Function("outputs", symbols, [dae.outputs], {"cse": True})
+    margins = (margin for margin, _ in dae.limits)
+    outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
     t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
     solved = algebraic_function(dae)(t, x, z, u, p)
     rows = ca.vertcat(solved, outputs(t, x, solved, u, p))
@@ -309,6 +348,8 @@ def _not_finite(dae: Dae, row: Vector, time: float) -> str:
 
 def _explain(dae: Dae, solver: str, tolerance: Tolerance, run: Trajectory) -> str:
     relative, absolute = tolerance.pair
+    if any(run.status.endswith(text) for text in run.stats.get("invalid", ())):
+        return f"{dae.full_name}: {solver} {run.status}"
     return (
         f"{dae.full_name}: {solver} {run.status} (rtol {relative:g}, atol {absolute:g}); look for "
         "a singularity near that state, loosen the tolerance, or use another formulation or solver"

@@ -230,9 +230,9 @@ def _report(full: Dae, small: Dae, freeze: Collection[str]) -> Iterator[str]:
         gone = [v.name for v in before if v.name not in names and v.name not in freeze]
         if gone:
             yield f"{what}: {len(before)} -> {len(after)}; {', '.join(gone)}: {why}"
-    after = {meaning for _, meaning in small.limits}
-    if gone := [meaning for _, meaning in full.limits if meaning not in after]:
-        yield f"limits: {len(full.limits)} -> {len(after)}; not watched: {'; '.join(gone)}"
+    watched = {meaning for _, meaning in small.limits}
+    if gone := [meaning for _, meaning in full.limits if meaning not in watched]:
+        yield f"limits: {len(full.limits)} -> {len(watched)}; not watched: {'; '.join(gone)}"
     everything = ca.vertcat(small.ode, small.alg, small.outputs)
     if not ca.depends_on(everything, small.t):
         yield "time: the equations do not depend on it"
