@@ -1,0 +1,189 @@
+"""What an FMU costs beside its equations, on the bicycle.
+
+1. Co-simulation of 2001 outputs through fmpy, against an FMU of its interface that does nothing.
+2. A C loop over model exchange, against the bare compiled right-hand side.
+3. The columns of the state Jacobian by getDirectionalDerivative, against forward differences.
+4. Instantiating and freeing.
+
+Interleaved repeats, medians; the ratios are what counts.
+"""
+
+import ctypes
+import statistics
+import subprocess
+import tempfile
+import zipfile
+from pathlib import Path
+from time import perf_counter
+
+import cosim
+from casadi_models.dae import Dae, Model
+from cosim.compile import find_compiler
+from cosim.export.build import fmi_headers
+
+REPEATS = 15
+DRIVER = r"""
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+#include "equations.h"
+#include "fmi2Functions.h"
+#include "model.h"
+
+static double now(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static void ignore(fmi2ComponentEnvironment e, fmi2String n, fmi2Status s, fmi2String c,
+                   fmi2String m, ...) {
+    (void)e, (void)n, (void)s, (void)c, (void)m;
+}
+
+void measure(int count, double results[5]) {
+    static const fmi2CallbackFunctions host = {ignore, calloc, free, NULL, NULL};
+    double start = now();
+    fmi2Component fmu = NULL;
+    for (int i = 0; i < 100; i++) {
+        if (fmu) fmi2FreeInstance(fmu);
+        fmu = fmi2Instantiate("fmu", fmi2ModelExchange, MODEL_GUID, NULL, &host, 0, 0);
+    }
+    results[0] = (now() - start) / 100;
+    fmi2SetupExperiment(fmu, 0, 0, 0, 0, 0);
+    fmi2EnterInitializationMode(fmu);
+    fmi2ExitInitializationMode(fmu);
+    fmi2EventInfo event;
+    fmi2NewDiscreteStates(fmu, &event);
+    fmi2EnterContinuousTimeMode(fmu);
+    double x[NX], dx[NX], sum = 0;
+    fmi2GetContinuousStates(fmu, x, NX);
+
+    start = now();
+    for (int i = 0; i < count; i++) {
+        fmi2SetTime(fmu, 1e-2 * i);
+        x[0] = 1e-6 * i;
+        fmi2SetContinuousStates(fmu, x, NX);
+        fmi2GetDerivatives(fmu, dx, NX);
+        sum += dx[6];
+    }
+    results[1] = (now() - start) / count;
+
+    long long sizes[4];
+    model_ode_work(&sizes[0], &sizes[1], &sizes[2], &sizes[3]);
+    const double **arg = calloc((size_t)sizes[0] + 9, sizeof *arg);
+    double **res = calloc((size_t)sizes[1] + 9, sizeof *res);
+    double *w = calloc((size_t)sizes[3] + 9, sizeof *w), p[NP], u[NU] = {0}, t = 0;
+    fmi2ValueReference reference = 0;
+    for (int i = 0; i < NP; i++) {
+        reference = (fmi2ValueReference)(1 + 2 * NX + NZ + NU + i);
+        fmi2GetReal(fmu, &reference, 1, &p[i]);
+    }
+    arg[0] = &t, arg[1] = x, arg[3] = u, arg[4] = p, res[0] = dx;
+    start = now();
+    for (int i = 0; i < count; i++) {
+        x[0] = 1e-6 * i;
+        model_ode(arg, res, NULL, w, 0);
+        sum += dx[6];
+    }
+    results[2] = (now() - start) / count;
+
+    fmi2ValueReference unknowns[NX];
+    for (int i = 0; i < NX; i++) unknowns[i] = (fmi2ValueReference)(1 + NX + i);
+    const double seed = 1;
+    start = now();
+    for (int i = 0; i < count; i++) {
+        x[0] = 1e-6 * i;
+        fmi2SetContinuousStates(fmu, x, NX);
+        for (fmi2ValueReference known = 1; known <= NX; known++) {
+            fmi2GetDirectionalDerivative(fmu, unknowns, NX, &known, 1, &seed, dx);
+            sum += dx[6];
+        }
+    }
+    results[3] = (now() - start) / count / NX;
+
+    start = now();
+    for (int i = 0; i < count; i++) {
+        double moved[NX];
+        x[0] = 1e-6 * i;
+        fmi2SetContinuousStates(fmu, x, NX);
+        fmi2GetDerivatives(fmu, dx, NX);
+        for (int column = 0; column < NX; column++) {
+            const double kept = x[column];
+            x[column] += 1e-8;
+            fmi2SetContinuousStates(fmu, x, NX);
+            fmi2GetDerivatives(fmu, moved, NX);
+            sum += (moved[6] - dx[6]) / 1e-8;
+            x[column] = kept;
+        }
+    }
+    results[4] = (now() - start) / count / NX + 0 * sum;
+    free(arg), free(res), free(w);
+    fmi2FreeInstance(fmu);
+}
+"""
+
+
+def do_nothing(dae: Dae) -> Dae:
+    """Return a model with the same inputs, parameters and recorded outputs, and no equations."""
+    model = Model("nothing", description="same interface, no work", stop_time=20.0)
+    for variable in dae.inputs:
+        model.input(variable.name, variable.unit, 0.0, variable.meaning)
+    for variable in dae.parameters:
+        model.parameter(variable.name, variable.unit, variable.start, variable.meaning)
+    for variable in (*dae.states, *dae.output_variables):
+        model.output(variable.name, variable.unit, 1.0, variable.meaning)
+    return model.freeze()
+
+
+def co_simulation(path: Path) -> float:
+    began = perf_counter()
+    run = cosim.simulate_fmu(path, interface="CoSimulation", stop_time=20, output_interval=0.01)
+    assert len(run) == 2001
+    return perf_counter() - began
+
+
+def c_loop(fmu: Path, folder: Path) -> ctypes.CDLL:
+    with zipfile.ZipFile(fmu) as archive:
+        archive.extractall(folder)
+    sources = folder / "sources"
+    (sources / "driver.c").write_text(DRIVER)
+    library = folder / "driver.so"
+    files = [str(path) for path in sorted(sources.glob("*.c"))]
+    options = ["-O2", "-std=gnu11", "-fPIC", "-shared", f"-I{fmi_headers()}", f"-I{sources}"]
+    subprocess.run([*find_compiler(), *options, *files, "-o", str(library), "-lm"], check=True)
+    return ctypes.CDLL(str(library))
+
+
+def main() -> None:
+    dae = cosim.load("bicycle")
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        paths = {
+            "bicycle": cosim.export_fmu(dae, place / "bicycle.fmu"),
+            "nothing": cosim.export_fmu(do_nothing(dae), place / "nothing.fmu"),
+        }
+        times: dict[str, list[float]] = {name: [] for name in paths}
+        for _ in range(REPEATS):
+            for name, path in paths.items():
+                times[name].append(co_simulation(path))
+        busy, idle = (statistics.median(times[name]) for name in ("bicycle", "nothing"))
+        print(f"fmpy, co-simulation, 2001 outputs: {busy * 1e3:.1f} ms, "
+              f"doing nothing {idle * 1e3:.1f} ms, ratio {busy / idle:.2f}")  # fmt: skip
+
+        driver = c_loop(paths["bicycle"], place / "loop")
+        rows = []
+        for _ in range(REPEATS):
+            results = (ctypes.c_double * 5)()
+            driver.measure(2001, results)
+            rows.append(list(results))
+    create, me, bare, column, difference = (statistics.median(c) for c in zip(*rows, strict=True))
+    print(f"instantiate and free: {create * 1e6:.1f} us")
+    print(f"model exchange, one evaluation: {me * 1e9:.0f} ns, bare {bare * 1e9:.0f} ns, "
+          f"ratio {me / bare:.2f}")  # fmt: skip
+    print(f"directional derivatives, a column: {column * 1e9:.0f} ns, forward difference "
+          f"{difference * 1e9:.0f} ns, ratio {column / difference:.2f}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
