@@ -151,3 +151,8 @@ def _solver_options(parser: argparse.ArgumentParser) -> None:
         "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"
     )
     parser.add_argument("--interpreted", action="store_true", help="do not compile the equations")
+    parser.add_argument(
+        "--on-invalid",
+        metavar="ACTION",
+        help="where a run leaves the model's limits: warn (the default), stop or ignore",
+    )

@@ -61,8 +61,10 @@ def do_info(args: argparse.Namespace) -> int:
         "equations": f"{len(dae.states)} differential, {len(dae.algebraics)} algebraic, "
         f"{dae.operations()} scalar operations",
     }
+    limits = [meaning for _, meaning in dae.limits]
     if args.json:
-        tables = {key: [_facts(v) for v in group] for key, group in groups.items()}
+        tables: dict[str, Any] = {key: [*map(_facts, group)] for key, group in groups.items()}
+        tables["limits"] = limits
         print(json.dumps(facts | tables, indent=1))
         return 0
     for key, value in facts.items():
@@ -71,6 +73,8 @@ def do_info(args: argparse.Namespace) -> int:
         if group:
             print(f"\n{key}")
             _show(args, [_facts(v) for v in group])
+    if limits:
+        print("\nlimits: a run is valid while", *limits, sep="\n  ")
     return 0
 
 
@@ -185,7 +189,10 @@ def _scene(args: argparse.Namespace) -> Scene | None:
 def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
     """Return a run and its exit code; of a failed run, what was computed."""
     try:
-        return _run(args, scene), 0
+        run = _run(args, scene)
+        for text in run.stats.get("invalid", ()):
+            print(f"warning: {run.model}: {text}", file=sys.stderr)
+        return run, 0
     except SolverError as error:
         if error.partial is None or not len(error.partial):
             raise
@@ -195,10 +202,14 @@ def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traj
 
 def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     if scene is not None:
-        return run_scene(scene, compiled=False if args.interpreted else None)
+        return run_scene(
+            scene,
+            compiled=False if args.interpreted else None,
+            on_invalid=args.on_invalid or "warn",
+        )
     from cosim.fmpy_run import simulate_fmu
 
-    for option in ("solver", "absolute_tolerance", "step_size"):
+    for option in ("solver", "absolute_tolerance", "step_size", "on_invalid"):
         if getattr(args, option) is not None:
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
     return simulate_fmu(

@@ -29,13 +29,19 @@ def scene_dae(scene: Scene) -> Dae:
     return reduce(full, scene.outputs) if scene.outputs else full
 
 
-def run_scene(scene: Scene, road: str | None = None, *, compiled: bool | None = None) -> Trajectory:
+def run_scene(
+    scene: Scene,
+    road: str | None = None,
+    *,
+    compiled: bool | None = None,
+    on_invalid: str = "warn",
+) -> Trajectory:
     """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
 
     Args:
         scene: What to run.
         road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
-        compiled: Of CasADi's integrators, see `simulate`.
+        compiled, on_invalid: Of CasADi's integrators, see `simulate`.
 
     Raises:
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
@@ -59,6 +65,7 @@ def run_scene(scene: Scene, road: str | None = None, *, compiled: bool | None = 
         inputs=_felt(scene, dae),
         outputs=scene.outputs or None,
         compiled=compiled,
+        on_invalid=on_invalid,
     )
 
 
