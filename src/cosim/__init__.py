@@ -13,23 +13,34 @@ if TYPE_CHECKING:
     from cosim.dae_builder import from_dae_builder
     from cosim.errors import CosimError
     from cosim.export import export_fmu
+    from cosim.figures import draw_figures
     from cosim.fmpy_run import simulate_fmu
+    from cosim.inputs import InputSeries, read_inputs
     from cosim.integrate import integrator, simulate, start_vectors
     from cosim.loading import load
     from cosim.reduction import reduce
+    from cosim.roads import run_scene
+    from cosim.scene import Scene
+    from cosim.scene_file import read_scene
     from cosim.trajectory import Trajectory
 
 _HOMES = {
     "Comparison": "comparison",
     "CosimError": "errors",
+    "InputSeries": "inputs",
+    "Scene": "scene",
     "Trajectory": "trajectory",
     "compare": "comparison",
     "crosscheck": "crosschecks",
+    "draw_figures": "figures",
     "export_fmu": "export",
     "from_dae_builder": "dae_builder",
     "integrator": "integrate",
     "load": "loading",
+    "read_inputs": "inputs",
+    "read_scene": "scene_file",
     "reduce": "reduction",
+    "run_scene": "roads",
     "simulate": "integrate",
     "simulate_fmu": "fmpy_run",
     "start_vectors": "integrate",
@@ -38,14 +49,20 @@ _HOMES = {
 __all__ = [
     "Comparison",
     "CosimError",
+    "InputSeries",
+    "Scene",
     "Trajectory",
     "compare",
     "crosscheck",
+    "draw_figures",
     "export_fmu",
     "from_dae_builder",
     "integrator",
     "load",
+    "read_inputs",
+    "read_scene",
     "reduce",
+    "run_scene",
     "simulate",
     "simulate_fmu",
     "start_vectors",
