@@ -30,8 +30,8 @@ def start_function(dae: Dae) -> ca.Function:
     for i, rule in enumerate(dae.start_rules):
         current = ca.vertcat(*rows)
         if rule.implicit:
-            solution, step = _solve_rule(dae, rule, f"start_{i}", current, p)
-            defect += step  # a sum keeps what is not a number
+            solution, left = _solve_rule(dae, rule, f"start_{i}", current, p)
+            defect += left  # a sum keeps what is not a number
         else:
             law = ca.Function(f"start_{i}", [dae.x, dae.p], [rule.expression], {"cse": True})
             solution = law(current, p)
@@ -45,7 +45,7 @@ def algebraic_function(dae: Dae) -> ca.Function:
     """Return `model_algebraic(t, x, z, u, p) -> z`, the consistent unknowns; `z` is a guess.
 
     Equations that are linear in z (every mechanical system here) are solved at once; others by
-    Newton's method from the guess.
+    Newton's method from the guess. Where there is no solution, the result is not a number.
     """
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     names = ["t", "x", "z", "u", "p"]
@@ -63,8 +63,9 @@ def algebraic_function(dae: Dae) -> ca.Function:
         slope, negated = linear(t, x, u, p)
         solution = ca.solve(slope, negated, "qr")
     else:
-        residual = ca.Function("alg", [dae.z, dae.t, dae.x, dae.u, dae.p], [dae.alg], {"cse": True})
-        solution = _newton("algebraic_root", residual)(z, t, x, u, p)
+        known = [dae.t, dae.x, dae.u, dae.p]
+        root, left = _root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
+        solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
     return ca.Function("model_algebraic", [t, x, z, u, p], [solution], names, ["z_solved"])
 
 
@@ -76,14 +77,8 @@ def start_values(dae: Dae, values: Values) -> Vector:
     """
     solved, defect = start_function(dae)(values.x, values.p)
     x = np.array(solved).ravel()
-    for rule in dae.start_rules:
-        names = ", ".join(dae.states[i].name for i in rule.states)
-        if not np.isfinite(x[list(rule.states)]).all() or not float(defect) < DEFECT_LIMIT:
-            near = _closest(dae, rule, x, values) if rule.implicit else "its formula has no value"
-            raise InitialConditionError(
-                f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
-                f"{near}; change the other start values or parameters"
-            )
+    if dae.start_rules and not (np.isfinite(x).all() and float(defect) < DEFECT_LIMIT):
+        raise _no_start(dae, x, values)
     for variable, value in zip(dae.states, x, strict=True):
         if not variable.minimum <= value <= variable.maximum:
             raise InitialConditionError(
@@ -116,30 +111,49 @@ def _solve_rule(dae: Dae, rule: StartRule, name: str, x: MX, p: MX) -> tuple[MX,
     for i, row in enumerate(rule.states):
         filled[row] = unknown[i]
     expression = ca.substitute(rule.expression, dae.x, filled)
-    residual = ca.Function(name, [unknown, dae.x, dae.p], [expression], {"cse": True})
-    slope = ca.Function(
-        f"{name}_slope", [unknown, dae.x, dae.p], [ca.jacobian(expression, unknown)]
-    )
     guess = ca.vertcat(*(x[i] for i in rule.states))
-    root = _newton(f"{name}_root", residual)(guess, x, p)
-    step = ca.solve(slope(root, x, p), residual(root, x, p), "qr")
+    return _root(name, unknown, expression, [dae.x, dae.p], guess, [x, p])
+
+
+def _root(
+    name: str, unknown: SX, expression: SX, known: list[SX], guess: MX, arguments: list[MX]
+) -> tuple[MX, MX]:
+    """Return the root of an expression, and the Newton step left before the last one."""
+    residual = ca.Function(name, [unknown, *known], [expression], {"cse": True})
+    slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
+    options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
+    root = ca.rootfinder(f"{name}_root", "fast_newton", residual, options)(guess, *arguments)
+    step = ca.solve(slope(root, *arguments), residual(root, *arguments), "qr")
     return root - step, ca.norm_inf(step / (1 + ca.fabs(root)))
 
 
-def _newton(name: str, residual: ca.Function) -> ca.Function:
-    options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
-    return ca.rootfinder(name, "fast_newton", residual, options)
+def _no_start(dae: Dae, x: Vector, values: Values) -> InitialConditionError:
+    """Say which rule has no solution: the first that yields no number, or the worst."""
+    missing = [r for r in dae.start_rules if not np.isfinite(x[list(r.states)]).all()]
+    implicit = [r for r in dae.start_rules if r.implicit]
+    rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, x, values))
+    names = ", ".join(dae.states[i].name for i in rule.states)
+    near = _closest(dae, rule, x, values) if rule.implicit else "its formula has no value"
+    return InitialConditionError(
+        f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
+        f"{near}; change the other start values or parameters"
+    )
+
+
+def _residual(dae: Dae, rule: StartRule, x: Vector, values: Values) -> float:
+    return float(ca.norm_inf(ca.Function("law", [dae.x, dae.p], [rule.expression])(x, values.p)))
 
 
 def _closest(dae: Dae, rule: StartRule, x: Vector, values: Values) -> str:
     """Say how near to a solution a scan around the guess comes, for one unknown."""
-    law = ca.Function("law", [dae.x, dae.p], [rule.expression])
-    trial = values.x.copy()
+    trial, first = x.copy(), rule.states[0]
+    trial[list(rule.states)] = values.x[list(rule.states)]
     best, at = np.inf, float("nan")
     for shift in np.linspace(-np.pi, np.pi, 721) if len(rule.states) == 1 else (0.0,):
-        trial[rule.states[0]] = values.x[rule.states[0]] + shift
-        residual = float(ca.norm_inf(law(trial, values.p)))
+        trial[first] = values.x[first] + shift
+        residual = _residual(dae, rule, trial, values)
         if residual < best:
-            best, at = residual, trial[rule.states[0]]
-    name = dae.states[rule.states[0]].name
-    return f"the closest found leaves a residual of {best:.3g} at {name} = {at:.4g}"
+            best, at = residual, trial[first]
+    return (
+        f"the closest found leaves a residual of {best:.3g} at {dae.states[first].name} = {at:.4g}"
+    )
