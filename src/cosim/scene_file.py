@@ -163,7 +163,7 @@ def _settings(file: TomlFile) -> Settings:
     table = _table(file, "run")
     file.refuse_unknown(("run",), table, _RUN_KEYS)
     found: dict[str, Any] = {}
-    for key, value in table.items():
+    for key, value in sorted(table.items()):  # the absolute tolerance before the relative one
         with file.naming("run", key):
             if key == "solver":
                 found[key] = _checked_text(value, key)
@@ -172,7 +172,7 @@ def _settings(file: TomlFile) -> Settings:
             else:
                 found[key] = number("run", key, value, positive=key in _POSITIVE)
             if key == "relative_tolerance":
-                Tolerance(found[key], table.get("absolute_tolerance"))
+                Tolerance(found[key], found.get("absolute_tolerance"))
             if key == "absolute_tolerance":
                 Tolerance(absolute=found[key])
     with file.naming("run", "stop_time"):
