@@ -3,7 +3,7 @@
 import hashlib
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -49,10 +49,11 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
     Raises:
         MissingTool, ExportError: See `binaries`.
     """
+    library = f"{name}{target.suffix}"
     given = target.command()
-    command = given or find_compiler()
+    command, options = given or find_compiler(), target.options(library)
     maker = version("ziglang") if given else ""
-    digest = hashlib.sha256(repr((command, maker, FLAGS, target, name)).encode())
+    digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
     for file in sorted(sources):
         digest.update(b"\0".join((file.encode(), str(len(sources[file])).encode(), sources[file])))
     folder = cache_folder()
@@ -62,9 +63,9 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
             return cached.read_bytes()
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="build-", dir=folder) as build:
-            library = _compile(sources, Path(build), f"{name}{target.suffix}", target, command)
-            content = library.read_bytes()
-            library.replace(cached)
+            built = _compile(sources, Path(build), library, command, options)
+            content = built.read_bytes()
+            built.replace(cached)
     except OSError as error:
         raise ExportError(
             f"cannot compile in {folder}: {error.strerror or error}; set COSIM_CACHE to a folder "
@@ -77,8 +78,8 @@ def _compile(
     sources: Mapping[str, bytes],
     build: Path,
     library: str,
-    target: Target,
-    command: tuple[str, ...],
+    command: Sequence[str],
+    options: Sequence[str],
 ) -> Path:
     for file, content in sources.items():
         (build / file).write_bytes(content)
@@ -86,7 +87,7 @@ def _compile(
         sorted(build.glob("*.c")),
         build / library,
         include=[fmi_headers()],
-        options=[f"-ffile-prefix-map={build}=.", *target.options(library)],
+        options=[f"-ffile-prefix-map={build}=.", *options],
         command=command,
     )
 

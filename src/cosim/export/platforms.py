@@ -12,8 +12,15 @@ from importlib.util import find_spec
 
 from cosim.errors import ExportError, MissingTool, UnknownName
 
-# FMI functions alone are visible; no contraction of a * b + c, so that all machines agree.
-_PORTABLE = ("-std=c11", "-fvisibility=hidden", "-ffp-contract=off")
+# FMI functions alone are visible; no contraction of a * b + c, so that all machines agree. What
+# is generated is straight-line code: -O2 makes it no faster (measured 167 and 170 ns for the
+# bicycle's right-hand side) and takes 1.7 times as long.
+_PORTABLE = ("-std=c11", "-O1", "-fvisibility=hidden", "-ffp-contract=off", "-ffunction-sections")
+_UNUSED_CODE_OUT = {
+    "linux": ("-s", "-Wl,--gc-sections"),
+    "windows": ("-s", "-Wl,--gc-sections"),
+    "darwin": ("-Wl,-dead_strip",),
+}
 _SUFFIX = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 _FMI2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 
@@ -58,8 +65,8 @@ class Target:
 
     def options(self, library: str) -> tuple[str, ...]:
         """Return the compiler's options for a library of this name."""
-        place = f"-Wl,-install_name,@rpath/{library}"
-        return (*_PORTABLE, place) if self.system == "darwin" else _PORTABLE
+        name = (f"-Wl,-install_name,@rpath/{library}",) if self.system == "darwin" else ()
+        return (*_PORTABLE, *_UNUSED_CODE_OUT[self.system], *name)
 
 
 # The oldest systems that the compiler's own libraries serve: glibc 2.17 (2012), macOS 10.15 and,
