@@ -28,7 +28,7 @@ from cosim.trajectory import Column, Trajectory
 
 REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
-MOST_ROWS = 101
+MOST_ROWS = 51
 
 
 def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) -> Path:
@@ -131,4 +131,4 @@ def _picture(run: Trajectory) -> bytes:
     """Draw the first variables of the run: what an importer shows for the model."""
     from cosim.picture_files import picture
 
-    return picture(run.plot(run.names[:6]), "png", dpi=60)
+    return picture(run.plot(run.names[:3]), "png", dpi=50)

@@ -60,7 +60,9 @@ def step_function(dae: Dae) -> ca.Function:
     ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
     problem = {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
     plugin = "rosenbrock" if dae.algebraics else "erk"
-    run = ca.integrator("run", plugin, problem, 0.0, [1.0], {"show_eval_warnings": False})
+    # So many that a communication step of seconds passes, so few that an absurd one fails in a second
+    options = {"show_eval_warnings": False, "max_num_steps": 4000 if dae.algebraics else 10_000}
+    run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])
 
