@@ -60,7 +60,7 @@ def step_function(dae: Dae) -> ca.Function:
     ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
     problem = {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
     plugin = "rosenbrock" if dae.algebraics else "erk"
-    # So many that a communication step of seconds passes, so few that an absurd one fails in a second
+    # So many that a step of seconds passes, so few that an absurd one fails within a second
     options = {"show_eval_warnings": False, "max_num_steps": 4000 if dae.algebraics else 10_000}
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
