@@ -20,20 +20,23 @@ FOLDERS = {
     "cosim._fmu": ROOT / "fmu",
 }
 
-# One line per layer, the lowest first. `|` parts what does not know each other; names without
-# one between them are one part. A name stands for all modules of its folder ("cosim" does not).
+# One line per layer, the lowest first; an indented line goes on with it. `|` parts what does not
+# know each other; names without one between them are one part. A name stands for all modules of
+# its folder ("cosim" does not).
 TABLE = """
 cosim._fmu
 casadi_models
 cosim.errors
-cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources | cosim.toml_file | cosim.values
+cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources | cosim.toml_file
+  | cosim.values
 cosim.trajectory
 cosim.archive | cosim.compile | cosim.consistent | cosim.generated
 cosim.reduction | cosim.scene cosim.scene_figures
-cosim.runge_kutta cosim.solvers cosim.monitors cosim.integrate | cosim.export | cosim.fmpy_run cosim.fmpy_inputs
+cosim.runge_kutta cosim.solvers cosim.monitors cosim.integrate | cosim.export
+  | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance
 cosim.comparison | cosim.roads | cosim.scene_file
 cosim.references
-cosim.crosschecks | cosim.tradeoffs | cosim.extremes
+cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.limit_oracles
 cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure
 cosim.proof | cosim.ssp
 cosim
@@ -42,7 +45,7 @@ cosim.__main__
 """
 LAYERS = {
     name: (layer, part)
-    for layer, line in enumerate(TABLE.split("\n"))
+    for layer, line in enumerate(TABLE.replace("\n  ", " ").split("\n"))
     for part, names in enumerate(line.split("|"))
     for name in names.split()
 }
