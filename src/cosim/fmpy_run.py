@@ -1,24 +1,34 @@
 """Road two: an FMU through fmpy to a `Trajectory`."""
 
 import os
-import tempfile
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim import fmpy_inputs
-from cosim.errors import FmuError, SecurityError, UnknownName, UsageError
+from cosim.archive import unpacked
+from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.fmpy_instance import (
+    INTERFACES,
+    by_name,
+    choose_interface,
+    count_derivatives,
+    instantiated,
+    is_number,
+    may_be_set,
+    read_description,
+)
 from cosim.inputs import InputSeries
 from cosim.trajectory import Column, Trajectory
 from cosim.values import number
 
-INTERFACES = ("ModelExchange", "CoSimulation")
-MOST_BYTES = 2**30  # of an unpacked FMU
+__all__ = ["INTERFACES", "simulate_fmu", "unpacked"]
+
+MOST_POINTS = 10_000_000  # output times; fmpy keeps them as Python objects
 
 
 def simulate_fmu(
@@ -33,13 +43,14 @@ def simulate_fmu(
     inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
 ) -> Trajectory:
-    """Simulate an FMU with fmpy.
+    """Simulate an FMU with fmpy. Its binary runs in this process: only run FMUs you trust.
 
     Args:
         path: The FMU.
         interface: "ModelExchange" (fmpy's CVODE integrates) or "CoSimulation" (the solver inside
             does); what fmpy takes when None: co-simulation where the FMU has it.
-        start_time, stop_time, output_interval: s; the FMU's default experiment when None.
+        start_time, stop_time, output_interval: s; the FMU's default experiment when None. The
+            last output is at `stop_time` in any case.
         relative_tolerance: Error per step; the FMU's default experiment when None.
         start: Start values, parameters and constant inputs by name, in the FMU's units.
         inputs: Time series of some inputs, in the FMU's units.
@@ -49,120 +60,109 @@ def simulate_fmu(
         Every recorded variable, with its unit.
 
     Raises:
-        FmuError: The file is no FMU that can run here, or the run failed.
-        SecurityError: The archive would write outside its folder.
+        FmuError: The file is no FMU that can run here, or the run failed or ended early.
+        SecurityError: The archive would write outside its folder, or its XML is dangerous.
         UnknownName: A variable or the interface does not exist.
+        UsageError, ParameterError: A variable cannot be set or recorded, or a number is wrong.
     """
     began = perf_counter()
     with unpacked(path) as folder:
-        description = _read(folder, path)
-        kind = _interface(description, interface, path)
-        variables = {variable.name: variable for variable in description.modelVariables}
+        description = read_description(folder, path)
+        kind = choose_interface(folder, description, interface, path)
+        span = _span(path, description, start_time, stop_time, output_interval)
+        tolerance = _tolerance(path, relative_tolerance)
+        variables = by_name(description)
         values = _start_values(path, variables, start or {})
         names = _recorded(path, variables, outputs)
-        log: list[str] = []
-        instance = _instantiate(folder, description, kind, log, path)
-        calls = _counted(instance) if kind == "ModelExchange" else None
-        table = _driven(path, instance, description, kind, inputs, start_time, values)
-        result = _simulated(
-            path,
-            log,
-            filename=str(folder),
-            model_description=description,
-            fmu_instance=instance,
-            fmi_type=kind,
-            validate=False,
-            start_time=start_time,
-            stop_time=stop_time,
-            output_interval=output_interval,
-            relative_tolerance=relative_tolerance,
-            start_values=values,
-            input=table,
-            output=names,
-            record_events=False,
-        )
-    columns = tuple(_column(variables[name]) for name in names)
-    rows = np.column_stack([result[name].astype(float) for name in names])
-    stats: dict[str, Any] = {"solver": f"fmpy {kind}", "wall_time": perf_counter() - began}
+        with instantiated(folder, description, kind, path) as (instance, explained):
+            calls = count_derivatives(instance) if kind == "ModelExchange" else None
+            table = _driven(path, instance, description, kind, inputs, span.start, values)
+            ready = perf_counter()
+            result = _simulated(
+                explained,
+                filename=str(folder),
+                model_description=description,
+                fmu_instance=instance,
+                fmi_type=kind,
+                validate=False,
+                start_time=span.start,
+                stop_time=span.stop,
+                output_interval=span.interval,
+                relative_tolerance=tolerance,
+                start_values=values,
+                input=table,
+                output=names,
+                step_finished=_moving(span.start),
+            )
+            done = perf_counter()
+            stats: dict[str, Any] = {"solver": f"fmpy {kind}", "solve_time": done - ready}
+            rows, time = _rows(explained, result, names, span)
+    stats |= {"wall_time": perf_counter() - began}
     if calls is not None:
         stats["rhs_calls"] = calls[0]
-    time = np.array(result["time"], dtype=float)
-    run = Trajectory(description.modelName, time, columns, rows, stats)
-    return _checked(run, description, stop_time, path, log)
+    columns = tuple(_column(variables[name]) for name in names)
+    return Trajectory(description.modelName, time, columns, rows, stats)
 
 
-@contextmanager
-def unpacked(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Unpack an FMU into a folder that is gone afterwards.
+@dataclass(frozen=True)
+class _Span:
+    """When a run begins, ends and is recorded, s."""
 
-    Raises:
-        FmuError: The file is missing or no archive.
-        SecurityError: An entry would lie outside the folder, or the content is too large.
-    """
-    try:
-        archive = zipfile.ZipFile(path)
-    except (OSError, zipfile.BadZipFile) as error:
-        reason = getattr(error, "strerror", None) or "it is not a zip archive"
-        raise FmuError(f"cannot read {path}: {reason}; give an FMU") from error
-    with archive, tempfile.TemporaryDirectory(prefix="cosim-") as folder:
-        _refuse_dangerous(archive, path)
-        try:
-            archive.extractall(folder)
-        except (OSError, zipfile.BadZipFile, RuntimeError) as error:
-            raise FmuError(f"cannot unpack {path}: {error}") from error
-        yield Path(folder).resolve()
+    start: float
+    stop: float
+    interval: float
 
 
-def _refuse_dangerous(archive: zipfile.ZipFile, path: object) -> None:
-    seen: set[str] = set()
-    for entry in archive.infolist():
-        name = entry.filename
-        windows = PureWindowsPath(name)
-        outside = ".." in PurePosixPath(name).parts or ".." in windows.parts
-        if outside or name.startswith(("/", "\\")) or windows.drive or "\0" in name:
-            raise SecurityError(f"{path}: entry '{name}' lies outside the archive; do not use it")
-        if (entry.external_attr >> 16) & 0o170000 == 0o120000:
-            raise SecurityError(f"{path}: entry '{name}' is a link; do not use this file")
-        if name.lower() in seen:
-            raise SecurityError(f"{path}: entry '{name}' occurs twice; do not use this file")
-        seen.add(name.lower())
-    size = sum(entry.file_size for entry in archive.infolist())
-    if size > MOST_BYTES:
-        raise SecurityError(f"{path}: unpacks to {size:.3g} bytes, more than {MOST_BYTES}")
+def _span(
+    path: object,
+    description: Any,
+    start: float | None,
+    stop: float | None,
+    interval: float | None,
+) -> _Span:
+    """Fill in the FMU's default experiment; fmpy itself has other ideas of the interval."""
+    experiment = description.defaultExperiment
+
+    def default(name: str, otherwise: float) -> float:
+        value = getattr(experiment, name, None)
+        return otherwise if value is None else float(value)
+
+    start = number(str(path), "start_time", default("startTime", 0.0) if start is None else start)
+    length = default("stopTime", default("startTime", 0.0) + 1) - default("startTime", 0.0)
+    stop = number(str(path), "stop_time", start + length if stop is None else stop)
+    if stop < start:
+        raise ParameterError(
+            f"{path}: stop_time = {stop:g} s lies before start_time = {start:g} s; "
+            "give a later stop"
+        )
+    if interval is None:
+        interval = default("stepSize", (stop - start) / 500) or 1.0
+    interval = number(str(path), "output_interval", interval, positive=True)
+    if (stop - start) / interval > MOST_POINTS:
+        raise ParameterError(
+            f"{path}: output_interval = {interval:g} s makes {(stop - start) / interval:.3g} "
+            "output times; give a larger one"
+        )
+    return _Span(start, stop, interval)
 
 
-def _read(folder: Path, path: object) -> Any:
-    from fmpy import read_model_description
-
-    try:
-        return read_model_description(str(folder), validate=False)
-    except Exception as error:
-        raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
-
-
-def _interface(description: Any, wanted: str | None, path: object) -> str:
-    has = {"ModelExchange": description.modelExchange, "CoSimulation": description.coSimulation}
-    if wanted is not None and wanted not in INTERFACES:
-        raise UnknownName.among("cosim", "interface", wanted, INTERFACES)
-    kind = wanted or ("CoSimulation" if has["CoSimulation"] else "ModelExchange")
-    if not has[kind]:
-        other = next((name for name in INTERFACES if has[name]), "neither")
-        raise FmuError(f"{path} has no {kind} interface; it has {other}")
-    identifier = has[kind].modelIdentifier
-    if not identifier.isidentifier():
-        raise SecurityError(f"{path}: modelIdentifier '{identifier}' is no C name")
-    return kind
+def _tolerance(path: object, relative: float | None) -> float | None:
+    if relative is None:
+        return None
+    if number(str(path), "relative_tolerance", relative, positive=True) > 0.1:
+        raise ParameterError(f"{path}: relative_tolerance = {relative:g} is above 0.1")
+    return float(relative)
 
 
 def _start_values(
     path: object, variables: Mapping[str, Any], start: Mapping[str, float]
 ) -> dict[str, float]:
-    settable = [v.name for v in variables.values() if v.start is not None]
+    settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
     for name in start:
         if name not in variables:
             raise UnknownName.among(str(path), "start value", name, settable)
         if name not in settable:
-            raise UsageError(f"{path}: {name} is calculated and cannot be set")
+            raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
     return {name: number(str(path), name, value) for name, value in start.items()}
 
 
@@ -170,55 +170,13 @@ def _recorded(
     path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
 ) -> list[str]:
     if outputs is None:
-        return [name for name, v in variables.items() if v.causality == "output"]
+        return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
     for name in outputs:
         if name not in variables:
             raise UnknownName.among(str(path), "output", name, variables)
-    return list(outputs)
-
-
-def _instantiate(folder: Path, description: Any, kind: str, log: list[str], path: object) -> Any:
-    from fmpy import instantiate_fmu
-
-    def collect(_environment: Any, _instance: Any, _status: Any, category: Any, text: Any) -> None:
-        words = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
-        log.append(words)
-
-    try:
-        return instantiate_fmu(
-            str(folder),
-            description,
-            kind,
-            debug_logging=False,
-            logger=_logger(description, collect),
-        )
-    except Exception as error:
-        raise FmuError(f"{path} cannot be instantiated: {_tail(error, log)}") from error
-
-
-def _logger(description: Any, collect: Any) -> Any:
-    """Wrap a Python function as the log callback of the FMU's version."""
-    if description.fmiVersion.startswith("2"):
-        from fmpy.fmi2 import fmi2CallbackLoggerTYPE
-
-        return fmi2CallbackLoggerTYPE(collect)
-    return None
-
-
-def _counted(instance: Any) -> list[int]:
-    """Count the evaluations of the derivatives."""
-    calls = [0]
-    name = (
-        "getDerivatives" if hasattr(instance, "getDerivatives") else "getContinuousStateDerivatives"
-    )
-    original = getattr(instance, name)
-
-    def counted(*arguments: Any) -> Any:
-        calls[0] += 1
-        return original(*arguments)
-
-    setattr(instance, name, counted)
-    return calls
+        if not is_number(variables[name]):
+            raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
+    return list(dict.fromkeys(outputs))
 
 
 def _driven(
@@ -227,7 +185,7 @@ def _driven(
     description: Any,
     kind: str,
     series: InputSeries | None,
-    start_time: float | None,
+    start_time: float,
     values: dict[str, float],
 ) -> Any:
     """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
@@ -238,10 +196,7 @@ def _driven(
         if name not in known:
             raise UnknownName.among(str(path), "input", name, known)
     references = [known[name].valueReference for name in series.names]
-    experiment = description.defaultExperiment
-    default = experiment.startTime if experiment and experiment.startTime is not None else 0.0
-    at_start = float(default) if start_time is None else start_time
-    values |= fmpy_inputs.start_values(series, at_start)
+    values |= fmpy_inputs.start_values(series, start_time)
     if kind == "CoSimulation":
         fmpy_inputs.drive_co_simulation(instance, series, references, description.coSimulation)
         return None
@@ -253,38 +208,53 @@ def _driven(
     return fmpy_inputs.drive_model_exchange(instance, series, references, constants)
 
 
-def _simulated(path: object, log: list[str], **arguments: Any) -> Any:
+def _moving(start: float) -> Callable[[float, Any], bool]:
+    """Return what stops fmpy where time stands still: it repeats a discarded step for ever."""
+    last = start
+
+    def moves(time: float, _recorder: Any) -> bool:
+        nonlocal last
+        last, before = time, last
+        return time > before
+
+    return moves
+
+
+def _simulated(explained: Callable[[Exception], FmuError], **arguments: Any) -> Any:
     from fmpy import simulate_fmu as run
 
-    instance = arguments["fmu_instance"]
     try:
         return run(**arguments)
     except Exception as error:
-        raise FmuError(f"{path}: the run failed: {_tail(error, log)}") from error
-    finally:
-        instance.freeInstance()
+        raise explained(error) from error
 
 
-def _tail(error: Exception, log: list[str]) -> str:
-    return "; ".join([str(error), *dict.fromkeys(log[-3:])])
+def _rows(
+    explained: Callable[[Exception], FmuError], result: Any, names: Sequence[str], span: _Span
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the values at the output times, and these; an early end is an error.
 
-
-def _checked(
-    run: Trajectory, description: Any, stop_time: float | None, path: object, log: list[str]
-) -> Trajectory:
-    finite = np.isfinite(run.values).all(axis=1)
-    if not finite.all():
-        first = int(np.argmin(finite))
-        name = run.names[int(np.argmin(np.isfinite(run.values[first])))]
-        raise FmuError(f"{path}: {name} is not finite at {run.time[first]:g} s")
-    experiment = description.defaultExperiment
-    stop = stop_time
-    if stop is None and experiment is not None and experiment.stopTime is not None:
-        stop = float(experiment.stopTime)
-    if stop is not None and run.time[-1] < stop - 1e-6 * max(1.0, abs(stop)):
-        why = f": {log[-1]}" if log else ""
-        raise FmuError(f"{path}: the run ended at {run.time[-1]:g} s, before {stop:g} s{why}")
-    return run
+    fmpy records events too; of several rows at one time the last one is kept.
+    """
+    every = np.array(result["time"], dtype=float)
+    slack = 1e-9 * max(1.0, abs(span.start), abs(span.stop))
+    steps = (every - span.start) / span.interval
+    regular = np.abs(steps - np.round(steps)) * span.interval <= slack
+    regular |= np.abs(every - span.stop) <= slack
+    last = np.append(np.diff(every) > 0, True)
+    time = every[regular & last]
+    if every[-1] < span.stop - slack:
+        raise explained(
+            FmuError(f"the run ended at {every[-1]:g} s, before the stop time {span.stop:g} s")
+        )
+    rows = np.empty((len(time), len(names)))
+    for i, name in enumerate(names):
+        rows[:, i] = result[name][regular & last]
+        finite = np.isfinite(rows[:, i])
+        if not finite.all():
+            at = time[int(np.argmin(finite))]
+            raise explained(FmuError(f"{name} is not finite at {at:g} s"))
+    return rows, time
 
 
 def _column(variable: Any) -> Column:

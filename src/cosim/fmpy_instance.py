@@ -1,0 +1,128 @@
+"""An FMU's description and a live instance of it through fmpy; every failure says why."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import chdir, contextmanager
+from pathlib import Path
+from typing import Any
+
+from cosim.errors import FmuError, SecurityError, UnknownName
+
+INTERFACES = ("ModelExchange", "CoSimulation")
+NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_MESSAGES = 3  # of an FMU's log, in an error
+
+
+def read_description(folder: Path, name: object) -> Any:
+    """Return fmpy's model description of an unpacked FMU.
+
+    Raises:
+        FmuError: The file is not as the FMI wants it.
+    """
+    from fmpy import read_model_description
+
+    try:
+        return read_model_description(str(folder), validate=False)
+    except Exception as error:
+        raise FmuError(f"{name}: modelDescription.xml cannot be read: {error}") from error
+
+
+def choose_interface(folder: Path, description: Any, wanted: str | None, name: object) -> str:
+    """Return the interface to run: the wanted one, else co-simulation where there is one.
+
+    Raises:
+        UnknownName: There is no such interface in the FMI.
+        FmuError: The FMU does not have it, or no binary for this machine.
+        SecurityError: The binary lies elsewhere.
+    """
+    if wanted is not None and wanted not in INTERFACES:
+        raise UnknownName.among("cosim", "interface", wanted, INTERFACES)
+    has = {"ModelExchange": description.modelExchange, "CoSimulation": description.coSimulation}
+    kind = wanted or ("CoSimulation" if has["CoSimulation"] else "ModelExchange")
+    if not has[kind]:
+        other = next((offered for offered in INTERFACES if has[offered]), "neither")
+        raise FmuError(f"{name} has no {kind} interface; it has {other}")
+    _find_library(folder, description, has[kind].modelIdentifier, name)
+    return kind
+
+
+def _find_library(folder: Path, description: Any, identifier: str, name: object) -> None:
+    import fmpy
+
+    if not _IDENTIFIER.fullmatch(identifier):
+        raise SecurityError(f"{name}: modelIdentifier '{identifier}' is no C name; do not use it")
+    own = fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform
+    if (folder / "binaries" / own / f"{identifier}{fmpy.sharedLibraryExtension}").is_file():
+        return
+    others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
+    has = f"only for {', '.join(others)}" if others else "for no platform"
+    raise FmuError(f"{name} has a binary {has}, none for {own}; export it with --platform")
+
+
+@contextmanager
+def instantiated(
+    folder: Path, description: Any, kind: str, name: object
+) -> Iterator[tuple[Any, Callable[[Exception], FmuError]]]:
+    """Yield fmpy's instance of an unpacked FMU, and what turns an error into one with reasons.
+
+    Raises:
+        FmuError: The library cannot be loaded, or refuses.
+    """
+    from fmpy import instantiate_fmu
+
+    log: list[str] = []
+
+    def collect(*arguments: Any) -> None:
+        """Keep the message, the last argument in every version of the FMI."""
+        text = arguments[-1]
+        log.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
+
+    def explained(error: Exception) -> FmuError:
+        reasons = dict.fromkeys((str(error), *log[-_MESSAGES:]))
+        return FmuError(f"{name}: {'; '.join(reasons)}")
+
+    with chdir("."):  # fmpy stays in the library's folder where it cannot load it
+        try:
+            instance = instantiate_fmu(
+                str(folder), description, kind, debug_logging=True, logger=collect
+            )
+        except Exception as error:
+            raise explained(error) from error
+    try:
+        yield instance, explained
+    finally:
+        instance.freeInstance()
+
+
+def count_derivatives(instance: Any) -> list[int]:
+    """Count the evaluations of the derivatives from now on, in the list's only item."""
+    calls = [0]
+    name = (
+        "getDerivatives" if hasattr(instance, "getDerivatives") else "getContinuousStateDerivatives"
+    )
+    original = getattr(instance, name)
+
+    def counted(*arguments: Any) -> Any:
+        calls[0] += 1
+        return original(*arguments)
+
+    setattr(instance, name, counted)
+    return calls
+
+
+def is_number(variable: Any) -> bool:
+    """Tell whether a variable holds one number."""
+    return NUMERIC.fullmatch(variable.type) is not None and not variable.dimensions
+
+
+def may_be_set(variable: Any) -> bool:
+    """Tell whether fmpy sets the variable before or during initialization."""
+    if variable.start is None or variable.variability == "constant":
+        return False
+    return variable.causality == "input" or variable.initial in ("exact", "approx", None)
+
+
+def by_name(description: Any) -> Mapping[str, Any]:
+    """Return the variables by name."""
+    return {variable.name: variable for variable in description.modelVariables}
