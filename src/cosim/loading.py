@@ -60,7 +60,7 @@ def _unknown(name: str) -> UnknownName:
         own = [e.partition("/")[2] for e in catalog if e.partition("/")[0] == model]
         return UnknownName.among(model, "formulation", formulation, own)
     near = UnknownName.among("the catalogue", "model", model, models)
-    return UnknownName(f"{near}; all are shown by: cosim list")
+    return UnknownName(f"{near} (all: cosim list)")
 
 
 def _from_file(path: str, function: str) -> Dae:
