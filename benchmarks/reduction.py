@@ -12,9 +12,9 @@ import numpy as np
 
 import cosim
 from casadi_models.dae import Dae
+from cosim.externals import cache_key, external
 from cosim.integrate import start_vectors
 from cosim.reduction import size
-from cosim.solvers import cache_key, external
 
 CASES = (
     ("crank_shaft/driven", ("T",)),

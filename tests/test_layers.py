@@ -32,15 +32,16 @@ cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources |
 cosim.trajectory
 cosim.archive | cosim.compile | cosim.consistent | cosim.generated
 cosim.reduction | cosim.scene cosim.scene_figures
-cosim.runge_kutta cosim.solvers cosim.monitors cosim.integrate | cosim.export
-  | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance
+cosim.grids cosim.externals cosim.runge_kutta cosim.solvers cosim.engines cosim.calling
+  cosim.observation cosim.monitors cosim.integrate
+  | cosim.export | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance
 cosim.comparison | cosim.roads | cosim.scene_file
 cosim.references
 cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.limit_oracles
 cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure
 cosim.proof | cosim.ssp
 cosim
-cosim.cli cosim.commands cosim.arguments
+cosim.cli cosim.commands cosim.commands_tradeoff cosim.arguments cosim.tables
 cosim.__main__
 """
 LAYERS = {

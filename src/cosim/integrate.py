@@ -1,7 +1,7 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -11,20 +11,22 @@ from casadi import MX
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_models.dae import Dae
-from cosim import solvers
+from cosim import engines
+from cosim.calling import call
 from cosim.compile import has_compiler
-from cosim.consistent import algebraic_function, algebraic_values, start_values
-from cosim.errors import ParameterError, SolverError, UnknownName
+from cosim.consistent import algebraic_values, start_values
+from cosim.errors import SolverError, UnknownName
+from cosim.grids import checked_grid, time_grid
 from cosim.inputs import InputSeries
 from cosim.monitors import ON_INVALID, Breach, breaches, too_coarse
-from cosim.solvers import SOLVERS, Engine, Tolerance
-from cosim.trajectory import Column, Trajectory
+from cosim.observation import all_columns, observe, wanted_names
+from cosim.solvers import SOLVERS, Tolerance, method
+from cosim.trajectory import Trajectory
 from cosim.values import Values, assign, number
 
-__all__ = ["SOLVERS", "integrator", "simulate", "time_grid"]
+__all__ = ["SOLVERS", "integrator", "simulate", "start_vectors", "time_grid"]
 
 Vector = NDArray[np.float64]
-MOST_POINTS = 50_000_000  # output times; beyond, a run would not fit into memory
 
 
 def simulate(
@@ -81,64 +83,42 @@ def simulate(
     if on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     values = assign(dae, start)
-    if start_time and stop_time is None:
-        stop_time = start_time + dae.experiment.stop_time
+    names = wanted_names(dae, outputs)
+    start_time = number("run", "start_time", start_time)
     grid = time_grid(
         start_time,
-        dae.experiment.stop_time if stop_time is None else stop_time,
+        start_time + dae.experiment.stop_time if stop_time is None else stop_time,
         dae.experiment.output_interval if output_interval is None else output_interval,
+        numbers=len(all_columns(dae)),
     )
-    columns = _columns(dae, outputs)
-    tolerance = Tolerance(relative_tolerance, absolute_tolerance)
-    name, method = solvers.method(dae, solver)
-    compiled = has_compiler() if compiled is None else compiled
-    x0 = start_values(dae, values)
-    u = _input_values(dae, grid, values, inputs)
-    z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
-    stats: dict[str, Any] = {"solver": name, "relative_tolerance": relative_tolerance}
-    coarse: list[Breach] = []
-    if len(grid) == 1 or not dae.states:
-        states, stopped = np.tile(x0[:, None], len(grid)), ""
-    else:
-        engine = solvers.build(
-            dae,
-            grid,
-            name,
-            tolerance,
-            step_size=step_size,
-            inputs=inputs,
-            compiled=compiled,
-            sensitivities=False,
-        )
-        ready = perf_counter()
-        states, stopped = _run(engine, dae, x0, z0, values)
-        stats |= {"solve_time": perf_counter() - ready} | ({} if stopped else engine.stats())
-        if not method.adaptive and not stopped and on_invalid != "ignore":
-            coarse = _step_check(dae, grid, name, step_size, inputs, compiled, states, z0, values)
-    reached = grid[: states.shape[1]]
-    table = _observe(dae, reached, states, z0, u, values.p, compiled)
-    table, margins = np.split(table, [len(_all_columns(dae))], axis=1)
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-    if bad.size and not stopped:
-        stopped = _not_finite(dae, table[bad[0]], reached[bad[0]])
-    end = bad[0] if bad.size else len(reached)
-    if on_invalid != "ignore":
-        found = sorted([*coarse, *breaches(dae, reached[:end], margins[:end])])
-        if found:
-            stats["invalid"] = [breach.text for breach in found]
-        if found and on_invalid == "stop":
-            end, stopped = found[0]
-    stats |= {"compiled": compiled, "wall_time": perf_counter() - began}
+    task = _Task(
+        dae,
+        method(dae, solver)[0],
+        Tolerance(relative_tolerance, absolute_tolerance),
+        step_size,
+        has_compiler() if compiled is None else compiled,
+        values,
+        inputs,
+        on_invalid,
+    )
+    solution = first = task.solve(grid)
+    # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
+    # a run that was to stop there (solvers look ahead to the stop time).
+    while solution.reason and 0 < len(solution.table) < len(solution.grid):
+        solution = task.solve(grid[: len(solution.table)])
+    time = grid[: len(solution.table)]
     status = "complete"
-    if stopped:
-        last = f"{reached[end - 1]:g} s" if end else "the start"
-        status = f"stopped after {last}: {stopped}"
-    every = Trajectory(
-        dae.full_name, reached[:end].copy(), _all_columns(dae), table[:end].copy(), stats, status
-    )
-    run = every.select([column.name for column in columns])
-    if stopped:
-        raise SolverError(_explain(dae, name, tolerance, run), run)
+    if first.reason:
+        last = f"{time[-1]:g} s" if len(time) else "the start"
+        status = f"stopped after {last}: {first.reason}"
+    stats = {"solver": task.solver, "relative_tolerance": relative_tolerance, **solution.stats}
+    stats |= {"compiled": task.compiled, "wall_time": perf_counter() - began}
+    if first.invalid:
+        stats["invalid"] = [breach.text for breach in first.invalid]
+    every = Trajectory(dae.full_name, time, all_columns(dae), solution.table, stats, status)
+    run = every.select(names)
+    if first.reason:
+        raise SolverError(task.explain(every), run)
     return run
 
 
@@ -169,8 +149,8 @@ def integrator(
         ParameterError: The grid is not increasing or not finite.
         UnknownName, UsageError, MissingTool: See `simulate`.
     """
-    times = _checked_grid(grid)
-    engine = solvers.build(
+    times = checked_grid(grid)
+    engine = engines.build(
         dae,
         times,
         solver,
@@ -178,12 +158,12 @@ def integrator(
         step_size=step_size,
         compiled=has_compiler() if compiled is None else compiled,
     )
-    if not engine.extra.size:
+    if engine.parameters is None:
         return engine.function
     x0, z0, p, u = (
         MX.sym(n, v.numel()) for n, v in (("x0", dae.x), ("z0", dae.z), ("p", dae.p), ("u", dae.u))
     )
-    result = engine.function(x0=x0, z0=z0, p=ca.vertcat(p, engine.extra), u=u)
+    result = engine.function(x0=x0, z0=z0, p=engine.parameters(p), u=u)
     names = ["x0", "z0", "p", "u"]
     return ca.Function(
         "integrator", [x0, z0, p, u], [result["xf"], result["zf"]], names, ["xf", "zf"]
@@ -201,90 +181,87 @@ def start_vectors(dae: Dae, start: Mapping[str, float] | None = None) -> dict[st
     return {"x0": x0, "z0": algebraic_values(dae, 0.0, x0, values), "p": values.p, "u": values.u}
 
 
-def time_grid(start: float, stop: float, interval: float) -> Vector:
-    """Return output times from start to stop, both included, (n,).
+@dataclass(frozen=True)
+class _Solution:
+    """Rows of everything observable up to the last good time of a grid, and why it ended."""
 
-    Raises:
-        ParameterError: A number is not finite, the interval not positive, or stop before start.
-    """
-    start, stop = number("run", "start_time", start), number("run", "stop_time", stop)
-    interval = number("run", "output_interval", interval, positive=True)
-    if stop < start:
-        raise ParameterError(
-            f"stop_time = {stop:g} s lies before start_time = {start:g} s; give a later stop"
+    grid: Vector
+    table: Vector
+    stats: dict[str, Any]
+    reason: str
+    invalid: list[Breach]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What a run needs besides its output times."""
+
+    dae: Dae
+    solver: str
+    tolerance: Tolerance
+    step_size: float | None
+    compiled: bool
+    values: Values
+    inputs: InputSeries | None
+    on_invalid: str
+
+    def solve(self, grid: Vector) -> _Solution:
+        dae, values = self.dae, self.values
+        x0 = start_values(dae, values)
+        u = _input_values(dae, grid, values, self.inputs)
+        z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
+        states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
+        stats: dict[str, Any] = {}
+        reason, found = "", list[Breach]()
+        if len(grid) > 1 and dae.states:
+            engine = self.engine(grid, self.step_size)
+            ready = perf_counter()
+            reached = call(engine, x0, z0, values.p, values.u)
+            stats = {"solve_time": perf_counter() - ready, **reached.stats}
+            states, guesses, reason = reached.states, reached.algebraics, reached.reason
+            if not SOLVERS[self.solver].adaptive and not reason and self.on_invalid != "ignore":
+                found = self.step_check(grid, states, z0)
+        n = states.shape[1]
+        table, margins = observe(dae, grid[:n], states, guesses, u[:, :n], values.p, self.compiled)
+        bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+        if bad.size:
+            n = int(bad[0])
+            name = all_columns(dae)[int(np.argmin(np.isfinite(table[n])))].name
+            reason = reason or f"{name} is not finite at {grid[n]:g} s"
+        if self.on_invalid != "ignore":
+            found = sorted([*found, *breaches(dae, grid[:n], margins[:n])])
+            if found and self.on_invalid == "stop":
+                n, reason = found[0]
+        return _Solution(grid, table[:n], stats, reason, found)
+
+    def engine(self, grid: Vector, step_size: float | None) -> engines.Engine:
+        return engines.build(
+            self.dae,
+            grid,
+            self.solver,
+            self.tolerance,
+            step_size=step_size,
+            inputs=self.inputs,
+            compiled=self.compiled,
+            sensitivities=False,
         )
-    count = (stop - start) / interval
-    if count > MOST_POINTS:
-        raise ParameterError(
-            f"output_interval = {interval:g} s makes {count:.3g} output times; give a larger one"
+
+    def step_check(self, grid: Vector, states: Vector, z0: Vector) -> list[Breach]:
+        """Repeat a run of fixed steps with half of them; say where the states part."""
+        step = float(np.diff(grid).max()) if self.step_size is None else self.step_size
+        engine = self.engine(grid, step / 2)
+        finer = call(engine, states[:, 0], z0, self.values.p, self.values.u).states
+        return too_coarse(self.dae, grid, states, finer, step)
+
+    def explain(self, run: Trajectory) -> str:
+        settings = "rtol {:g}, atol {:g}".format(*self.tolerance.pair)
+        if not SOLVERS[self.solver].adaptive:
+            step = "output interval" if self.step_size is None else f"{self.step_size:g} s"
+            settings = f"step: {step}"
+        return (
+            f"{self.dae.full_name}: {self.solver} {run.status} ({settings}); look for a "
+            "singularity near that state, or use another tolerance or step, formulation or solver"
         )
-    whole = round(count)
-    if abs(count - whole) < 1e-6 * max(1.0, count):
-        grid: Vector = np.linspace(start, stop, whole + 1)
-        return grid
-    return np.append(start + interval * np.arange(int(np.floor(count)) + 1), stop)
-
-
-def _checked_grid(grid: ArrayLike) -> Vector:
-    times = np.asarray(grid, dtype=float)
-    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
-        raise ParameterError("grid: give two or more finite times in one dimension")
-    falling = np.flatnonzero(np.diff(times) <= 0)
-    if falling.size:
-        i = int(falling[0]) + 1
-        raise ParameterError(f"grid: time {i} ({times[i]:g} s) is not after the one before it")
-    return times
-
-
-def _run(engine: Engine, dae: Dae, x0: Vector, z0: Vector, values: Values) -> tuple[Vector, str]:
-    """Call an engine; return the states at the times it reached, (nx, n), and why it stopped."""
-    n = engine.function.size2_out(0)
-    states = np.full((n, dae.x.numel()), np.nan)  # CasADi is column-major
-    u = np.tile(values.u, n) if engine.repeat_u else values.u
-    arguments = [x0, z0, np.concatenate((values.p, engine.extra)), u]
-    buffer, call = engine.function.buffer()
-    for i, array in enumerate(arguments):
-        if array.size:
-            buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # stub and binding differ
-    buffer.set_res(0, states.data)  # type: ignore[call-arg]
-    reason = ""
-    try:
-        call()
-        if buffer.ret():
-            reason = engine.stats().get("cause", "it gave up")
-    except RuntimeError as error:  # CasADi has no narrower type
-        reason = _cause(str(error))
-    finite = np.isfinite(states).all(axis=1)
-    reached = n if finite.all() else int(np.argmin(finite))
-    if reached < n and not reason:
-        reason = "a state is not finite"
-    return states[:reached].T, reason
-
-
-def _step_check(
-    dae: Dae,
-    grid: Vector,
-    name: str,
-    step_size: float | None,
-    inputs: InputSeries | None,
-    compiled: bool,
-    states: Vector,
-    z0: Vector,
-    values: Values,
-) -> list[Breach]:
-    """Repeat a run of fixed steps with half of them; say where the states part."""
-    half = (float(np.diff(grid).max()) if step_size is None else step_size) / 2
-    engine = solvers.build(
-        dae, grid, name, step_size=half, inputs=inputs, compiled=compiled, sensitivities=False
-    )
-    finer, _ = _run(engine, dae, states[:, 0], z0, values)
-    return too_coarse(dae, grid, states, finer, 2 * half)
-
-
-def _cause(message: str) -> str:
-    """Return the SUNDIALS flag, or the last line of CasADi's message."""
-    flag = message.partition('returned "')[2].partition('"')[0]
-    return flag or message.strip().splitlines()[-1][:200]
 
 
 def _input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
@@ -297,60 +274,3 @@ def _input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | 
                 raise UnknownName.among(dae.full_name, "input", name, known)
             table[known.index(name)] = row
     return table
-
-
-def _observe(
-    dae: Dae, time: Vector, states: Vector, z0: Vector, u: Vector, p: Vector, compiled: bool
-) -> Vector:
-    """Evaluate algebraic unknowns, outputs and limits from the states; one row per time."""
-    if not len(time):
-        return np.empty((0, len(_all_columns(dae)) + len(dae.limits)))
-    observe = _observer(dae)
-    if compiled and len(time) > 1:
-        (observe,) = solvers.external([observe], solvers.cache_key("observe", observe), ["observe"])
-    n = len(time)
-    every = observe.map("every", "serial", n, [2, 4], []) if n > 1 else observe
-    rows = np.array(every(time[None, :], states, z0, u[:, :n], p))
-    return np.vstack((states, rows)).T
-
-
-def _observer(dae: Dae) -> ca.Function:
-    names = ["t", "x", "z", "u", "p"]
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    margins = (margin for margin, _ in dae.limits)
-    outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
-    t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
-    solved = algebraic_function(dae)(t, x, z, u, p)
-    rows = ca.vertcat(solved, outputs(t, x, solved, u, p))
-    return ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
-
-
-def _all_columns(dae: Dae) -> tuple[Column, ...]:
-    return tuple(
-        Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
-        for v in (*dae.states, *dae.algebraics, *dae.output_variables)
-    )
-
-
-def _columns(dae: Dae, outputs: Sequence[str] | None) -> list[Column]:
-    available = {column.name: column for column in _all_columns(dae)}
-    wanted = dae.observed if outputs is None else outputs
-    for name in wanted:
-        if name not in available:
-            raise UnknownName.among(dae.full_name, "output", name, available)
-    return [available[name] for name in wanted]
-
-
-def _not_finite(dae: Dae, row: Vector, time: float) -> str:
-    name = _all_columns(dae)[int(np.argmin(np.isfinite(row)))].name
-    return f"{name} is not finite at {time:g} s"
-
-
-def _explain(dae: Dae, solver: str, tolerance: Tolerance, run: Trajectory) -> str:
-    relative, absolute = tolerance.pair
-    if any(run.status.endswith(text) for text in run.stats.get("invalid", ())):
-        return f"{dae.full_name}: {solver} {run.status}"
-    return (
-        f"{dae.full_name}: {solver} {run.status} (rtol {relative:g}, atol {absolute:g}); look for "
-        "a singularity near that state, loosen the tolerance, or use another formulation or solver"
-    )

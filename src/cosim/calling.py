@@ -1,0 +1,96 @@
+"""One call of an engine: interruptible, without messages on the way, and what it reached."""
+
+import io
+from collections.abc import Callable
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from threading import Thread
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.engines import Engine
+
+Vector = NDArray[np.float64]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What an engine computed.
+
+    Attributes:
+        states, algebraics: At the output times up to the last finite one, (nx, n) and (nz, n).
+        stats: What it took.
+        reason: Why it stopped before the last output time; empty where it did not.
+    """
+
+    states: Vector
+    algebraics: Vector
+    stats: dict[str, Any]
+    reason: str
+
+
+def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
+    """Call an engine with start values, parameters and constant inputs."""
+    n = engine.function.size2_out(0)
+    # CasADi writes column by column, and those after a failure not at all
+    states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
+    if engine.parameters is not None:
+        p = np.array(engine.parameters(p)).ravel()
+    arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
+    buffer, evaluate = engine.function.buffer()
+    for i, array in enumerate(arguments):
+        if array.size:
+            buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # stub and binding differ
+    for i, array in enumerate((states, algebraics)):
+        if array.size:
+            buffer.set_res(i, array.data)  # type: ignore[call-arg]
+
+    def work() -> tuple[str, dict[str, Any]]:
+        try:
+            evaluate()
+        except RuntimeError as error:  # CasADi has no narrower type
+            return _flag(str(error)), {}
+        stats = engine.stats()
+        doubt = "step size too small, or too many steps"
+        cause = stats.pop("cause", doubt) if buffer.ret() else ""
+        return cause, stats
+
+    told = io.StringIO()
+    with redirect_stderr(told):  # SUNDIALS says there at which time and step it failed
+        reason, stats = _interruptible(work)
+    finite = np.isfinite(states).all(axis=1)
+    reached = n if finite.all() else int(np.argmin(finite))
+    if reason:
+        last = told.getvalue().strip().rpartition("\n")[2].rstrip(". ")
+        reason += f" ({last})" if last else ""
+    elif reached < n:
+        reason = "a state is not finite"
+    return Reached(states[:reached].T, algebraics[:reached].T, stats, reason)
+
+
+def _flag(message: str) -> str:
+    """Return the SUNDIALS flag, or the last line of CasADi's message."""
+    flag = message.partition('returned "')[2].partition('"')[0]
+    return flag or message.strip().splitlines()[-1][:200]
+
+
+def _interruptible(work: Callable[[], T]) -> T:
+    """Do work in a thread: Ctrl-C reaches Python while machine code runs elsewhere."""
+    results: list[T] = []
+    errors: list[BaseException] = []
+
+    def attempt() -> None:
+        try:
+            results.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = Thread(target=attempt, daemon=True)
+    thread.start()
+    thread.join()
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -1,0 +1,82 @@
+"""From states to everything that a run records."""
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+from casadi import MX
+from numpy.typing import NDArray
+
+from casadi_models.dae import Dae
+from cosim.consistent import algebraic_function
+from cosim.errors import UsageError
+from cosim.externals import cache_key, external
+from cosim.loading import no_such_output
+from cosim.trajectory import Column
+
+Vector = NDArray[np.float64]
+
+
+def observe(
+    dae: Dae, time: Vector, states: Vector, guesses: Vector, u: Vector, p: Vector, compiled: bool
+) -> tuple[Vector, Vector]:
+    """Evaluate algebraic unknowns, outputs and limits from the states.
+
+    Args:
+        dae: The model.
+        time: s, (n,).
+        states, guesses, u: At these times: states, algebraic unknowns, inputs; n columns each.
+        p: Parameters.
+        compiled: Whether by machine code.
+
+    Returns:
+        What `all_columns` names, and the margins of the limits; one row per time each.
+    """
+    n, known = len(time), len(all_columns(dae))
+    if not n:
+        return np.empty((0, known)), np.empty((0, len(dae.limits)))
+    function = _observer(dae)
+    if compiled and n > 1:
+        (function,) = external([function], cache_key("observe", function), ["observe"])
+    every = function.map("every", "serial", n, [4], []) if n > 1 else function
+    rows = np.array(every(time[None, :], states, guesses, u, p))
+    table, margins = np.split(np.vstack((states, rows)).T, [known], axis=1)
+    return table, margins
+
+
+def all_columns(dae: Dae) -> tuple[Column, ...]:
+    """Return the columns of everything observable: states, algebraic unknowns, outputs."""
+    return tuple(
+        Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
+        for v in (*dae.states, *dae.algebraics, *dae.output_variables)
+    )
+
+
+def wanted_names(dae: Dae, outputs: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names to record.
+
+    Raises:
+        UnknownName: The model has no such output.
+        UsageError: It is named twice, or is not in a list.
+    """
+    wanted = dae.observed if outputs is None else outputs
+    if isinstance(wanted, str):
+        raise UsageError(f"{dae.full_name}: outputs = {wanted!r}; give a list of names")
+    available = {column.name for column in all_columns(dae)}
+    for name in wanted:
+        if name not in available:
+            raise no_such_output(dae, name)
+        if list(wanted).count(name) > 1:
+            raise UsageError(f"{dae.full_name}: output '{name}' is named twice; name it once")
+    return tuple(wanted)
+
+
+def _observer(dae: Dae) -> ca.Function:
+    names = ["t", "x", "z", "u", "p"]
+    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    margins = (margin for margin, _ in dae.limits)
+    outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
+    t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
+    solved = algebraic_function(dae)(t, x, z, u, p)
+    rows = ca.vertcat(solved, outputs(t, x, solved, u, p))
+    return ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
