@@ -38,10 +38,10 @@ cosim.grids cosim.externals cosim.runge_kutta cosim.solvers cosim.engines cosim.
 cosim.comparison | cosim.roads | cosim.scene_file
 cosim.references
 cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.limit_oracles
-cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure
+cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure cosim.limit_map
 cosim.proof | cosim.ssp
 cosim
-cosim.cli cosim.commands cosim.commands_tradeoff cosim.arguments cosim.tables
+cosim.cli cosim.commands cosim.commands_tradeoff cosim.commands_extremes cosim.arguments cosim.tables
 cosim.__main__
 """
 LAYERS = {
