@@ -1,9 +1,13 @@
 """Shared by all tests: no screen, and no trace in the user's cache folder."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 
 import pytest
+
+import cosim
 
 os.environ["MPLBACKEND"] = "Agg"  # before any test module imports matplotlib
 
@@ -14,3 +18,16 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COSIM_CACHE", str(tmp_path_factory.mktemp("cosim_cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return a function that exports a model of the catalogue as an FMU, once per session."""
+    folder = tmp_path_factory.mktemp("fmus")
+
+    @cache
+    def export(name: str, fmi: int = 2) -> Path:
+        target = folder / f"{name.replace('/', '_')}_{fmi}.fmu"
+        return cosim.export_fmu(cosim.load(name), target, fmi=fmi)
+
+    return export

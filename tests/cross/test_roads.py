@@ -1,0 +1,114 @@
+"""Every formulation of the catalogue: CasADi's integrators against fmpy with the exported FMU."""
+
+import subprocess
+import sys
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+
+import casadi_models
+import cosim
+from cosim.export.check import check_fmu
+from cosim.export.package import source_files, zipped
+
+EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
+INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
+TIGHT = 1e-10  # relative tolerance of all solvers
+BOUND = 1e-6  # largest difference, in nominal values
+
+
+@EVERY
+def test_neither_fmpy_nor_our_own_checks_find_a_problem(name, exported):
+    path = exported(name)
+    assert validate_fmu(str(path)) == []
+    assert check_fmu(path) == []
+
+
+@EVERY
+def test_nor_do_they_in_the_description_of_fmi_3(name, tmp_path):
+    files = source_files(cosim.load(name), name.replace("/", "_"), 1e-9, 3)
+    path = tmp_path / "model.fmu"
+    path.write_bytes(zipped(files))
+    assert validate_fmu(str(path)) == []
+    assert check_fmu(path) == []
+
+
+@EVERY
+@INTERFACES
+def test_fmu_agrees_with_our_integrators_over_a_short_run(name, interface, exported):
+    short = {"stop_time": 0.2, "output_interval": 0.02, "relative_tolerance": TIGHT}
+    reference = cosim.simulate(cosim.load(name), compiled=False, **short)
+    run = cosim.simulate_fmu(exported(name), interface=interface, **short)
+    worst = cosim.compare(reference, run).worst
+    assert worst.scaled <= BOUND, worst  # measured 3e-14 to 6e-8
+
+
+# The pendulum is chaotic, and fmpy's BDF with abstol = rtol x nominal loses more than our own.
+BEYOND = {"double_pendulum/euler_313_axial": 1.8e-6, "double_pendulum/multipliers": 1.2e-6}
+
+
+@pytest.mark.slow
+@EVERY
+@INTERFACES
+def test_fmu_agrees_with_our_integrators_over_the_whole_run(name, interface, exported, request):
+    if interface == "ModelExchange" and name in BEYOND:
+        reason = f"fmpy's solver is off by {BEYOND[name]} at this tolerance"
+        request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
+    reference = cosim.simulate(cosim.load(name), relative_tolerance=TIGHT)
+    run = cosim.simulate_fmu(exported(name), interface=interface, relative_tolerance=TIGHT)
+    assert len(run) == len(reference)
+    worst = cosim.compare(reference, run).worst
+    assert worst.scaled <= BOUND, worst  # measured 6e-14 to 9e-7
+
+
+@pytest.mark.slow
+@EVERY
+@pytest.mark.parametrize("step", [0.001, 0.01, 0.1])
+def test_communication_step_does_not_matter(name, step, exported):
+    span = {"stop_time": 2.0, "output_interval": 0.1, "relative_tolerance": TIGHT}
+    reference = cosim.simulate(cosim.load(name), **span)
+    fine = cosim.simulate_fmu(
+        exported(name), interface="CoSimulation", **(span | {"output_interval": step})
+    )
+    every = round(0.1 / step)
+    for column in reference.columns:
+        gap = np.abs(fine[column.name][::every] - reference[column.name]).max()
+        assert gap <= BOUND * column.nominal, column.name  # measured 1e-14 to 2e-8
+
+
+@EVERY
+def test_fmpy_without_any_option_gives_the_right_numbers(name, exported):
+    result = fmpy.simulate_fmu(str(exported(name)))
+    dae = cosim.load(name)
+    assert result["time"][-1] == pytest.approx(dae.experiment.stop_time)
+    reference = cosim.simulate(
+        dae, stop_time=2.0, output_interval=0.1, relative_tolerance=TIGHT, compiled=False
+    )
+    rows = np.searchsorted(result["time"], reference.time - 1e-9)
+    assert np.allclose(result["time"][rows], reference.time, rtol=0, atol=1e-9)
+    for column in reference.columns:
+        gap = np.abs(result[column.name][rows] - reference[column.name]).max()
+        assert gap <= BOUND * column.nominal, column.name  # measured 3e-14 to 1e-8
+
+
+@pytest.mark.parametrize("name", ["crank_shaft/driven", "bicycle/multipliers"])
+@pytest.mark.parametrize("options", [[], ["--stop-time", "0.5"]])
+def test_command_line_of_fmpy_gives_the_right_numbers(name, options, exported, tmp_path):
+    table = tmp_path / "result.csv"
+    command = [sys.executable, "-m", "fmpy", "simulate", exported(name), "--output-file", table]
+    subprocess.run([*map(str, command), *options], check=True, timeout=120, cwd=tmp_path)
+    result = np.genfromtxt(table, delimiter=",", names=True, deletechars="")
+    stop = float(options[1]) if options else cosim.load(name).experiment.stop_time
+    assert result["time"][-1] == pytest.approx(stop)
+    reference = cosim.simulate(
+        cosim.load(name),
+        stop_time=stop,
+        output_interval=stop,
+        relative_tolerance=TIGHT,
+        compiled=False,
+    )
+    for column in reference.columns:
+        gap = abs(result[column.name][-1] - reference[column.name][-1])
+        assert gap <= BOUND * column.nominal, column.name  # measured 5e-14 to 4e-9
