@@ -95,7 +95,10 @@ def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
         InitialConditionError: The equations are singular at this state.
     """
     guess = np.array([v.start or 0.0 for v in dae.algebraics])
-    z = np.array(algebraic_function(dae)(t, x, guess, values.u, values.p)).ravel()
+    try:
+        z = np.array(algebraic_function(dae)(t, x, guess, values.u, values.p)).ravel()
+    except RuntimeError:  # CasADi's factorization meets a singular matrix
+        z = np.full(len(dae.algebraics), np.nan)
     if not np.isfinite(z).all():
         first = dae.algebraics[int(np.flatnonzero(~np.isfinite(z))[0])].name
         raise InitialConditionError(

@@ -64,8 +64,8 @@ def _judged(case: Case) -> tuple[str, float | None, str]:
     warned = "; ".join(run.stats.get("invalid", ()))
     try:
         error = ORACLES[case.oracle](case, run)
-    except CosimError as failure:
-        return "unverified", None, str(failure)
+    except CosimError as failure:  # no reference; a run that doubts itself has said so
+        return ("failed" if warned else "unverified"), None, warned or str(failure)
     if error <= case.bound:
         return "accurate", error, warned
     return ("failed" if warned else "silent"), error, warned
