@@ -43,6 +43,12 @@ class Importer:
             values[i] = float(np.clip(value, low, high))
         return values
 
+    def moved(self, i: int, value: float) -> float:
+        """Return a value a little away from this one, within bounds."""
+        step = STEP * self.nominal[i]
+        high = float(self.description.variables[i].texts.get("max", "inf"))
+        return value + step if value + step <= high else value - step
+
     def initialize(self, values: dict[int, float]) -> None:
         self.instance.reset()
         self.instance.setupExperiment(startTime=values.get(TIME, 0.3))
@@ -139,7 +145,7 @@ def test_initial_unknowns_depend_on_what_is_declared_and_on_nothing_else(name, e
             importer.initialize(values)
             before = importer.read(influence.unknowns)
             for i, value in values.items():
-                importer.initialize(values | {i: value + STEP * importer.nominal[i]})
+                importer.initialize(values | {i: importer.moved(i, value)})
                 influence.note(i, before, importer.read(influence.unknowns))
         assert influence.named(influence.strange) == []
         count = sum(map(len, influence.declared.values()))
