@@ -3,7 +3,7 @@
 import argparse
 from dataclasses import replace
 
-from casadi_models.dae import Dae, Variable
+from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
 from cosim.loading import load
 from cosim.roads import with_solver
@@ -66,16 +66,16 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
     for name, text in pairs:
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
-        numbers[name] = quantity(text, _variable(dae, name))
+        numbers[name] = quantity(name, text, _unit(dae, name))
     return numbers
 
 
-def _variable(dae: Dae | None, name: str) -> Variable:
-    if dae is None:  # of an FMU: numbers only, in its own units
-        return Variable(name, "1", "start value", 0.0)
+def _unit(dae: Dae | None, name: str) -> str:
+    if dae is None:
+        return "1"  # an FMU's variable: a number only, in its own unit
     try:
-        return dae.variable(name)
+        return dae.variable(name).unit
     except KeyError:
         known = [v.name for v in (*dae.states, *dae.parameters, *dae.inputs)]
         kind = "state, parameter or input"
-        raise UnknownName.among(dae.full_name, kind, name, known) from None
+        raise UnknownName.of_model(dae.full_name, kind, name, known) from None

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
+from casadi_models import CATALOG
+
 if TYPE_CHECKING:
     from cosim.trajectory import Trajectory
 
@@ -35,9 +37,15 @@ class UnknownName(CosimError):
     def among(cls, owner: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:
         """Say what does not exist and which names come nearest."""
         names = list(dict.fromkeys(known))
-        near = get_close_matches(name, names, n=3, cutoff=0.5)
+        near = get_close_matches(str(name), names, n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(near)}?" if near else f"it has {_some(names)}"
         return cls(f"{owner} has no {kind} '{name}'; {hint}")
+
+    @classmethod
+    def of_model(cls, model: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:
+        """Say so of a model's variable, with the command that shows them all."""
+        near = cls.among(model, kind, name, known)
+        return cls(f"{near} (all: cosim info {model})") if model in CATALOG else near
 
 
 class InitialConditionError(CosimError):

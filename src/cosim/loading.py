@@ -1,6 +1,7 @@
 """From the name a user types to a `Dae`: the catalogue, or a builder in the user's own file."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import casadi as ca
@@ -49,7 +50,7 @@ def no_such_output(dae: Dae, name: str) -> UnknownName:
         other = entry != dae.full_name and entry.partition("/")[0] == dae.name
         if other and name in observable(casadi_models.load(entry)):
             return UnknownName(f"{dae.full_name} does not compute '{name}'; {entry} does")
-    return UnknownName.among(dae.full_name, "output", name, observable(dae))
+    return UnknownName.of_model(dae.full_name, "output", name, observable(dae))
 
 
 def _unknown(name: str) -> UnknownName:
@@ -66,10 +67,11 @@ def _unknown(name: str) -> UnknownName:
 def _from_file(path: str, function: str) -> Dae:
     if not Path(path).is_file():
         raise UsageError(f"{path} is not a file; name one as PATH.py:FUNCTION")
-    spec = importlib.util.spec_from_file_location(Path(path).stem, path)
+    spec = importlib.util.spec_from_file_location(f"_cosim_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path} is not a Python file; name one as PATH.py:FUNCTION")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look their annotations up
     try:
         spec.loader.exec_module(module)
     except Exception as error:

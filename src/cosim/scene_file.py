@@ -125,7 +125,7 @@ def _values(
             raise _misplaced(where, table, name, dae, known)
         with file.naming(table, name):
             variable = known[name]
-            plain = quantity(value, variable) if isinstance(value, str) else value
+            plain = quantity(name, value, variable.unit) if isinstance(value, str) else value
             numbers[name] = checked(dae, variable, plain)
     return numbers
 

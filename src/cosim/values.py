@@ -3,10 +3,12 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite, pi
 from numbers import Real
 from typing import Any
+from warnings import warn
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +32,13 @@ class Values:
     u: Vector
 
 
-def quantity(text: str, variable: Variable) -> float:
-    """Read `VALUE[UNIT]`, e.g. "60deg", as a number in the variable's SI unit.
+def quantity(name: str, text: str, unit: str) -> float:
+    """Read `VALUE[UNIT]`, e.g. "60deg", as a number in a variable's own unit.
+
+    Args:
+        name: The variable, for messages.
+        text: What the user wrote.
+        unit: The variable's unit.
 
     Raises:
         ParameterError: It is not a number, or its unit does not fit.
@@ -39,13 +46,13 @@ def quantity(text: str, variable: Variable) -> float:
     match = _QUANTITY.fullmatch(text)
     if not match:
         raise ParameterError(
-            f"{variable.name}: '{text}' is not a number with a unit; write e.g. 1.5{variable.unit}"
+            f"{name}: '{text}' is not a number with a unit; write e.g. 1.5{unit.strip('1')}"
         )
-    number, unit = float(match[1]), match[2]
+    value, written = float(match[1]), match[2]
     try:
-        return convert(number, unit, variable.unit) if unit else number
+        return convert(value, written, unit) if written else value
     except ValueError as error:
-        raise ParameterError(f"{variable.name} = {text}: {error}") from error
+        raise ParameterError(f"{name} = {text}: {error}") from error
 
 
 def number(owner: str, name: str, value: Any, *, positive: bool = False) -> float:
@@ -56,11 +63,15 @@ def number(owner: str, name: str, value: Any, *, positive: bool = False) -> floa
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise ParameterError(f"{owner}: {name} = {value!r} is not a real number; give a float")
-    if not isfinite(value):
-        raise ParameterError(f"{owner}: {name} = {value} is not finite; give a finite number")
-    if positive and value <= 0:
+    try:
+        result = float(value)
+    except OverflowError:
+        result = inf
+    if not isfinite(result):
+        raise ParameterError(f"{owner}: {name} = {result} is not finite; give a finite number")
+    if positive and result <= 0:
         raise ParameterError(f"{owner}: {name} = {value} is not positive; give a positive number")
-    return float(value)
+    return result
 
 
 def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
@@ -90,24 +101,39 @@ def checked(dae: Dae, variable: Variable, value: Any) -> float:
     Raises:
         InitialConditionError: It is a start value that follows from others.
         ParameterError: It is no finite number, or out of its bounds.
+
+    Warns:
+        UserWarning: An angle is of a size that degrees have, and radians hardly ever.
     """
     if variable.start_kind is Start.CALCULATED:
-        free = [v.name for v in dae.states if v.start_kind is Start.EXACT]
-        raise InitialConditionError(
-            f"{dae.full_name}: the start of {variable.name} is calculated from other start values; "
-            f"set some of {', '.join((*free, *_start_parameters(dae)))} instead"
-        )
+        raise _calculated(dae, variable)
     result = number(dae.full_name, f"{variable.name} [{variable.unit}]", value)
     if not variable.minimum <= result <= variable.maximum:
         raise ParameterError(
             f"{dae.full_name}: {variable.name} = {result:g} {variable.unit} is out of its range "
             f"{variable.minimum:g} ... {variable.maximum:g} {variable.unit}; give a value within"
         )
+    if variable.unit == "rad" and abs(result) > max(4 * pi, 10 * variable.nominal):
+        warn(
+            f"{dae.full_name}: {variable.name} = {result:g} rad is more than two turns; write "
+            f"{result:g}deg if degrees are meant",
+            stacklevel=2,
+        )
     return result
 
 
-def _start_parameters(dae: Dae) -> tuple[str, ...]:
-    return tuple(v.name for v in dae.parameters if v.name.endswith("0"))
+def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
+    """Say from what a start value follows: one sets that instead."""
+    row = dae.states.index(variable)
+    rule = next(rule for rule in dae.start_rules if row in rule.states)
+    used = {symbol.name() for symbol in ca.symvar(rule.expression)}
+    free = (v.name for v in (*dae.states, *dae.parameters) if v.start_kind is Start.EXACT)
+    causes = [name for name in free if name in used]
+    shown = ", ".join(causes[:8]) + (", ..." if len(causes) > 8 else "")
+    return InitialConditionError(
+        f"{dae.full_name}: the start of {variable.name} is calculated ({rule.meaning}); "
+        f"set some of {shown} instead"
+    )
 
 
 def _unknown(dae: Dae, name: str, settable: Mapping[str, Variable]) -> UnknownName:
@@ -116,15 +142,13 @@ def _unknown(dae: Dae, name: str, settable: Mapping[str, Variable]) -> UnknownNa
             f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "
             "set a state's start, a parameter or an input"
         )
-    return UnknownName.among(dae.full_name, "state, parameter or input", name, settable)
+    return UnknownName.of_model(dae.full_name, "state, parameter or input", name, settable)
 
 
 def _check_inertias(dae: Dae, p: Vector) -> None:
     """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
     if not dae.inertias:
         return
-    import casadi as ca
-
     matrices = ca.Function("inertias", [dae.p], [matrix for _, matrix in dae.inertias])(p)
     blocks: Sequence[Any] = matrices if isinstance(matrices, list | tuple) else [matrices]
     for (body, _), block in zip(dae.inertias, blocks, strict=True):
