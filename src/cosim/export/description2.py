@@ -13,11 +13,11 @@ from cosim.export.structure import (
     log_categories,
     may_be_set,
     model_structure,
+    shortest,
     to_bytes,
     unit_definitions,
 )
 from cosim.export.variables import Dependencies, FmuVariable, Role
-from cosim.trajectory import repr_17
 
 
 def model_description(
@@ -86,11 +86,11 @@ def _scalar_variable(reference: int, variable: FmuVariable) -> ET.Element:
         real.set("derivative", str(variable.derivative_of + 1))
     for name, bound in (("min", variable.minimum), ("max", variable.maximum)):
         if isfinite(bound):
-            real.set(name, repr_17(bound))
+            real.set(name, shortest(bound))
     if variable.nominal != 1:
-        real.set("nominal", repr_17(variable.nominal))
+        real.set("nominal", shortest(variable.nominal))
     if may_be_set(variable) and variable.start is not None:
-        real.set("start", repr_17(variable.start))
+        real.set("start", shortest(variable.start))
     return element
 
 

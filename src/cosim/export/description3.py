@@ -13,11 +13,11 @@ from cosim.export.structure import (
     log_categories,
     may_be_set,
     model_structure,
+    shortest,
     to_bytes,
     unit_definitions,
 )
 from cosim.export.variables import Dependencies, FmuVariable, Role
-from cosim.trajectory import repr_17
 
 
 def model_description(
@@ -85,11 +85,11 @@ def _float64(reference: int, variable: FmuVariable) -> ET.Element:
         element.set("derivative", str(variable.derivative_of))
     for name, bound in (("min", variable.minimum), ("max", variable.maximum)):
         if isfinite(bound):
-            element.set(name, repr_17(bound))
+            element.set(name, shortest(bound))
     if variable.nominal != 1:
-        element.set("nominal", repr_17(variable.nominal))
+        element.set("nominal", shortest(variable.nominal))
     if may_be_set(variable) and variable.start is not None:
-        element.set("start", repr_17(variable.start))
+        element.set("start", shortest(variable.start))
     return element
 
 

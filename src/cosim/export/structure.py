@@ -7,7 +7,6 @@ from xml.etree import ElementTree as ET
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
 from cosim.export.variables import Dependencies, FmuVariable, Pattern, Role, rate_unit
-from cosim.trajectory import repr_17
 
 LOG_CATEGORIES = {
     "logStatusWarning": "what was done although it may not be meant",
@@ -91,13 +90,13 @@ def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
         ET.SubElement(entry, "BaseUnit", _base_unit(unit))
         for display in sorted(displays[name]):
             factor = unit.factor / UNITS[display].factor
-            ET.SubElement(entry, "DisplayUnit", name=display, factor=repr_17(factor))
+            ET.SubElement(entry, "DisplayUnit", name=display, factor=shortest(factor))
     return element
 
 
 def _base_unit(unit: Unit) -> dict[str, str]:
     attributes = {name: str(exponent) for name, exponent in unit.base}
-    return attributes | ({} if unit.factor == 1 else {"factor": repr_17(unit.factor)})
+    return attributes | ({} if unit.factor == 1 else {"factor": shortest(unit.factor)})
 
 
 def default_experiment(dae: Dae, tolerance: float) -> ET.Element:
@@ -105,9 +104,9 @@ def default_experiment(dae: Dae, tolerance: float) -> ET.Element:
     return ET.Element(
         "DefaultExperiment",
         startTime="0",
-        stopTime=repr_17(dae.experiment.stop_time),
-        tolerance=repr_17(tolerance),
-        stepSize=repr_17(dae.experiment.output_interval),
+        stopTime=shortest(dae.experiment.stop_time),
+        tolerance=shortest(tolerance),
+        stepSize=shortest(dae.experiment.output_interval),
     )
 
 
@@ -129,6 +128,11 @@ def to_bytes(root: ET.Element) -> bytes:
 def may_be_set(variable: FmuVariable) -> bool:
     """Tell whether an importer may give the start; algebraic guesses stay inside."""
     return variable.start_kind is Start.EXACT
+
+
+def shortest(value: float) -> str:
+    """Write a number with the fewest digits that are read as the same number."""
+    return repr(float(value))
 
 
 def causality(variable: FmuVariable) -> str:
