@@ -251,7 +251,7 @@ def test_missing_file_in_a_folder_is_named(tmp_path):
         pytest.param("stop_time = 2", 'stop_time = "2 s"', ParameterError,
                      r"line 16: run: stop_time = '2 s' is not a real number", id="time as text"),
         pytest.param("output_interval = 0.02", "output_interval = 0", ParameterError,
-                     r"line 17: .*output_interval = 0.0 is not positive", id="interval"),
+                     r"line 17: .*output_interval = 0(\.0)? is not positive", id="interval"),
         pytest.param("stop_time = 2", "stop_time = 2\nstart_time = 3", ParameterError,
                      r"line 16: stop_time = 2 s lies before start_time = 3 s", id="backward"),
         pytest.param("= 1e-9", "= 1", ParameterError,
@@ -290,13 +290,13 @@ def test_bytes_that_are_no_text_are_refused(write):
 
 def test_calculated_start_is_refused_with_what_may_be_set(write):
     text = 'model = "bicycle"\n[start]\ntheta = 0.1\n'
-    with pytest.raises(InitialConditionError, match=r"line 3: .* set some of phi, delta, w"):
+    with pytest.raises(InitialConditionError, match=r"line 3: .*theta is calculated.*phi, delta"):
         read_scene(write(text))
 
 
 def test_state_whose_start_is_a_parameter_is_answered_with_the_parameters(write):
     text = 'model = "double_pendulum"\n[start]\nq1_w = 0.0\n'
-    with pytest.raises(InitialConditionError, match=r"line 3: .*follows from instead: .*psi1_0"):
+    with pytest.raises(InitialConditionError, match=r"line 3: .*q1_w is calculated.*psi1_0"):
         read_scene(write(text))
 
 
