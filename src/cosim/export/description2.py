@@ -54,13 +54,14 @@ def _interfaces(identity: Identity) -> Iterable[ET.Element]:
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": "true",
     }
+    exchange = {"completedIntegratorStepNotNeeded": "true"}
     stepping = {
         "canHandleVariableCommunicationStepSize": "true",
         "canInterpolateInputs": "true",
         "maxOutputDerivativeOrder": "1",
     }
-    for kind, attributes in (("ModelExchange", common), ("CoSimulation", common | stepping)):
-        element = ET.Element(kind, attributes)
+    for kind, own in (("ModelExchange", exchange), ("CoSimulation", stepping)):
+        element = ET.Element(kind, common | own)
         files = ET.SubElement(element, "SourceFiles")
         for name in identity.sources:
             ET.SubElement(files, "File", name=name)

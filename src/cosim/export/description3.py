@@ -42,7 +42,7 @@ def model_description(
         "providesAdjointDerivatives": "true",
     }
     stepping = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
-    ET.SubElement(root, "ModelExchange", common)
+    ET.SubElement(root, "ModelExchange", common | {"needsCompletedIntegratorStep": "false"})
     ET.SubElement(root, "CoSimulation", common | stepping)
     root.append(unit_definitions(variables))
     root.append(log_categories())
