@@ -1,6 +1,7 @@
 """Scenes: what a file says reaches the run, and what is wrong in it is named with its line."""
 
 from math import pi
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -365,3 +366,12 @@ def test_step_size_does_not_outlive_the_fixed_step_solver():
     scene = Scene("crank", dae, settings=Settings(solver="ode8", step_size=0.1))
     assert with_solver(scene, "rk4").settings.step_size == 0.1
     assert with_solver(scene, "erk").settings.step_size is None
+
+
+@pytest.mark.parametrize(
+    ("page", "begin"), [("scenes.md", ""), ("figures.md", 'model = "bicycle"\n')]
+)
+def test_scene_in_the_documentation_is_one(write, page, begin):
+    text = (Path(__file__).parents[1] / "docs" / page).read_text(encoding="utf-8")
+    block = text.partition("```toml\n")[2].partition("```")[0]
+    assert read_scene(write(begin + block)).figures

@@ -79,9 +79,12 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
         _panel(axis, spec, index, run, other)
     mains[0].set_title(_origin(run, other), fontsize=7, color="0.4", loc="right")
     if other is not None:
-        for names, axis in zip(spec.panels, rows[1::2], strict=True):
-            along = names if spec.x == "time" else tuple(dict.fromkeys((spec.x, *names)))
-            _difference(axis, along, run, other)
+        for index, axis in enumerate(rows[1::2]):
+            names = spec.panels[index]
+            legends = spec.legends[index] if spec.legends else names
+            if spec.x != "time":
+                names, legends = (spec.x, *names), (spec.x, *legends)
+            _difference(axis, names, legends, run, other)
     if spec.x == "time":
         _share_time(rows)
     figure.align_ylabels(rows)
@@ -112,10 +115,12 @@ def _panel(
         keep_constant_flat(axis, drawn, _shown_nominal(columns))
 
 
-def _difference(axis: Axes, names: Sequence[str], run: Trajectory, other: Trajectory) -> None:
-    for i, name in enumerate(names):
+def _difference(
+    axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
+) -> None:
+    for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
         gap = _shown(other, name) - _shown(run, name)
-        axis.plot(run.time, gap, color=_COLOURS[i % len(_COLOURS)], linewidth=0.9, label=name)
+        axis.plot(run.time, gap, color=_COLOURS[i % len(_COLOURS)], linewidth=0.9, label=legend)
     axis.set_ylabel(f"difference [{_unit(run.column(names[0]))}]")
     axis.ticklabel_format(axis="y", scilimits=(-2, 3), useOffset=False)
     axis.set_xlabel("time [s]")
