@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from cosim.integrate import integrator, simulate, start_vectors
     from cosim.loading import load
     from cosim.reduction import reduce
+    from cosim.references import reference
     from cosim.roads import run_scene
     from cosim.scene import Scene
     from cosim.scene_file import read_scene
+    from cosim.tradeoffs import tradeoff
     from cosim.trajectory import Trajectory
 
 _HOMES = {
@@ -40,10 +42,12 @@ _HOMES = {
     "read_inputs": "inputs",
     "read_scene": "scene_file",
     "reduce": "reduction",
+    "reference": "references",
     "run_scene": "roads",
     "simulate": "integrate",
     "simulate_fmu": "fmpy_run",
     "start_vectors": "integrate",
+    "tradeoff": "tradeoffs",
 }
 
 __all__ = [
@@ -62,10 +66,12 @@ __all__ = [
     "read_inputs",
     "read_scene",
     "reduce",
+    "reference",
     "run_scene",
     "simulate",
     "simulate_fmu",
     "start_vectors",
+    "tradeoff",
 ]
 
 

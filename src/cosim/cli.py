@@ -28,6 +28,11 @@ _EXAMPLES = """examples:
 exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ,
             5 a tool is missing, 130 interrupted"""
 
+_HOMES = {  # verbs with a module of their own
+    "extremes": "cosim.commands_extremes",
+    "tradeoff": "cosim.commands_tradeoff",
+}
+
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
@@ -38,7 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `cosim VERB ...`; return the exit code."""
     args = _parser().parse_args(arguments)
     try:
-        code: int = getattr(import_module("cosim.commands"), f"do_{args.verb}")(args)
+        code: int = getattr(
+            import_module(_HOMES.get(args.verb, "cosim.commands")), f"do_{args.verb}"
+        )(args)
         sys.stdout.flush()
         return code
     except CosimError as error:
@@ -93,6 +100,23 @@ def _parser() -> argparse.ArgumentParser:
     )
     crosscheck.add_argument("models", metavar="MODEL|SCENE.toml", nargs="*", help="all by default")
     crosscheck.add_argument("--bound", type=float, metavar="B", help="in nominal values; 1e-6")
+
+    tradeoff = verbs.add_parser(
+        "tradeoff", parents=[common, run, values], help="error against cost, on every road"
+    )
+    tradeoff.add_argument("model", metavar="MODEL|SCENE.toml")
+    _selection_options(tradeoff)
+
+    extremes = verbs.add_parser(
+        "extremes", parents=[common], help="every model at its limits, and how each case ends"
+    )
+    extremes.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
+    extremes.add_argument("--long", action="store_true", help="with hours of simulated time")
+    extremes.add_argument(
+        "--timeout", type=float, default=60.0, metavar="S", help="for one case, s; 60"
+    )
+    extremes.add_argument("--output-file", metavar="FILE", help="every case, as CSV")
+    extremes.add_argument("--figure", metavar="FILE", help="the map as PNG, SVG or PDF")
 
     plot = verbs.add_parser(
         "plot", parents=[common, run, values], help="a run as curves, to a window or a file"
@@ -156,3 +180,14 @@ def _solver_options(parser: argparse.ArgumentParser) -> None:
         metavar="ACTION",
         help="where a run leaves the model's limits: warn (the default), stop or ignore",
     )
+
+
+def _selection_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--solvers", metavar="A,B", help="all, and the FMU, by default")
+    parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
+    parser.add_argument("--steps", metavar="A,B", help="s; of rk4 and ode8")
+    parser.add_argument("--roads", metavar="A,B", help="compiled, interpreted, fmpy-me, fmpy-cs")
+    parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs; 5")
+    parser.add_argument("--resume", action="store_true", help="go on after an interruption")
+    parser.add_argument("--output-file", metavar="FILE", help="CSV or JSON, with provenance")
+    parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")

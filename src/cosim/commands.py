@@ -4,7 +4,6 @@ import argparse
 import json
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import casadi_models
@@ -15,6 +14,7 @@ from cosim.loading import load
 from cosim.roads import run_scene, scene_dae, variant
 from cosim.scene import Scene
 from cosim.scene_file import scene_summaries
+from cosim.tables import show_table, write_text
 from cosim.trajectory import Trajectory
 
 
@@ -37,9 +37,9 @@ def do_list(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"models": models, "scenes": scenes}, indent=1))
         return 0
-    _show(args, models)
+    show_table(models, as_json=args.json)
     print("\nscenes, for simulate, export, crosscheck and plot")
-    _show(args, scenes)
+    show_table(scenes, as_json=args.json)
     return 0
 
 
@@ -72,7 +72,7 @@ def do_info(args: argparse.Namespace) -> int:
     for key, group in groups.items():
         if group:
             print(f"\n{key}")
-            _show(args, [_facts(v) for v in group])
+            show_table([_facts(v) for v in group], as_json=args.json)
     if limits:
         print("\nlimits: a run is valid while", *limits, sep="\n  ")
     return 0
@@ -85,7 +85,8 @@ def do_simulate(args: argparse.Namespace) -> int:
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
-        _write(args, json.dumps(head | {"stats": dict(run.stats), "values": columns}) + "\n")
+        text = json.dumps(head | {"stats": dict(run.stats), "values": columns}) + "\n"
+        write_text(args.output_file, text)
     else:
         run.to_csv(args.output_file or sys.stdout)
     if args.verbose:
@@ -153,7 +154,7 @@ def do_crosscheck(args: argparse.Namespace) -> int:
         if not args.quiet:
             told = f"{row['model']}: {row['road']} against {row['against']}"
             print(f"{told}: {row['difference']:.1e} {row['verdict']}", file=sys.stderr, flush=True)
-    _show(args, rows)
+    show_table(rows, as_json=args.json)
     return 0 if all(row["verdict"] == "ok" for row in rows) else 4
 
 
@@ -247,32 +248,3 @@ def _facts(variable: Variable) -> dict[str, Any]:
         "bounds": f"{bounds[0]:g} ... {bounds[1]:g}" if finite else "",
         "meaning": variable.meaning,
     }
-
-
-def _show(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
-    if args.json:
-        print(json.dumps(rows, indent=1))
-        return
-    if not rows:
-        return
-    cells = [[_cell(value) for value in row.values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(rows[0], *cells, strict=True)]
-    for line in ([*rows[0]], *cells):
-        print(
-            "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip()
-        )
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    return "" if value is None else str(value)
-
-
-def _write(args: argparse.Namespace, text: str) -> None:
-    if args.output_file:
-        from cosim.files import write_atomically
-
-        write_atomically(Path(args.output_file), text.encode())
-    else:
-        sys.stdout.write(text)

@@ -2,7 +2,6 @@
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,16 @@ from typing import Any
 import casadi_models
 from casadi_models.dae import Dae
 from cosim.comparison import Comparison, compare
-from cosim.errors import UnknownName
 from cosim.export import export_fmu
 from cosim.fmpy_run import INTERFACES
 from cosim.loading import formulations, load
-from cosim.roads import in_formulation, other_formulations, run_fmu, run_scene, scene_dae
+from cosim.roads import (
+    DIFFERENT_BY_DESIGN,
+    fitting_formulations,
+    run_fmu,
+    run_scene,
+    scene_dae,
+)
 from cosim.scene import Scene, Settings
 from cosim.trajectory import Trajectory
 
@@ -22,9 +26,6 @@ BOUND = 1e-6  # of the nominal value
 TOLERANCE = 1e-10
 # The pendulum's motion multiplies what a solver is wrong by in a step by about 1e4 in 10 s.
 SENSITIVE = {"double_pendulum": 1e-11}
-
-# The book leaves the pitch rate out of the contact point's velocity (docs/bicycle.md).
-DIFFERENT_BY_DESIGN = {"bicycle/book": frozenset({"xP", "yP"})}
 
 
 @dataclass(frozen=True)
@@ -126,10 +127,7 @@ def _members(item: str | Scene) -> Iterator[Scene]:
         names = (item,) if "/" in item or ".py:" in item else formulations(item)
         yield from (Scene(name, load(name)) for name in names)
         return
-    yield item
-    for name in other_formulations(item).values():
-        with suppress(UnknownName):  # it lacks an output, or cannot be given what the scene sets
-            yield in_formulation(item, name)
+    yield from fitting_formulations(item)
 
 
 def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:

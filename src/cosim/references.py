@@ -26,7 +26,8 @@ from cosim.files import write_atomically
 from cosim.integrate import simulate, time_grid
 from cosim.resources import cache_folder
 from cosim.scene import Scene
-from cosim.trajectory import Trajectory
+from cosim.solvers import SOLVERS
+from cosim.trajectory import Column, Trajectory
 from cosim.values import assign
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no further method is tried
@@ -138,7 +139,8 @@ def reference_key(scene: Scene) -> str:
     grid = time_grid(settings.start_time, stop, dae.experiment.output_interval)
     parts = [equations.serialize().encode(), start_function(dae).serialize().encode()]
     parts += [array.tobytes() for array in (values.x, values.p, values.u, grid)]
-    named = [(v.name, v.nominal) for v in dae.variables]
+    recorded = (*dae.states, *dae.algebraics, *dae.output_variables)
+    named = [(v.name, v.nominal) for v in recorded]
     parts.append(repr((_FORMAT, ca.CasadiMeta.version(), named, WAYS)).encode())
     if scene.inputs is not None:
         parts.append(repr(scene.inputs.names).encode())
@@ -169,8 +171,6 @@ def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
 
 
 def _ways(dae: Dae) -> Iterator[Way]:
-    from cosim.solvers import SOLVERS
-
     yield from (way for way in WAYS if SOLVERS[way.solver].solves_dae or not dae.algebraics)
 
 
@@ -211,10 +211,8 @@ def _keep(found: Reference, place: Path) -> None:
 
 
 def _read(place: Path, key: str) -> Reference | None:
-    from cosim.trajectory import Column
-
     try:
-        with np.load(place, allow_pickle=False) as stored:
+        with place.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             facts = json.loads(str(stored["facts"]))
             columns = tuple(Column(**column) for column in facts["columns"])
             run = Trajectory(facts["model"], stored["time"], columns, stored["values"])

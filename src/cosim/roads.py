@@ -1,6 +1,8 @@
 """A scene on any road: the one place that knows both of them."""
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +19,9 @@ from cosim.solvers import SOLVERS, Tolerance
 from cosim.trajectory import Trajectory
 
 FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
+
+# The book leaves the pitch rate out of the contact point's velocity (docs/bicycle.md).
+DIFFERENT_BY_DESIGN = {"bicycle/book": frozenset({"xP", "yP"})}
 
 
 def scene_dae(scene: Scene) -> Dae:
@@ -142,6 +147,17 @@ def in_formulation(scene: Scene, model: str) -> Scene:
     if dae.algebraics and settings.solver and not SOLVERS[settings.solver].solves_dae:
         settings = replace(settings, solver=None, step_size=None)
     return replace(scene, dae=dae, settings=settings)
+
+
+def fitting_formulations(scene: Scene) -> Iterator[Scene]:
+    """Yield a scene in its own formulation, then in every other one that fits it.
+
+    What does not fit lacks an output of the scene, or cannot be given what the scene sets.
+    """
+    yield scene
+    for name in other_formulations(scene).values():
+        with suppress(UnknownName):
+            yield in_formulation(scene, name)
 
 
 def other_formulations(scene: Scene) -> dict[str, str]:

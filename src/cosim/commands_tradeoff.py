@@ -1,0 +1,93 @@
+"""The verb `cosim tradeoff`: error against cost as a table, a file and a figure."""
+
+import argparse
+import sys
+from typing import Any
+
+from cosim.arguments import scene_from
+from cosim.errors import UnknownName
+from cosim.tables import show_table, write_text
+from cosim.tradeoffs import COSTS, Selection, Tradeoff, tradeoff
+from cosim.tradeoffs.configuration import parse_list, parse_numbers
+
+_SHOWN = (
+    *("model", "reduced", "road", "solver", "tolerance", "step", "error", "worst", "rhs_calls"),
+    *("solver_ms", "solver_ms_low", "solver_ms_high", "total_ms", "drift", "front"),
+)
+
+
+def do_tradeoff(args: argparse.Namespace) -> int:
+    """Measure error against cost: `cosim tradeoff MODEL|SCENE.toml`."""
+    if args.output_file and not args.output_file.endswith((".csv", ".json")):
+        raise UnknownName.among(
+            args.output_file, "file format", args.output_file, (".csv", ".json")
+        )
+    if args.figure:
+        from cosim.picture_files import picture_format
+
+        picture_format(args.figure)
+    selection = Selection(
+        parse_list(args.solvers),
+        parse_numbers("--tolerances", args.tolerances),
+        parse_numbers("--steps", args.steps),
+        parse_list(args.roads),
+    )
+    scene = scene_from(args)
+    named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
+
+    def tell(line: str) -> None:
+        if not args.quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    try:
+        study = tradeoff(
+            scene,
+            selection=selection,
+            every_formulation=not named,
+            repeats=args.repeats,
+            resume=args.resume,
+            tell=tell,
+        )
+    except KeyboardInterrupt:
+        print("what has run is kept; go on with: --resume", file=sys.stderr)
+        raise
+    _deliver(args, study)
+    return 0
+
+
+def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
+    if args.output_file:
+        text = study.to_csv() if args.output_file.endswith(".csv") else study.to_json()
+        write_text(args.output_file, text)
+    if args.figure:
+        from cosim.picture_files import save
+        from cosim.tradeoff_figure import draw_tradeoff
+
+        save([draw_tradeoff(study)], args.figure)
+    if args.json:
+        write_text(None, study.to_json())
+    else:
+        _print(study)
+
+
+def _print(study: Tradeoff) -> None:
+    done = [row for row in study.rows() if row["status"] == "complete"]
+    show_table([{key: row[key] for key in _SHOWN} for row in done], as_json=False)
+    for row in study.rows():
+        if row["status"] != "complete":
+            print(f"{row['model']} {row['road']} {row['solver']}: {row['status']}", file=sys.stderr)
+    for key, value in study.provenance.items():
+        print(f"{key}: {value}")
+    for cost in COSTS:
+        print(f"\nPareto front, error against {cost} ({'s' if cost == 'solver_time' else '1'})")
+        show_table([_point(study, m, cost) for m in study.front(cost)], as_json=False)
+    print("\nerror = constant * tolerance ** slope")
+    show_table([fit.row() for fit in study.proportionality()], as_json=False)
+
+
+def _point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:
+    return {
+        "configuration": str(measurement.configuration),
+        "error": max(measurement.error, study.floor),
+        cost: measurement.cost(cost),
+    }
