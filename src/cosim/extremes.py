@@ -4,6 +4,7 @@ Cases run in child processes, so that one which hangs or crashes is killed and c
 """
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -16,11 +17,12 @@ from time import perf_counter
 from typing import Any
 
 from cosim.limit_cases import Case, Reference, catalogue
-from cosim.limit_oracles import OUTCOMES, Verdict, judge
+from cosim.limit_oracles import OUTCOMES, Runner, Verdict, judge, run_case
 from cosim.loading import formulations
 from cosim.values import number
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
+SERVER = "from cosim.extremes import serve; serve()"
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,16 @@ def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case
     ]
 
 
-def explore(cases: Iterable[Case], *, timeout: float = 60.0, jobs: int = 2) -> Iterator[Finding]:
+def explore(
+    cases: Iterable[Case], *, timeout: float = 60.0, jobs: int = 2, server: str = SERVER
+) -> Iterator[Finding]:
     """Run cases in child processes, in their order.
 
     Args:
         cases: What to run.
         timeout: After which a child is killed and its case is a hang, s.
         jobs: Number of children.
+        server: Python code that a child runs; it calls `serve`.
 
     Raises:
         ParameterError: The timeout is not a positive number.
@@ -76,7 +81,7 @@ def explore(cases: Iterable[Case], *, timeout: float = 60.0, jobs: int = 2) -> I
 
     def run(case: Case) -> Finding:
         if not hasattr(own, "worker"):
-            own.worker = _Worker()
+            own.worker = _Worker(server)
             workers.append(own.worker)
         return Finding(case, own.worker.judge(case, limit))
 
@@ -110,18 +115,25 @@ def summary(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     return rows
 
 
-def serve() -> None:
-    """Judge the cases that come as JSON lines on standard input; answer in kind."""
+def serve(runner: Runner = run_case) -> None:
+    """Judge the cases that come as JSON lines on standard input; answer in kind.
+
+    Args:
+        runner: What runs a case; another one than the product's own for a baseline.
+    """
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a solver prints is no answer
     for line in sys.stdin:
         facts = json.loads(line)
         facts["references"] = tuple(Reference(**each) for each in facts["references"])
-        print(json.dumps(judge(Case(**facts))), flush=True)
+        print(json.dumps(judge(Case(**facts), runner)), file=answers, flush=True)
 
 
 class _Worker:
     """A child process that judges one case at a time; replaced when it had to be killed."""
 
-    def __init__(self) -> None:
+    def __init__(self, server: str) -> None:
+        self._server = server
         self._process = self._start()
 
     def judge(self, case: Case, timeout: float) -> Verdict:
@@ -133,6 +145,7 @@ class _Worker:
         if answer:
             return Verdict(*json.loads(answer))
         seconds, code = perf_counter() - began, self._process.wait()
+        self.close()
         self._process = self._start()
         if seconds >= timeout:
             return Verdict("hang", None, f"killed after {timeout:g} s", seconds)
@@ -152,9 +165,8 @@ class _Worker:
         except BrokenPipeError:
             return ""
 
-    @staticmethod
-    def _start() -> "subprocess.Popen[str]":
-        command = [sys.executable, "-c", "from cosim.extremes import serve; serve()"]
+    def _start(self) -> "subprocess.Popen[str]":
+        command = [sys.executable, "-c", self._server]
         pipe = subprocess.PIPE
         return subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True

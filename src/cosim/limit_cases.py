@@ -236,7 +236,7 @@ def _tolerances() -> Iterator[Case]:
     for rtol, solver in product(values, solvers):
         other = Reference(PENDULUM[0], "rosenbrock" if solver == "erk" else "erk", 1e-13)
         case = Case("tolerances", f"rtol {rtol:g}, {solver}", PENDULUM[0], {}, 2.0)
-        bound = max(1e-7, 100 * rtol) if rtol == rtol else 1e-7
+        bound = max(1e-7, 20 * rtol) if rtol == rtol else 1e-7
         yield replace(
             case, bound=bound, solver=solver, relative_tolerance=rtol, references=(other,)
         )

@@ -33,7 +33,8 @@ def draw_map(findings: Sequence[Finding]) -> Figure:
     for family, outcomes in families.items():
         places = [(i % _ACROSS, line + i // _ACROSS) for i in range(len(outcomes))]
         colours = [COLOURS[outcome] for outcome in outcomes]
-        axis.scatter(*zip(*places, strict=True), c=colours, marker="s", s=62, linewidths=0)
+        across, down = zip(*places, strict=True)
+        axis.scatter(across, down, c=colours, marker="s", s=62, linewidths=0)
         ticks.append(line)
         labels.append(f"{family} ({len(outcomes)})")
         line += ceil(len(outcomes) / _ACROSS)

@@ -36,27 +36,35 @@ class Verdict(NamedTuple):
     seconds: float
 
 
-def judge(case: Case) -> Verdict:
+def run_case(case: Case) -> Trajectory:
+    """Run a case as a user would."""
+    return simulate(
+        _model(case.model),
+        stop_time=case.stop_time,
+        output_interval=case.stop_time / case.points,
+        solver=case.solver,
+        relative_tolerance=case.relative_tolerance,
+        step_size=case.step_size,
+        start=case.values,
+    )
+
+
+Runner = Callable[[Case], Trajectory]
+
+
+def judge(case: Case, runner: Runner = run_case) -> Verdict:
     """Run a case and judge it."""
     began = perf_counter()
     try:
-        outcome, error, reason = _judged(case)
+        outcome, error, reason = _judged(case, runner)
     except Exception as defect:  # an error that is none of `CosimError` counts as a crash
         outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
     return Verdict(outcome, error, reason, perf_counter() - began)
 
 
-def _judged(case: Case) -> tuple[str, float | None, str]:
+def _judged(case: Case, runner: Runner) -> tuple[str, float | None, str]:
     try:
-        run = simulate(
-            _model(case.model),
-            stop_time=case.stop_time,
-            output_interval=case.stop_time / case.points,
-            solver=case.solver,
-            relative_tolerance=case.relative_tolerance,
-            step_size=case.step_size,
-            start=case.values,
-        )
+        run = runner(case)
     except (UsageError, UnknownName, InitialConditionError) as refusal:
         return "refused", None, str(refusal)
     except SolverError as failure:

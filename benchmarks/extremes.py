@@ -1,0 +1,110 @@
+"""The limit cases on bare tools: `casadi.integrator` as it comes, and fmpy on the exported FMU.
+
+    python benchmarks/extremes.py [MODEL...]
+
+prints how many cases end how, side by side. Start values come from the product, because a bare
+tool has none; everything after that is the tool's own.
+"""
+
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import fmpy
+import numpy as np
+
+from cosim.errors import SolverError, UsageError
+from cosim.export import export_fmu
+from cosim.extremes import explore, select_cases, serve
+from cosim.integrate import start_vectors
+from cosim.limit_cases import Case
+from cosim.limit_oracles import OUTCOMES
+from cosim.loading import load
+from cosim.observation import all_columns
+from cosim.trajectory import Trajectory
+
+PLUGINS = {"cvodes_adams": "cvodes", "ode8": "rk", "rk4": "rk"}
+FOLDER = tempfile.TemporaryDirectory(prefix="cosim-extremes-")
+
+
+def run_casadi(case: Case) -> Trajectory:
+    """CasADi's integrator, its default options and the case's tolerance."""
+    dae = load(case.model)
+    start = start_vectors(dae, case.values)
+    grid = np.linspace(0, case.stop_time, case.points + 1)
+    solver = case.solver or ("idas" if dae.algebraics else "cvodes")
+    options = {"reltol": case.relative_tolerance, "abstol": 0.01 * case.relative_tolerance}
+    if solver == "cvodes_adams":
+        options["linear_multistep_method"] = "adams"
+    if solver in ("rk4", "ode8"):
+        options = {}
+    problem = {"t": dae.t, "x": dae.x, "z": dae.z, "u": dae.u, "p": dae.p}
+    problem |= {"ode": dae.ode, "alg": dae.alg}
+    try:
+        run = ca.integrator("run", PLUGINS.get(solver, solver), problem, 0.0, list(grid), options)
+        found = run(x0=start["x0"], z0=start["z0"], p=start["p"], u=start["u"])
+    except RuntimeError as error:
+        raise SolverError(str(error).splitlines()[-1]) from error
+    outputs = ca.Function("y", [dae.t, dae.x, dae.z, dae.u, dae.p], [dae.outputs])
+    states, unknowns = found["xf"], found["zf"]
+    rows = outputs(ca.DM(grid).T, states, unknowns, start["u"], start["p"])
+    table = np.vstack((np.array(states), np.array(unknowns), np.array(rows))).T
+    return Trajectory(dae.full_name, grid, all_columns(dae), table)
+
+
+def run_fmpy(case: Case) -> Trajectory:
+    """fmpy's model exchange with its CVODE and the case's tolerance."""
+    dae = load(case.model)
+    if case.solver not in (None, "cvodes", "idas"):
+        raise UsageError("fmpy has CVODE and Euler only")
+    try:
+        result = fmpy.simulate_fmu(
+            _fmu(case.model),
+            fmi_type="ModelExchange",
+            stop_time=case.stop_time,
+            output_interval=case.stop_time / case.points,
+            relative_tolerance=case.relative_tolerance,
+            start_values=dict(case.values),
+            output=[column.name for column in all_columns(dae)],
+        )
+    except Exception as error:
+        raise SolverError(str(error)) from error
+    columns = all_columns(dae)
+    table = np.column_stack([result[column.name] for column in columns])
+    if len(table) != case.points + 1:
+        raise SolverError(f"fmpy returned {len(table)} of {case.points + 1} rows")
+    return Trajectory(dae.full_name, result["time"], columns, table)
+
+
+@cache
+def _fmu(model: str) -> str:
+    target = Path(FOLDER.name) / f"{model.replace('/', '_')}.fmu"
+    return str(export_fmu(load(model), target))
+
+
+def serve_baseline(tool: str) -> None:
+    warnings.simplefilter("ignore")
+    serve({"casadi": run_casadi, "fmpy": run_fmpy}[tool])
+
+
+def main(models: list[str]) -> None:
+    folder = Path(__file__).parent
+    cases = select_cases(models)
+    print("tool".ljust(10), *(outcome.rjust(11) for outcome in OUTCOMES))
+    for tool in ("cosim", "casadi", "fmpy"):
+        own = f"import sys; sys.path.insert(0, {str(folder)!r})\n"
+        server = (
+            {}
+            if tool == "cosim"
+            else {"server": f"{own}from extremes import serve_baseline; serve_baseline({tool!r})"}
+        )
+        counts = Counter(f.verdict.outcome for f in explore(cases, timeout=60, **server))
+        print(tool.ljust(10), *(str(counts[outcome]).rjust(11) for outcome in OUTCOMES), flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
