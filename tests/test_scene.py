@@ -326,6 +326,12 @@ def test_line_of_the_second_figure_is_named(write):
         read_scene(write(text))
 
 
+def test_line_after_a_list_of_several_lines_is_named(write):
+    text = GOOD.replace('[["theta"], ["M_phi"]]', '[\n  ["theta"],\n  ["M_phi"]\n]')
+    with pytest.raises(UnknownName, match=r"line 29: \[figures\] has no key 'equl'"):
+        read_scene(write(text + "equl = true\n"))
+
+
 def test_scene_made_in_python_refuses_what_a_file_may_not_say():
     with pytest.raises(UnknownName, match="no state, parameter or input 'lenght'"):
         Scene("bar", cosim.load("bar_on_frame"), values={"lenght": 1.0})
