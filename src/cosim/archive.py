@@ -64,15 +64,19 @@ def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
     Raises:
         FmuError, SecurityError: See `opened`.
     """
-    with (
-        opened(source, most_bytes=most_bytes) as archive,
-        tempfile.TemporaryDirectory(prefix="cosim-") as folder,
-    ):
+    with opened(source, most_bytes=most_bytes) as archive, _temporary_folder() as folder:
         try:
             archive.extractall(folder)
         except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
             raise FmuError(f"cannot unpack {archive.filename}: {error}") from error
         yield Path(folder).resolve()
+
+
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    try:
+        return tempfile.TemporaryDirectory(prefix="cosim-")
+    except OSError as error:
+        raise FmuError(f"there is no folder for temporary files: {error}; set TMPDIR") from error
 
 
 def content_of(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:

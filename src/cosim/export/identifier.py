@@ -25,7 +25,7 @@ def model_identifier(name: str) -> str:
     if not _C_NAME.fullmatch(identifier):
         raise ExportError(
             f"'{name}' cannot name an FMU: use at most 100 ASCII letters, digits and _, "
-            "beginning with a letter"
+            "beginning with a letter or _"
         )
     if identifier.lower() in _RESERVED.split():
         raise ExportError(f"'{name}' cannot name an FMU: it is a reserved word; choose another")
