@@ -164,7 +164,8 @@ class Trajectory:
         }
         time = ("time", self.time, {"units": "s"})
         attrs = {"model": self.model, "status": self.status}
-        return xarray.Dataset(variables, {"time": time}, attrs)
+        dataset: xr.Dataset = xarray.Dataset(variables, {"time": time}, attrs)
+        return dataset
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Draw variables over time in their display units, one axis per unit."""
