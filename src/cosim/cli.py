@@ -113,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     extremes.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
     extremes.add_argument("--long", action="store_true", help="with hours of simulated time")
     extremes.add_argument(
-        "--timeout", type=float, default=60.0, metavar="S", help="for one case, s; 60"
+        "--timeout", type=float, default=120.0, metavar="S", help="for one case, s; 120"
     )
     extremes.add_argument("--output-file", metavar="FILE", help="every case, as CSV")
     extremes.add_argument("--figure", metavar="FILE", help="the map as PNG, SVG or PDF")

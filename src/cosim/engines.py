@@ -7,7 +7,7 @@
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -60,10 +60,12 @@ def build(
     inputs: InputSeries | None = None,
     compiled: bool = False,
     sensitivities: bool = True,
+    slopes: Vector | None = None,
 ) -> Engine:
     """Return the engine of a solver for a grid of at least two increasing times.
 
-    An adaptive solver takes no step longer than the shortest interval of an input series.
+    An adaptive solver takes no step longer than the shortest interval of an input series. IDAS
+    starts from `slopes`, consistent dx/dt at the start, or looks for them itself when None.
 
     Raises:
         UnknownName, UsageError: See `method`; or the solver does not take what is given.
@@ -81,6 +83,8 @@ def build(
     if compiled and chosen.plugin in ("erk", "rosenbrock"):
         return _generated(dae, grid, chosen, accuracy, inputs)
     function = equations(dae, sensitivities=sensitivities)
+    start = {} if slopes is None else {"calc_ic": False, "init_xdot": slopes.tolist()}
+    chosen = replace(chosen, options={**chosen.options, **start})
     return _interpreted(dae, grid, chosen, accuracy, inputs, function, compiled)
 
 
@@ -252,7 +256,7 @@ def _fixed_step(
     largest = float(intervals.max())
     if step_size is not None:
         largest = number("solver", "step_size", step_size, positive=True)
-    if (grid[-1] - grid[0]) / largest > MOST_STEPS:
+    if float(grid[-1] - grid[0]) / largest > MOST_STEPS:
         raise ParameterError(
             f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; give a larger one"
         )

@@ -62,7 +62,7 @@ def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case
 
 
 def explore(
-    cases: Iterable[Case], *, timeout: float = 60.0, jobs: int = 2, server: str = SERVER
+    cases: Iterable[Case], *, timeout: float = 120.0, jobs: int = 2, server: str = SERVER
 ) -> Iterator[Finding]:
     """Run cases in child processes, in their order.
 

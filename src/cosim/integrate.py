@@ -217,6 +217,10 @@ class _Task:
             engine = self.engine(grid, self.step_size)
             ready = perf_counter()
             reached = call(engine, x0, z0, values.p, values.u)
+            if self.solver == "idas" and reached.reason and not reached.states.shape[1]:
+                # IDACalcIC gave up on a start that is consistent already
+                slopes = self.slopes(grid[0], x0, z0, u[:, 0])
+                reached = call(self.engine(grid, None, slopes), x0, z0, values.p, values.u)
             stats = {"solve_time": perf_counter() - ready, **reached.stats}
             states, guesses, reason = reached.states, reached.algebraics, reached.reason
             if not SOLVERS[self.solver].adaptive and not reason and self.on_invalid != "ignore":
@@ -234,7 +238,14 @@ class _Task:
                 n, reason = found[0]
         return _Solution(grid, table[:n], stats, reason, found)
 
-    def engine(self, grid: Vector, step_size: float | None) -> engines.Engine:
+    def slopes(self, t: float, x: Vector, z: Vector, u: Vector) -> Vector:
+        """Return dx/dt at a consistent state, (nx,)."""
+        ode, _ = engines.equations(self.dae)(t, x, z, u, self.values.p)
+        return np.array(ode).ravel()
+
+    def engine(
+        self, grid: Vector, step_size: float | None, slopes: Vector | None = None
+    ) -> engines.Engine:
         return engines.build(
             self.dae,
             grid,
@@ -244,6 +255,7 @@ class _Task:
             inputs=self.inputs,
             compiled=self.compiled,
             sensitivities=False,
+            slopes=slopes,
         )
 
     def step_check(self, grid: Vector, states: Vector, z0: Vector) -> list[Breach]:

@@ -138,3 +138,15 @@ def test_map_shows_each_outcome_in_its_own_colour(tmp_path):
     (path,) = save([draw_map(findings)], str(tmp_path / "map.png"))
     pixels = matplotlib.image.imread(path)[..., :3].reshape(-1, 3)
     assert len(np.unique((pixels * 8).astype(int), axis=0)) > len(OUTCOMES)
+
+
+@pytest.mark.parametrize(
+    ("family", "name", "model"),
+    [
+        ("bicycle: speed", "0 m/s, idas", "bicycle/multipliers"),
+        ("mass ratios", "m x 1e-09", "bar_on_frame/two_body"),
+        ("mass ratios", "bar_mass x 1e-06", "disk_two_bars/multipliers"),
+    ],
+)
+def test_idas_starts_from_consistent_slopes_where_its_own_search_fails(family, name, model):
+    assert judge(find(family, name, model)).outcome == "accurate"
