@@ -152,10 +152,12 @@ def do_crosscheck(args: argparse.Namespace) -> int:
         row = check.row()
         rows.append(row)
         if not args.quiet:
-            told = f"{row['model']}: {row['road']} against {row['against']}"
-            print(f"{told}: {row['difference']:.1e} {row['verdict']}", file=sys.stderr, flush=True)
+            told = f"{row['model']}: {row['road']} against {row['against'] or 'others'}"
+            found = check.failure or f"{row['difference']:.1e}"
+            print(f"{told}: {found} {check.verdict}", file=sys.stderr, flush=True)
     show_table(rows, as_json=args.json)
-    return 0 if all(row["verdict"] == "ok" for row in rows) else 4
+    verdicts = {row["verdict"] for row in rows}
+    return 1 if "FAILED" in verdicts else 4 if "DIFFERS" in verdicts else 0
 
 
 def do_plot(args: argparse.Namespace) -> int:

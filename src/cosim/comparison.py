@@ -69,13 +69,20 @@ def compare(
 
     Raises:
         ParameterError: The bound is not a positive number.
-        UsageError: The runs have no variable in common, no output times or other ones.
+        UsageError: The runs have no variable in common, one in another unit, no output times or
+            other ones.
     """
     number("compare", "bound", bound, positive=True)
     names = [name for name in first.names if name in second.names and name not in without]
     if not names:
         raise UsageError(f"{first.model} and {second.model} have no variable in common")
     _refuse_other_times(first, second)
+    for name in names:
+        units = first.column(name).unit, second.column(name).unit
+        if units[0] != units[1]:
+            raise UsageError(
+                f"{name} is in {units[0]} in {_label(first)}, in {units[1]} in the other"
+            )
     differences = []
     for name in names:
         with np.errstate(invalid="ignore"):  # infinity less infinity

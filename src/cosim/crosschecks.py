@@ -2,13 +2,14 @@
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import casadi_models
 from casadi_models.dae import Dae
 from cosim.comparison import Comparison, compare
+from cosim.errors import FmuError, InitialConditionError, SolverError
 from cosim.export import export_fmu
 from cosim.fmpy_run import INTERFACES
 from cosim.loading import formulations, load
@@ -21,11 +22,13 @@ from cosim.roads import (
 )
 from cosim.scene import Scene, Settings
 from cosim.trajectory import Trajectory
+from cosim.values import number
 
 BOUND = 1e-6  # of the nominal value
 TOLERANCE = 1e-10
 # The pendulum's motion multiplies what a solver is wrong by in a step by about 1e4 in 10 s.
 SENSITIVE = {"double_pendulum": 1e-11}
+_FAILURES = (SolverError, FmuError, InitialConditionError)  # of one run, not of what was asked
 
 
 @dataclass(frozen=True)
@@ -36,36 +39,46 @@ class Check:
         model: `MODEL/FORMULATION` of the second run.
         road: How it was computed.
         against: What it is compared with.
-        comparison: The differences.
+        comparison: The differences; None where the run failed.
         stats: Of the second run: wall_time [s], rhs_calls.
+        failure: Why the run failed.
     """
 
     model: str
     road: str
     against: str
-    comparison: Comparison
-    stats: dict[str, Any]
+    comparison: Comparison | None
+    stats: dict[str, Any] = field(default_factory=dict)
+    failure: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """ "ok", "DIFFERS" or "FAILED"."""
+        if self.comparison is None:
+            return "FAILED"
+        return "ok" if self.comparison.agrees else "DIFFERS"
 
     def row(self) -> dict[str, Any]:
         """Return the check as plain values, for tables and JSON."""
-        worst = self.comparison.worst
+        compared = self.comparison
+        worst = compared and compared.worst
         return {
             "model": self.model,
             "road": self.road,
             "against": self.against,
-            "variables": len(self.comparison.differences),
-            "worst": worst.name,
-            "difference": worst.scaled,
-            "at": worst.time,
-            "bound": self.comparison.bound,
-            "verdict": "ok" if self.comparison.agrees else "DIFFERS",
+            "variables": compared and len(compared.differences),
+            "worst": worst and worst.name,
+            "difference": worst and worst.scaled,
+            "at": worst and worst.time,
+            "bound": compared and compared.bound,
+            "verdict": self.verdict,
             "wall_time": self.stats.get("wall_time"),
             "rhs_calls": self.stats.get("rhs_calls"),
         }
 
 
 def crosscheck(
-    models: Sequence[str | Scene] | None = None,
+    models: str | Scene | Sequence[str | Scene] | None = None,
     *,
     stop_time: float | None = None,
     output_interval: float | None = None,
@@ -75,7 +88,8 @@ def crosscheck(
     """Run models on every road and compare, one check at a time.
 
     Every formulation runs through CVODES or IDAS; the FMU made from the same equations runs through
-    fmpy, as model exchange and as co-simulation; formulations are compared with the first one.
+    fmpy, as model exchange and as co-simulation; formulations are compared with the first one. A
+    run that fails is a check that failed, and the others go on.
 
     Args:
         models: `MODEL` (every formulation), `MODEL/FORMULATION`, or a scene: its own formulation
@@ -87,8 +101,13 @@ def crosscheck(
         bound: Largest difference that counts as agreement, in nominal values.
 
     Raises:
-        CosimError: A model does not exist, or a run failed.
+        UnknownName: A model does not exist.
+        UsageError, ParameterError: A number or a scene makes no sense.
+        MissingTool: There is no C compiler.
     """
+    number("crosscheck", "bound", bound, positive=True)
+    if isinstance(models, str | Scene):
+        models = [models]
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
         first: Trajectory | None = None
         for scene in _members(item):
@@ -102,7 +121,11 @@ def crosscheck(
                 else relative_tolerance,
             )
             scene = replace(scene, settings=settings)
-            run = run_scene(scene)
+            try:
+                run = run_scene(scene)
+            except _FAILURES as error:
+                yield Check(scene.dae.full_name, "casadi", "", None, failure=str(error))
+                continue
             road = run.stats["solver"]
             yield from _roads(scene, run, bound)
             if first is None:
@@ -136,7 +159,11 @@ def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
     with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
         path = export_fmu(dae, Path(folder) / "model.fmu")
         for interface in INTERFACES:
-            again = run_fmu(scene, dae, path, interface)
-            solver = run.stats["solver"]
+            road, solver = f"fmpy {interface}", run.stats["solver"]
+            try:
+                again = run_fmu(scene, dae, path, interface)
+            except _FAILURES as error:
+                yield Check(dae.full_name, road, solver, None, failure=str(error))
+                continue
             difference = compare(run, again, bound=bound)
-            yield Check(dae.full_name, f"fmpy {interface}", solver, difference, dict(again.stats))
+            yield Check(dae.full_name, road, solver, difference, dict(again.stats))
