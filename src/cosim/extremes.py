@@ -22,6 +22,7 @@ from cosim.loading import formulations
 from cosim.values import number
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
+LONGER = 10  # times the limit of other cases, for those that simulate an hour
 SERVER = "from cosim.extremes import serve; serve()"
 
 
@@ -68,7 +69,7 @@ def explore(
 
     Args:
         cases: What to run.
-        timeout: After which a child is killed and its case is a hang, s.
+        timeout: After which a child is killed and its case is a hang, s; tenfold for long cases.
         jobs: Number of children.
         server: Python code that a child runs; it calls `serve`.
 
@@ -83,7 +84,7 @@ def explore(
         if not hasattr(own, "worker"):
             own.worker = _Worker(server)
             workers.append(own.worker)
-        return Finding(case, own.worker.judge(case, limit))
+        return Finding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
 
     pool = ThreadPoolExecutor(jobs)
     try:
