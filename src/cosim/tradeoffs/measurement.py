@@ -107,7 +107,7 @@ def observed_event(
     invariants: Sequence[str],
 ) -> Event:
     """Compare a run with the reference at the output times that both have."""
-    truth = _at_times(reference.run, run)
+    truth = at_times(reference.run, run)
     differences = compare(truth.select(kept), run).differences
     drift = {
         name: float(np.ptp(run[name])) / truth.column(name).nominal
@@ -149,7 +149,7 @@ def invariants(reference: Reference) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
+def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
     """Return the reference at those of its times that a run with longer intervals has."""
     if len(reference) == len(run):
         return reference
