@@ -41,7 +41,8 @@ cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.lim
 cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure cosim.limit_map
 cosim.proof | cosim.ssp
 cosim
-cosim.cli cosim.commands cosim.commands_tradeoff cosim.commands_extremes cosim.arguments cosim.tables
+cosim.cli cosim.commands cosim.commands_tradeoff cosim.commands_extremes cosim.arguments
+  cosim.tables
 cosim.__main__
 """
 LAYERS = {

@@ -134,5 +134,7 @@ def test_formulations_of_one_model_have_one_reference():
 
 
 def test_solution_that_does_not_exist_has_no_reference():
-    with pytest.raises(SolverError, match=r"blow_up: no two methods agree on a reference; .*stopped"):
+    with pytest.raises(
+        SolverError, match=r"blow_up: no two methods agree on a reference; .*stopped"
+    ):
         reference(blow_up())

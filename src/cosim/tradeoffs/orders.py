@@ -72,7 +72,8 @@ def observed_order(scene: Scene, truth: Reference, solver: str) -> Order:
     intervals = round((end - begin) / dae.experiment.output_interval)
     outputs = next(n for n in range(_OUTPUTS, 0, -1) if intervals % n == 0)
     length = (end - begin) / outputs
-    steps, errors = [], []
+    steps: list[float] = []
+    errors: list[float] = []
     expected = METHODS[solver].order
     for halvings in range(_MOST):
         step = length / 2**halvings

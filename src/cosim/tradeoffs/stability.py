@@ -128,7 +128,7 @@ def _limiting_mode(
     decaying = [i for i, v in enumerate(values) if v.real < -1e-3 * abs(v) < 0]
     if not decaying:
         return 0j, (np.zeros(len(x)), np.zeros(len(x)))
-    first = min(decaying, key=lambda i: largest_stable_step(polynomial, values[i]))
+    first = min(decaying, key=lambda i: largest_stable_step(polynomial, complex(values[i])))
     return complex(values[first]), (right[:, first], left[:, first])
 
 
@@ -151,7 +151,12 @@ def _measured(
 
 
 def _grows(
-    step: ca.Function, t: float, x: Vector, vectors: tuple[Vector, Vector], nominal: Vector, h: float
+    step: ca.Function,
+    t: float,
+    x: Vector,
+    vectors: tuple[Vector, Vector],
+    nominal: Vector,
+    h: float,
 ) -> bool:
     right, left = vectors
     shift = np.real(right)
