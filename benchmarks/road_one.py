@@ -1,4 +1,4 @@
-"""The bicycle's 20 s through road one: compiled `erk` against interpreted CVODES, both at rtol 1e-8.
+"""The bicycle over 20 s: compiled `erk` against interpreted CVODES, both at rtol 1e-8.
 
 Interleaved repeats, medians of the solver's own time; then the start of the command line.
 """
