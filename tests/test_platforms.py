@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import sys
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -142,7 +143,9 @@ def test_portable_library_for_linux_runs_here_and_agrees(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_fmpy_compiles_the_sources(fmi, tmp_path):
+def test_fmpy_compiles_the_sources(fmi, tmp_path, monkeypatch):
+    beside = str(Path(sys.executable).parent)  # where pip puts the cmake that fmpy calls
+    monkeypatch.setenv("PATH", beside + os.pathsep + os.environ["PATH"])
     path = cosim.export_fmu(decay(), tmp_path / "model.fmu", fmi=fmi)
     expected = cosim.simulate_fmu(path)
     inside = f"binaries/{native_target().folder(fmi)}/decay{native_target().suffix}"

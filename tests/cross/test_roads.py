@@ -10,6 +10,7 @@ from fmpy.validation import validate_fmu
 
 import casadi_models
 import cosim
+from cosim.crosschecks import default_tolerance
 from cosim.export.check import check_fmu
 from cosim.export.package import source_files, zipped
 
@@ -45,22 +46,17 @@ def test_fmu_agrees_with_our_integrators_over_a_short_run(name, interface, expor
     assert worst.scaled <= BOUND, worst  # measured 3e-14 to 6e-8
 
 
-# The pendulum is chaotic, and fmpy's BDF with abstol = rtol x nominal loses more than our own.
-BEYOND = {"double_pendulum/euler_313_axial": 1.8e-6, "double_pendulum/multipliers": 1.2e-6}
-
-
 @pytest.mark.slow
 @EVERY
 @INTERFACES
-def test_fmu_agrees_with_our_integrators_over_the_whole_run(name, interface, exported, request):
-    if interface == "ModelExchange" and name in BEYOND:
-        reason = f"fmpy's solver is off by {BEYOND[name]} at this tolerance"
-        request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
-    reference = cosim.simulate(cosim.load(name), relative_tolerance=TIGHT)
-    run = cosim.simulate_fmu(exported(name), interface=interface, relative_tolerance=TIGHT)
+def test_fmu_agrees_with_our_integrators_over_the_whole_run(name, interface, exported):
+    dae = cosim.load(name)
+    tolerance = default_tolerance(dae)  # 1e-10; tighter for the chaotic pendulum
+    reference = cosim.simulate(dae, relative_tolerance=tolerance)
+    run = cosim.simulate_fmu(exported(name), interface=interface, relative_tolerance=tolerance)
     assert len(run) == len(reference)
     worst = cosim.compare(reference, run).worst
-    assert worst.scaled <= BOUND, worst  # measured 6e-14 to 9e-7
+    assert worst.scaled <= BOUND, worst  # measured 6e-14 to 3e-7
 
 
 @pytest.mark.slow

@@ -38,10 +38,19 @@ const VariableInfo variables[] = {{
 """
 
 
+# Compilers of other people do not get our options; system headers must stay outside.
+_HIDDEN = """#include <math.h>
+#if defined __GNUC__ && !defined _WIN32
+#pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
+#endif
+#define CASADI_SYMBOL_EXPORT
+"""
+
+
 def equations(dae: Dae) -> str:
     """Return `equations.c`: CasADi's code, its functions visible inside the library only."""
     code = re.sub(r"^ \* +$", " *", equations_code(dae), flags=re.MULTILINE)
-    return f"#define CASADI_SYMBOL_EXPORT\n{code}"
+    return _HIDDEN + code
 
 
 def _row(variable: FmuVariable) -> tuple[str, ...]:
