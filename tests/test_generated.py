@@ -3,12 +3,13 @@
 import pytest
 
 from cosim.errors import UsageError
-from cosim.generated import differential_errors, in_one_piece, reporting, run_time_tolerances
+from cosim.generated import differential_errors, in_one_piece, run_time_tolerances, watched
 
 DRIVER = """static int casadi_f0(int a) {
   p.abstol = 1e-8;
   p.reltol = 1e-6;
   p.nz_err = 3;
+          case IVP_EVAL_RHS:
       if (d.status != IVP_SUCCESS) return 1;
 }
 """
@@ -26,9 +27,15 @@ def test_algebraic_unknowns_leave_the_error_test():
 
 
 def test_report_is_taken_before_the_driver_gives_up():
-    code = reporting(DRIVER)
-    assert code.index("cosim_seen[i] = seen[i]") < code.index("return 1;")
+    code = watched(DRIVER)
+    assert code.index("cosim_seen[i] = seen[i]") < code.index("!= IVP_SUCCESS) return 1;")
     assert "CASADI_SYMBOL_EXPORT void cosim_report(double *out)" in code
+
+
+def test_run_can_be_halted_at_every_right_hand_side():
+    code = watched(DRIVER)
+    assert "case IVP_EVAL_RHS:\n          if (cosim_halted) return 1;" in code
+    assert "CASADI_SYMBOL_EXPORT void cosim_halt(int on)" in code
 
 
 def test_entry_is_flattened():
@@ -41,7 +48,7 @@ def test_entry_is_flattened():
     [
         lambda code: run_time_tolerances(code, "a", "b"),
         differential_errors,
-        reporting,
+        watched,
         in_one_piece,
     ],
 )

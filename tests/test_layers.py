@@ -30,9 +30,9 @@ cosim.errors
 cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources | cosim.toml_file
   | cosim.values
 cosim.trajectory
-cosim.archive | cosim.compile | cosim.consistent | cosim.generated
+cosim.archive | cosim.compile | cosim.consistent | cosim.dop853 | cosim.generated
 cosim.reduction | cosim.scene cosim.scene_figures
-cosim.grids cosim.externals cosim.runge_kutta cosim.solvers cosim.engines cosim.calling
+cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim.engines cosim.calling
   cosim.observation cosim.monitors cosim.integrate
   | cosim.export | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance
 cosim.comparison | cosim.roads | cosim.scene_file

@@ -64,7 +64,7 @@ def test_error_of_one_method_shows_in_the_estimate(own_cache, monkeypatch):
 
     def spoiled(way, scene, dae):
         run = original(way, scene, dae)
-        if way.solver == "ode8":
+        if way.solver == "erk":
             values = run.values.copy()
             values[50, 0] += 1e-6
             return references.replace(run, values=values)
@@ -80,12 +80,12 @@ def test_methods_that_agree_outvote_one_that_does_not(own_cache, monkeypatch):
 
     def spoiled(way, scene, dae):
         run = original(way, scene, dae)
-        wrong = way.solver == "ode8"
+        wrong = way.solver == "erk"
         return references.replace(run, values=run.values * (1 + 1e-3 * wrong))
 
     monkeypatch.setattr(references.Way, "run", spoiled)
     found = reference(oscillator())
-    assert "ode8" not in found.method + found.check
+    assert "erk" not in found.method + found.check
     assert found.error() < 1e-11
 
 

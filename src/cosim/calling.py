@@ -60,7 +60,9 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
 
     told = io.StringIO()
     with redirect_stderr(told):  # SUNDIALS says there at which time and step it failed
-        reason, stats = _interruptible(work)
+        reason, stats = _interruptible(work, engine.halt)
+    if "KeyboardInterrupt" in reason + told.getvalue():  # CasADi took Ctrl-C for a failure
+        raise KeyboardInterrupt
     finite = np.isfinite(states).all(axis=1)
     reached = n if finite.all() else int(np.argmin(finite))
     if reason:
@@ -77,20 +79,22 @@ def _flag(message: str) -> str:
     return flag or message.strip().splitlines()[-1][:200]
 
 
-def _interruptible(work: Callable[[], T]) -> T:
-    """Do work in a thread: Ctrl-C reaches Python while machine code runs elsewhere."""
+def _interruptible(work: Callable[[], T], halt: Callable[[bool], None] | None) -> T:
+    """Do work that Ctrl-C ends.
+
+    CasADi looks for Ctrl-C between evaluations, in the main thread. Where the work is one C
+    function, it runs in another thread, which is halted.
+    """
+    if halt is None:
+        return work()
+    halt(False)
     results: list[T] = []
-    errors: list[BaseException] = []
-
-    def attempt() -> None:
-        try:
-            results.append(work())
-        except BaseException as error:
-            errors.append(error)
-
-    thread = Thread(target=attempt, daemon=True)
+    thread = Thread(target=lambda: results.append(work()))
     thread.start()
-    thread.join()
-    if errors:
-        raise errors[0]
+    try:
+        thread.join()
+    except BaseException:
+        halt(True)
+        thread.join()
+        raise
     return results[0]

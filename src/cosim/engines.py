@@ -2,7 +2,8 @@
 
 `cvodes`, `idas`: SUNDIALS through CasADi; compiled, their equations come from a shared library.
 `erk`, `rosenbrock`: CasADi's own; compiled, the whole integration is one C function.
-`rk4`, `ode8`: fixed steps; compiled, the step is one C function.
+`dop853`, `rk4`, `ode8`: explicit methods in C around generated equations; the latter two without
+a compiler, too.
 """
 
 import ctypes
@@ -16,10 +17,12 @@ from casadi import MX
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
-from cosim.compile import cached_library
+from cosim.compile import cached_library, find_compiler
+from cosim.consistent import algebraic_function
 from cosim.errors import ParameterError, UsageError
+from cosim.explicit import explicit_function, explicit_library
 from cosim.externals import cache_key, external
-from cosim.generated import REPORT, in_one_piece, reporting, run_time_tolerances
+from cosim.generated import REPORT, in_one_piece, run_time_tolerances, watched
 from cosim.inputs import InputSeries
 from cosim.runge_kutta import METHODS, step_function
 from cosim.solvers import Method, Tolerance, method
@@ -41,6 +44,7 @@ class Engine:
         repeat_u: Whether `u` has one column per output time.
         stats: Reads what the thread's last call took; `cause` says why it failed.
         compiled: Whether the equations are machine code.
+        halt: Ends running calls, or lets them run; None where CasADi sees Ctrl-C itself.
     """
 
     function: ca.Function
@@ -48,6 +52,7 @@ class Engine:
     repeat_u: bool
     stats: Callable[[], dict[str, Any]]
     compiled: bool
+    halt: Callable[[bool], None] | None = None
 
 
 def build(
@@ -80,6 +85,12 @@ def build(
         return _fixed_step(dae, grid, name, step_size, inputs, compiled)
     if step_size is not None:
         raise UsageError(f"{name} chooses its own steps; leave step_size out or use rk4 or ode8")
+    if name == "dop853":
+        if not compiled:
+            find_compiler()  # says what is missing
+            raise UsageError("dop853 exists as compiled code only; use erk for interpreted runs")
+        longest = np.inf if inputs is None else float(np.diff(inputs.time).min())
+        return _explicit(dae, grid, name, (*accuracy.pair, longest), inputs)
     if compiled and chosen.plugin in ("erk", "rosenbrock"):
         return _generated(dae, grid, chosen, accuracy, inputs)
     function = equations(dae, sensitivities=sensitivities)
@@ -199,19 +210,29 @@ def _generated(
         code = run_time_tolerances(
             str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
         )
-        code = reporting(code)
+        code = watched(code)
         return in_one_piece(code) if chosen.plugin == "erk" else code
 
     details = (unit_grid.tobytes(), repr(sorted(options.items())).encode())
     path = str(
-        cached_library(cache_key(f"generated-4 {chosen.plugin}", original, *details), generate)
+        cached_library(cache_key(f"generated-5 {chosen.plugin}", original, *details), generate)
     )
     p = MX.sym("p", dae.p.numel())
     extended = ca.vertcat(constants(p), start, length, *tolerance.pair)
-    report = _report(path)
+    library = ctypes.CDLL(path)
+    parameters = ca.Function("parameters", [p], [extended])
+    run = ca.external("run", path)
+    stats = _statistics(library, start, length)
+    return Engine(run, parameters, False, stats, True, library.cosim_halt)
+
+
+def _statistics(library: ctypes.CDLL, start: float, length: float) -> Callable[[], dict[str, Any]]:
+    """Return what reads the report of a library, whose time is start + length * its own."""
+    numbers = (ctypes.c_double * REPORT)()
 
     def stats() -> dict[str, Any]:
-        steps, rhs, jacobians, status, reached, last = report()
+        library.cosim_report(numbers)
+        steps, rhs, jacobians, status, reached, last = numbers
         found: dict[str, Any] = {"steps": int(steps), "rhs_calls": int(rhs)}
         found["jacobian_calls"] = int(jacobians)
         if status:
@@ -219,22 +240,16 @@ def _generated(
             found["cause"] = f"{why} at t = {start + length * reached:g}, h = {length * last:.2g}"
         return found
 
-    parameters = ca.Function("parameters", [p], [extended])
-    return Engine(ca.external("run", path), parameters, False, stats, True)
+    return stats
 
 
-_CAUSES = {1: "too many steps", 2: "step size too small", 3: "inconsistent algebraic unknowns"}
-
-
-def _report(path: str) -> Callable[[], list[float]]:
-    read = ctypes.CDLL(path).cosim_report
-    numbers = (ctypes.c_double * REPORT)()
-
-    def report() -> list[float]:
-        read(numbers)
-        return list(numbers)
-
-    return report
+_CAUSES = {
+    1: "too many steps",
+    2: "step size too small",
+    3: "inconsistent algebraic unknowns",
+    4: "a state is not finite",
+    5: "halted",
+}
 
 
 def _unit_grid(grid: Vector) -> Vector:
@@ -260,14 +275,14 @@ def _fixed_step(
         raise ParameterError(
             f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; give a larger one"
         )
+    if compiled:
+        return _explicit(dae, grid, name, (0.0, 0.0, largest), inputs)
     parts = np.maximum(1, np.ceil(intervals / largest * (1 - 1e-12))).astype(int)
     full, constants = _prepared(dae)
     t, x, z, u, c = _symbols(full)
     ode, _ = full(t, x, z, driven(dae, inputs, t, u), c)
     rhs = ca.Function("rhs", [t, x, u, c], [ode])
     step = step_function(rhs, METHODS[name])
-    if compiled:
-        (step,) = external([step], cache_key("step", step), ["step"])
     sizes = np.repeat(intervals / parts, parts)
     within = np.arange(len(sizes)) - np.repeat(np.cumsum(parts) - parts, parts)
     begins = np.repeat(grid[:-1], parts) + within * sizes
@@ -285,7 +300,36 @@ def _fixed_step(
         ["xf", "zf"],
     )
     calls = {"steps": total, "rhs_calls": total * len(METHODS[name].b), "jacobian_calls": 0}
-    return Engine(function, None, False, lambda: dict(calls), compiled)
+    return Engine(function, None, False, lambda: dict(calls), False)
+
+
+def _explicit(
+    dae: Dae,
+    grid: Vector,
+    name: str,
+    settings: tuple[float, float, float],
+    inputs: InputSeries | None,
+) -> Engine:
+    """An explicit method in C; algebraic unknowns are solved for within the right-hand side.
+
+    `settings` are the relative and the absolute tolerance, and the largest step.
+    """
+    if dae.algebraics:
+        function = equations(dae, sensitivities=False)
+        constants = ca.Function("constants", [dae.p], [dae.p])
+        t, x, z, u, c = symbols = _symbols(function)
+        solved = algebraic_function(dae)(t, x, z, driven(dae, inputs, t, u), c)
+    else:
+        function, constants = _prepared(dae)
+        t, x, z, u, c = symbols = _symbols(function)
+        solved = z
+    ode, _ = function(t, x, solved, driven(dae, inputs, t, u), c)
+    path = explicit_library(ca.Function("rhs", symbols, [ode, solved]), name)
+    run, library = explicit_function(path, len(grid))
+    p = MX.sym("p", dae.p.numel())
+    extended = ca.vertcat(constants(p), len(grid), *settings, ca.DM(grid))
+    parameters = ca.Function("parameters", [p], [extended])
+    return Engine(run, parameters, False, _statistics(library, 0.0, 1.0), True, library.cosim_halt)
 
 
 def _symbols(function: ca.Function) -> list[MX]:

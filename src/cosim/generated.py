@@ -44,10 +44,12 @@ def differential_errors(code: str) -> str:
     return _replace(code, {r"p\.nz_err = \d+;": "p.nz_err = 0;"})
 
 
-def reporting(code: str) -> str:
-    """Add `void cosim_report(double out[6])`, what the thread's last run took and where it ended.
+def watched(code: str) -> str:
+    """Add what an integration can be watched and ended by from outside.
 
-    These are steps, right-hand sides, Jacobians, the driver's status (0: success), time, step size.
+    `void cosim_report(double out[6])` tells what the thread's last run took and where it ended:
+    steps, right-hand sides, Jacobians, the driver's status (0: success), time, step size.
+    `void cosim_halt(int on)` makes every run of this library fail at its next right-hand side.
 
     Raises:
         UsageError: See `run_time_tolerances`.
@@ -61,13 +63,18 @@ def reporting(code: str) -> str:
             r"if \(d\.status != IVP_SUCCESS\) return 1;": (
                 f"{{ {kept} {copy} cosim_seen[i] = seen[i]; }}\n"
                 "      if (d.status != IVP_SUCCESS) return 1;"
-            )
+            ),
+            r"case IVP_EVAL_RHS:\n": (
+                "case IVP_EVAL_RHS:\n          if (cosim_halted) return 1;\n"
+            ),
         },
     )
     return (
-        f"static _Thread_local double cosim_seen[{REPORT}];\n{code}\n"
+        f"static _Thread_local double cosim_seen[{REPORT}];\n"
+        f"static volatile int cosim_halted;\n{code}\n"
         "CASADI_SYMBOL_EXPORT void cosim_report(double *out) {\n"
-        f"  {copy} out[i] = cosim_seen[i];\n}}\n"
+        f"  {copy} out[i] = cosim_seen[i];\n}}\n\n"
+        "CASADI_SYMBOL_EXPORT void cosim_halt(int on) {\n  cosim_halted = on;\n}\n"
     )
 
 

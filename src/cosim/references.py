@@ -20,6 +20,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.comparison import compare
+from cosim.compile import has_compiler
 from cosim.consistent import start_function
 from cosim.errors import ExportError, SolverError
 from cosim.files import write_atomically
@@ -71,6 +72,7 @@ class Way:
 
 # In the order of trial. Which of them work depends on the model: stiff, algebraic, chaotic.
 WAYS = (
+    Way("dop853", 3e-14),
     Way("erk", 3e-14),
     Way("ode8", parts=2),
     Way("rosenbrock", 1e-13),
@@ -171,7 +173,10 @@ def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
 
 
 def _ways(dae: Dae) -> Iterator[Way]:
-    yield from (way for way in WAYS if SOLVERS[way.solver].solves_dae or not dae.algebraics)
+    for way in WAYS:
+        possible = SOLVERS[way.solver].solves_dae or not dae.algebraics
+        if possible and (way.solver != "dop853" or has_compiler()):
+            yield way
 
 
 def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:

@@ -14,6 +14,11 @@ def runtime_sources() -> tuple[Traversable, ...]:
     return tuple(sorted(found, key=lambda entry: entry.name))
 
 
+def solver_source(name: str) -> str:
+    """Return a C source of the explicit solvers, e.g. "adaptive.c"."""
+    return (files("cosim._fmu") / "solvers" / name).read_text(encoding="utf-8")
+
+
 def shipped_scenes() -> tuple[Path, ...]:
     """Return the scenes that come with the package, by name."""
     folder = Path(__file__).parent / "scenes"

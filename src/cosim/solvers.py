@@ -16,7 +16,7 @@ class Method:
     """What is known of a solver.
 
     Attributes:
-        plugin: CasADi's integrator; empty for our own methods of fixed steps.
+        plugin: CasADi's integrator; empty for our own methods.
         solves_dae: Whether it takes algebraic unknowns.
         adaptive: Whether it chooses its steps.
         options: Of the plugin.
@@ -38,6 +38,7 @@ SOLVERS: dict[str, Method] = {
     "rosenbrock": Method("rosenbrock", True, options=_COMMON),
     "rk4": Method("", False, adaptive=False),
     "ode8": Method("", False, adaptive=False),
+    "dop853": Method("", True),
 }
 
 

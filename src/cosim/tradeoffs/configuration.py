@@ -119,6 +119,8 @@ class Selection:
         for name in self.solvers or SOLVERS:
             if dae.algebraics and not SOLVERS[name].solves_dae:
                 continue
+            if name == "dop853" and road == INTERPRETED:  # which exists as C code only
+                continue
             if SOLVERS[name].adaptive:
                 for tolerance in self._tolerances(road):
                     yield Configuration(dae.full_name, reduced, road, name, tolerance)

@@ -1,0 +1,104 @@
+"""Explicit Runge-Kutta methods in C around generated equations: `dop853`, `rk4`, `ode8`.
+
+The hand-written part, fmu/solvers, knows no model. The generated part is the right-hand side, its
+sizes, and the coefficients of the method as straight-line code. Output times, tolerances and steps
+are arguments, so that nothing is compiled anew when they change.
+"""
+
+import ctypes
+from collections.abc import Sequence
+
+import casadi as ca
+
+from cosim import dop853
+from cosim.compile import cached_library
+from cosim.externals import cache_key
+from cosim.resources import solver_source
+from cosim.runge_kutta import METHODS, Tableau
+
+SETTINGS = 4  # number of output times, both tolerances, largest step
+
+
+def explicit_library(rhs: ca.Function, solver: str) -> str:
+    """Return the path of a compiled solver.
+
+    Args:
+        rhs: `rhs(t, x, z, u, c) -> (dx/dt, z)`; z is a guess of the algebraic unknowns.
+        solver: "dop853", "rk4" or "ode8".
+
+    Raises:
+        MissingTool: There is no compiler, or it fails.
+    """
+    sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
+    own = (
+        *(f"#define {name} {size}" for name, size in sizes),
+        solver_source("problem.c"),
+        *(_dop853_code() if solver == "dop853" else _fixed_step_code(METHODS[solver])),
+        solver_source("adaptive.c" if solver == "dop853" else "fixed.c"),
+        solver_source("external.c"),
+    )
+    around = "\n".join(own)
+
+    def generate() -> str:
+        generator = ca.CodeGenerator("equations", {"with_header": False})
+        generator.add(rhs)
+        return f"{generator.dump()}\n{around}"
+
+    return str(cached_library(cache_key(f"explicit {solver}", rhs, around.encode()), generate))
+
+
+def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]:
+    """Return `run(x0, z0, p, u) -> (xf, zf)` of a compiled solver, and its library.
+
+    Args:
+        path: Of the library.
+        points: Number of output times; p = (c, points, relative and absolute tolerance, largest
+            step, output times).
+    """
+    library = ctypes.CDLL(path)
+    library.cosim_points(ctypes.c_longlong(points))
+    return ca.external("run", path), library
+
+
+def _dop853_code() -> list[str]:
+    return [
+        _numbers("node", dop853.NODES),
+        _sums("stage_sum", dop853.A),
+        _sums("dense_sum", dop853.DENSE),
+        _sum("error_5", dop853.ERROR_5),
+        _sum("error_3", dop853.ERROR_3),
+    ]
+
+
+def _fixed_step_code(tableau: Tableau) -> list[str]:
+    rows = [
+        [(stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight]
+        for row in (*tableau.a, tableau.b)
+    ]
+    stages = len(tableau.b)
+    return [
+        f"enum {{ STAGES = {stages} }};",
+        _numbers("node", tableau.c),
+        _sums("stage_sum", rows),
+    ]
+
+
+def _numbers(name: str, values: Sequence[float]) -> str:
+    return f"static const double {name}[] = {{{', '.join(map(repr, values))}}};"
+
+
+def _sums(name: str, rows: Sequence[Sequence[tuple[int, float]]]) -> str:
+    cases = "".join(f"    case {i}: {_loop(row)} break;\n" for i, row in enumerate(rows))
+    return (
+        f"static void {name}(int row, const double (*k)[NX], double *sum) {{\n"
+        f"    switch (row) {{\n{cases}    }}\n}}"
+    )
+
+
+def _sum(name: str, row: Sequence[tuple[int, float]]) -> str:
+    return f"static void {name}(const double (*k)[NX], double *sum) {{ {_loop(row)} }}"
+
+
+def _loop(row: Sequence[tuple[int, float]]) -> str:
+    terms = " + ".join(f"{weight!r} * k[{stage - 1}][i]" for stage, weight in row) or "0"
+    return f"for (int i = 0; i < NX; ++i) sum[i] = {terms};"
