@@ -32,8 +32,8 @@ cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources |
 cosim.trajectory
 cosim.archive | cosim.compile | cosim.consistent | cosim.dop853 | cosim.generated
 cosim.reduction | cosim.scene cosim.scene_figures
-cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim.engines cosim.calling
-  cosim.observation cosim.monitors cosim.integrate
+cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim.engines
+  cosim.calling cosim.observation cosim.monitors cosim.integrate
   | cosim.export | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance
 cosim.comparison | cosim.roads | cosim.scene_file
 cosim.references

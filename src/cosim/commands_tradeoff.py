@@ -83,6 +83,13 @@ def _print(study: Tradeoff) -> None:
         show_table([_point(study, m, cost) for m in study.front(cost)], as_json=False)
     print("\nerror = constant * tolerance ** slope")
     show_table([fit.row() for fit in study.proportionality()], as_json=False)
+    if study.orders:
+        print("\nobserved order of the fixed-step methods")
+        show_table([order.row() for order in study.orders], as_json=False)
+        print("\nlargest stable step at the end of the run, from eigenvalues and measured")
+        show_table([limit.row() for limit in study.stability], as_json=False)
+        if not study.stability:
+            print("none: no mode decays, or the motion has not become steady")
 
 
 def _point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from cosim.tradeoffs.workshop import span
 
 WANTED = 4  # halvings that an order is fitted to, the smallest steps that rounding leaves alone
 _MOST = 14  # halvings that are tried
-_LONGEST = 4000  # steps, as far as that
+_LONGEST = 200_000  # steps, as far as that
 _LARGEST = 0.05  # error, in nominal values, from which on halving can be expected to help
 _OUTPUTS = 10
 

@@ -18,6 +18,8 @@ from cosim.errors import MissingTool
 from cosim.references import Reference
 from cosim.tradeoffs.configuration import COMPILED
 from cosim.tradeoffs.measurement import COSTS, Measurement
+from cosim.tradeoffs.orders import Order
+from cosim.tradeoffs.stability import StabilityLimit
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class Tradeoff:
         invariants: What is constant in the reference.
         reference: What the errors are measured against, with its own error.
         measurements: One per configuration.
+        orders: Observed order of each fixed-step solver.
+        stability: The largest stable step of each, where the run ends in a steady motion.
         provenance: Versions, machine, hash of the model, method of the reference.
     """
 
@@ -54,6 +58,8 @@ class Tradeoff:
     invariants: tuple[str, ...]
     reference: Reference
     measurements: tuple[Measurement, ...]
+    orders: tuple[Order, ...]
+    stability: tuple[StabilityLimit, ...]
     provenance: Mapping[str, str]
 
     @property
@@ -113,6 +119,8 @@ class Tradeoff:
             "reference_errors": dict(self.reference.errors),
             "fronts": {cost: [str(m.configuration) for m in self.front(cost)] for cost in COSTS},
             "proportionality": [fit.row() for fit in self.proportionality()],
+            "orders": [order.row() for order in self.orders],
+            "stability": [limit.row() for limit in self.stability],
             "measurements": rows,
         }
         return json.dumps(facts, indent=1) + "\n"

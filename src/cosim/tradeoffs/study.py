@@ -12,11 +12,14 @@ from cosim.errors import CosimError, UsageError
 from cosim.loading import load
 from cosim.references import Reference, reference
 from cosim.resources import cache_folder
+from cosim.runge_kutta import METHODS
 from cosim.scene import Scene
-from cosim.tradeoffs.configuration import INTERPRETED, Configuration, Selection
+from cosim.tradeoffs.configuration import COMPILED, INTERPRETED, Configuration, Selection
 from cosim.tradeoffs.events import Event, Record
 from cosim.tradeoffs.measurement import failed_event, gather, invariants, observed_event
+from cosim.tradeoffs.orders import observed_order
 from cosim.tradeoffs.result import Tradeoff, provenance
+from cosim.tradeoffs.stability import stability_limit
 from cosim.tradeoffs.workshop import Workshop, kept_outputs, members, span
 
 REPEATS = 5
@@ -83,7 +86,18 @@ def tradeoff(
         events = [event for event in events if event.configuration in wanted]
         _measure(wanted, events, run, record, repeats, began + seconds, tell)
     ordered = sorted(events, key=lambda event: wanted.index(event.configuration))
-    return Tradeoff(scene.name, kept, constant, truth, gather(ordered), provenance(truth))
+    fixed = _fixed_step_solvers(scene, selection)
+    limits = [stability_limit(scene, truth, solver) for solver in fixed]
+    return Tradeoff(
+        scene.name,
+        kept,
+        constant,
+        truth,
+        gather(ordered),
+        tuple(observed_order(scene, truth, solver) for solver in fixed),
+        tuple(limit for limit in limits if limit is not None),
+        provenance(truth),
+    )
 
 
 def configurations(
@@ -107,6 +121,13 @@ def configurations(
             f"{', '.join(selection.roads) or 'any road'}; an FMU has its own solvers"
         )
     return found
+
+
+def _fixed_step_solvers(scene: Scene, selection: Selection) -> tuple[str, ...]:
+    """Return the selected solvers of fixed steps; none for a DAE, which they cannot integrate."""
+    if scene.dae.algebraics or not set(selection.roads or (COMPILED,)) & {COMPILED, INTERPRETED}:
+        return ()
+    return tuple(name for name in METHODS if name in (selection.solvers or METHODS))
 
 
 def _possible(selection: Selection, tell: Tell) -> Selection:
