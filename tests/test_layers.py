@@ -27,10 +27,10 @@ TABLE = """
 cosim._fmu
 casadi_models
 cosim.errors
-cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources | cosim.toml_file
-  | cosim.values
+cosim.files | cosim.inputs | cosim.keeping | cosim.loading cosim.dae_builder | cosim.resources
+  | cosim.toml_file | cosim.values
 cosim.trajectory
-cosim.archive | cosim.compile | cosim.consistent | cosim.dop853 | cosim.generated
+cosim.archive | cosim.buffers | cosim.compile | cosim.consistent | cosim.dop853 | cosim.generated
 cosim.reduction | cosim.scene cosim.scene_figures
 cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim.engines
   cosim.calling cosim.observation cosim.monitors cosim.integrate
@@ -38,8 +38,10 @@ cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim
 cosim.comparison | cosim.roads | cosim.scene_file
 cosim.references
 cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.limit_oracles
+cosim.fronts cosim.promises
 cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure cosim.limit_map
 cosim.proof | cosim.ssp
+cosim.fmu_promises
 cosim
 cosim.cli cosim.commands cosim.commands_tradeoff cosim.commands_extremes cosim.arguments
   cosim.tables
@@ -54,6 +56,7 @@ LAYERS = {
 # Upward all the same, each with its reason
 EXCEPTIONS = {
     ("cosim.errors", "cosim.trajectory"): "annotation only: a failed run carries what it computed",
+    ("cosim.integrate", "cosim.promises"): "simulate(accuracy=...); loaded when it is asked for",
     ("cosim.trajectory", "cosim.plots"): "run.plot() is in the contract; loaded when it is called",
 }
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.buffers import on_arrays
 from cosim.engines import Engine
 
 Vector = NDArray[np.float64]
@@ -40,22 +41,16 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     if engine.parameters is not None:
         p = np.array(engine.parameters(p)).ravel()
     arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
-    buffer, evaluate = engine.function.buffer()
-    for i, array in enumerate(arguments):
-        if array.size:
-            buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # stub and binding differ
-    for i, array in enumerate((states, algebraics)):
-        if array.size:
-            buffer.set_res(i, array.data)  # type: ignore[call-arg]
+    evaluate = on_arrays(engine.function, arguments, (states, algebraics))
 
     def work() -> tuple[str, dict[str, Any]]:
         try:
-            evaluate()
+            succeeded = evaluate()
         except RuntimeError as error:  # CasADi has no narrower type
             return _flag(str(error)), {}
         stats = engine.stats()
         doubt = "step size too small, or too many steps"
-        cause = stats.pop("cause", doubt) if buffer.ret() else ""
+        cause = "" if succeeded else stats.pop("cause", doubt)
         return cause, stats
 
     told = io.StringIO()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, StartRule
 from cosim.errors import InitialConditionError
+from cosim.keeping import kept_per_thread
 from cosim.values import Values
 
 Vector = NDArray[np.float64]
@@ -19,6 +20,7 @@ Vector = NDArray[np.float64]
 DEFECT_LIMIT = 1e-9  # of an implicit start equation, as a Newton step relative to the states' size
 
 
+@kept_per_thread(16)
 def start_function(dae: Dae) -> ca.Function:
     """Return `model_start(x, p) -> (x, defect)`: exact starts kept, calculated ones solved.
 
@@ -41,6 +43,7 @@ def start_function(dae: Dae) -> ca.Function:
     return ca.Function("model_start", [x, p], [result, defect], ["x", "p"], ["x_start", "defect"])
 
 
+@kept_per_thread(16)
 def algebraic_function(dae: Dae) -> ca.Function:
     """Return `model_algebraic(t, x, z, u, p) -> z`, the consistent unknowns; `z` is a guess.
 

@@ -24,8 +24,9 @@ from cosim.explicit import explicit_function, explicit_library
 from cosim.externals import cache_key, external
 from cosim.generated import REPORT, in_one_piece, run_time_tolerances, watched
 from cosim.inputs import InputSeries
+from cosim.keeping import kept_per_thread
 from cosim.runge_kutta import METHODS, step_function
-from cosim.solvers import Method, Tolerance, method
+from cosim.solvers import SOLVERS, Method, Tolerance, method
 from cosim.values import number
 
 Vector = NDArray[np.float64]
@@ -77,8 +78,26 @@ def build(
         ParameterError: The step size is not positive, or makes too many steps.
         MissingTool: It shall be compiled, and no compiler works.
     """
-    name, chosen = method(dae, solver)
-    accuracy = tolerance or Tolerance()
+    name, _ = method(dae, solver)
+    if step_size is not None:
+        step_size = number("solver", "step_size", step_size, positive=True)
+    settings = (name, tolerance or Tolerance(), step_size, inputs, compiled, sensitivities)
+    if slopes is None:
+        return _kept(dae, grid.tobytes(), settings)
+    return _build(dae, grid, settings, slopes)
+
+
+_Settings = tuple[str, Tolerance, float | None, InputSeries | None, bool, bool]
+
+
+@kept_per_thread(8)
+def _kept(dae: Dae, grid: bytes, settings: _Settings) -> Engine:
+    return _build(dae, np.frombuffer(grid), settings, None)
+
+
+def _build(dae: Dae, grid: Vector, settings: _Settings, slopes: Vector | None) -> Engine:
+    name, accuracy, step_size, inputs, compiled, sensitivities = settings
+    chosen = SOLVERS[name]
     if not chosen.adaptive:
         if accuracy.absolute is not None:
             raise UsageError(f"{name} has no error control; leave absolute_tolerance out")
@@ -99,6 +118,7 @@ def build(
     return _interpreted(dae, grid, chosen, accuracy, inputs, function, compiled)
 
 
+@kept_per_thread(16)
 def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     """Return `dae(t, x, z, u, p) -> (ode, alg)`.
 
@@ -108,6 +128,7 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     return _function(dae, dae.p, dae.ode, dae.alg, sensitivities)
 
 
+@kept_per_thread(16)
 def _prepared(dae: Dae) -> tuple[ca.Function, ca.Function]:
     """Return `dae(t, x, z, u, c) -> (ode, alg)` and `p -> c`.
 
@@ -270,7 +291,7 @@ def _fixed_step(
     intervals = np.diff(grid)
     largest = float(intervals.max())
     if step_size is not None:
-        largest = number("solver", "step_size", step_size, positive=True)
+        largest = step_size
     if float(grid[-1] - grid[0]) / largest > MOST_STEPS:
         raise ParameterError(
             f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; give a larger one"

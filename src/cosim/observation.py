@@ -8,9 +8,11 @@ from casadi import MX
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
+from cosim.buffers import on_arrays
 from cosim.consistent import algebraic_function
 from cosim.errors import UsageError
 from cosim.externals import cache_key, external
+from cosim.keeping import kept_per_thread
 from cosim.loading import no_such_output
 from cosim.trajectory import Column
 
@@ -35,12 +37,10 @@ def observe(
     n, known = len(time), len(all_columns(dae))
     if not n:
         return np.empty((0, known)), np.empty((0, len(dae.limits)))
-    function = _observer(dae)
-    if compiled and n > 1:
-        (function,) = external([function], cache_key("observe", function), ["observe"])
-    every = function.map("every", "serial", n, [4], []) if n > 1 else function
-    rows = np.array(every(time[None, :], states, guesses, u, p))
-    table, margins = np.split(np.vstack((states, rows)).T, [known], axis=1)
+    function = _observer(dae, n, compiled)
+    rows = np.empty((n, function.size1_out(0)))
+    on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))()
+    table, margins = np.split(np.hstack((states.T, rows)), [known], axis=1)
     return table, margins
 
 
@@ -71,7 +71,9 @@ def wanted_names(dae: Dae, outputs: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(wanted)
 
 
-def _observer(dae: Dae) -> ca.Function:
+@kept_per_thread(16)
+def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
+    """Return `observe(t, x, z, u, p) -> rows` for n times, a column each."""
     names = ["t", "x", "z", "u", "p"]
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     margins = (margin for margin, _ in dae.limits)
@@ -79,4 +81,9 @@ def _observer(dae: Dae) -> ca.Function:
     t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
     solved = algebraic_function(dae)(t, x, z, u, p)
     rows = ca.vertcat(solved, outputs(t, x, solved, u, p))
-    return ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
+    function = ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
+    if n == 1:
+        return function
+    if compiled:
+        (function,) = external([function], cache_key("observe", function), ["observe"])
+    return function.map("every", "serial", n, [4], [])
