@@ -200,13 +200,8 @@ static int rhs_work(long long *a, long long *r, long long *i, long long *w) {
 
 @pytest.mark.parametrize("solver", ["dop853", *METHODS])
 def test_c_code_is_clean(solver, tmp_path):
-    tables = (
-        explicit._dop853_code()
-        if solver == "dop853"
-        else explicit._fixed_step_code(METHODS[solver])
-    )
-    driver = "adaptive.c" if solver == "dop853" else "fixed.c"
-    parts = [TOY, solver_source("problem.c"), *tables, *map(solver_source, (driver, "external.c"))]
+    parts = [TOY, solver_source("problem.c"), *explicit._method_text(solver)]
+    parts.append(solver_source("external.c"))
     source = Path(tmp_path / "code.c")
     source.write_text("\n".join(parts))
     flags = "-std=c11 -O2 -Wall -Wextra -Wpedantic -Wconversion -Wno-missing-field-initializers"

@@ -6,15 +6,14 @@ are arguments, so that nothing is compiled anew when they change.
 """
 
 import ctypes
-from collections.abc import Sequence
 
 import casadi as ca
 
-from cosim import dop853
 from cosim.compile import cached_library
 from cosim.externals import cache_key
 from cosim.resources import solver_source
 from cosim.runge_kutta import METHODS, Tableau
+from cosim.stage_sums import dop853_text, numbers, sums
 
 SETTINGS = 4  # number of output times, both tolerances, largest step
 
@@ -33,8 +32,7 @@ def explicit_library(rhs: ca.Function, solver: str) -> str:
     own = (
         *(f"#define {name} {size}" for name, size in sizes),
         solver_source("problem.c"),
-        *(_dop853_code() if solver == "dop853" else _fixed_step_code(METHODS[solver])),
-        solver_source("adaptive.c" if solver == "dop853" else "fixed.c"),
+        *_method_text(solver),
         solver_source("external.c"),
     )
     around = "\n".join(own)
@@ -60,14 +58,10 @@ def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]
     return ca.external("run", path), library
 
 
-def _dop853_code() -> list[str]:
-    return [
-        _numbers("node", dop853.NODES),
-        _sums("stage_sum", dop853.A),
-        _sums("dense_sum", dop853.DENSE),
-        _sum("error_5", dop853.ERROR_5),
-        _sum("error_3", dop853.ERROR_3),
-    ]
+def _method_text(solver: str) -> list[str]:
+    if solver == "dop853":
+        return [dop853_text(), solver_source("adaptive.c")]
+    return [*_fixed_step_code(METHODS[solver]), solver_source("fixed.c")]
 
 
 def _fixed_step_code(tableau: Tableau) -> list[str]:
@@ -78,27 +72,6 @@ def _fixed_step_code(tableau: Tableau) -> list[str]:
     stages = len(tableau.b)
     return [
         f"enum {{ STAGES = {stages} }};",
-        _numbers("node", tableau.c),
-        _sums("stage_sum", rows),
+        numbers("node", tableau.c),
+        sums("stage_sum", rows),
     ]
-
-
-def _numbers(name: str, values: Sequence[float]) -> str:
-    return f"static const double {name}[] = {{{', '.join(map(repr, values))}}};"
-
-
-def _sums(name: str, rows: Sequence[Sequence[tuple[int, float]]]) -> str:
-    cases = "".join(f"    case {i}: {_loop(row)} break;\n" for i, row in enumerate(rows))
-    return (
-        f"static void {name}(int row, const double (*k)[NX], double *sum) {{\n"
-        f"    switch (row) {{\n{cases}    }}\n}}"
-    )
-
-
-def _sum(name: str, row: Sequence[tuple[int, float]]) -> str:
-    return f"static void {name}(const double (*k)[NX], double *sum) {{ {_loop(row)} }}"
-
-
-def _loop(row: Sequence[tuple[int, float]]) -> str:
-    terms = " + ".join(f"{weight!r} * k[{stage - 1}][i]" for stage, weight in row) or "0"
-    return f"for (int i = 0; i < NX; ++i) sum[i] = {terms};"

@@ -15,7 +15,7 @@ def runtime_sources() -> tuple[Traversable, ...]:
 
 
 def solver_source(name: str) -> str:
-    """Return a C source of the explicit solvers, e.g. "adaptive.c"."""
+    """Return a C source of the explicit solvers, e.g. "dop853.h"."""
     return (files("cosim._fmu") / "solvers" / name).read_text(encoding="utf-8")
 
 
