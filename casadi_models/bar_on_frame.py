@@ -20,7 +20,7 @@ from casadi import SX, cos, sin
 
 from casadi_models import kane, rotations
 from casadi_models.dae import Dae, Model
-from casadi_models.joints import free_joint
+from casadi_models.joints import free_joint, watch_joints
 from casadi_models.units import DEGREE, FOOT, FOOT_POUND, INCH, SLUG
 
 DISPLAY = {"rad": "deg", "N": "lbf", "N.m": "ft.lbf", "m": "in", "kg": "slug"}
@@ -180,6 +180,11 @@ def two_body() -> Dae:
     _outputs(model, "wx_bar wy_bar wz_bar", rate)
     _outputs(model, "ax_bar ay_bar az_bar", system.rate_of(rate, accelerations))
     model.energies(kane.kinetic_energy(system), 0, nominal=10.0)
+    watch_joints(model, (frame, bar), system)
+    forbidden = ca.vertcat(frame.shift[:2], frame.tilts, bar.shift, bar.tilts)
+    model.invariant("position_drift", forbidden, forbidden, "bearings and pin hold")
+    held = ca.vertcat(system.constraints[:4], system.constraints[5:])  # without the drive
+    model.invariant("velocity_drift", system.free, held, "bearings and pin hold at rest")
     return model.freeze()
 
 

@@ -17,7 +17,7 @@ from casadi import SX
 
 from casadi_models import kane, rotations
 from casadi_models.dae import Dae, Model
-from casadi_models.joints import free_joint
+from casadi_models.joints import free_joint, watch_joints
 from casadi_models.units import FOOT, INCH, POUND
 
 # Corners of the path in units of the segment length (Unit 7, page 1)
@@ -99,6 +99,11 @@ def multipliers() -> Dae:
     model.equation(kane.multiplier_equations(system, joint.accelerations, ca.vertcat(*loads)))
     potential = shaft.mass * shaft.g * joint.shift[1]
     model.energies(kane.kinetic_energy(system), potential, nominal=50.0)
+    watch_joints(model, (joint,), system)
+    forbidden = ca.vertcat(joint.shift[:2], joint.tilts)
+    model.invariant("position_drift", forbidden, forbidden, "the bearings hold")
+    held = system.constraints[:4]  # without the drive
+    model.invariant("velocity_drift", joint.speeds, held, "the bearings hold at rest")
     return model.freeze()
 
 

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
-from casadi_models import kane, rotations
+from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Dae, Model
-from casadi_models.joints import free_joint
+from casadi_models.joints import free_joint, watch_joints
 from casadi_models.units import FOOT, FOOT_POUND, SLUG
 
 DISPLAY = {"rad": "deg", "N": "lbf", "N.m": "ft.lbf", "m": "ft", "kg": "slug", "m/s2": "ft/s2"}
@@ -93,7 +93,9 @@ def reduced() -> Dae:
         inertias=terms.inertias,
         loads=terms.loads,
     )
-    theta_ddot = kane.accelerations(system).free
+    solution = kane.accelerations(system)
+    theta_ddot = solution.free
+    conditions.watch_masses(model, solution.mass)
     model.derivative(motion.phi, data.Omega)
     model.derivative(theta, theta_dot)
     model.derivative(theta_dot, theta_ddot)
@@ -140,6 +142,10 @@ def multipliers() -> Dae:
     )
     model.equation(kane.multiplier_equations(system, accelerations, loads))
     _outputs(model, system, terms, kane.reactions(system, accelerations, loads))
+    watch_joints(model, joints, system)
+    forbidden = ca.vertcat(*(ca.vertcat(j.shift, j.tilts) for j in joints))
+    model.invariant("position_drift", forbidden, forbidden, "the hinges hold")
+    model.invariant("velocity_drift", system.free, system.constraints, "the hinges hold at rest")
     return model.freeze()
 
 

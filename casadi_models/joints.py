@@ -9,13 +9,14 @@ Source  Body-fixed turns i, j, k in cyclic order; Kane, Likins & Levinson, Space
         1983, appendix II (1-2-3).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 import casadi as ca
 from casadi import SX, cos, sin
 
-from casadi_models import rotations
+from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Model
 
 
@@ -26,6 +27,7 @@ class FreeJoint:
     Attributes:
         shift: Displacement of a point of the body, in the carrier's axes, m.
         velocity: Its rate of change seen from the carrier, in the axes asked for, m/s.
+        tilts: Angles about the other two axes, (2, 1), rad.
         rotation: R of the body in the carrier, (3, 3).
         omega: Angular velocity relative to the carrier, in the body's axes, rad/s.
         q, q_dot: Coordinates (shift, tilts, angle) and their rates, (6, 1).
@@ -34,6 +36,7 @@ class FreeJoint:
 
     shift: SX
     velocity: SX
+    tilts: SX
     rotation: SX
     omega: SX
     q: SX
@@ -94,6 +97,7 @@ def free_joint(
     return FreeJoint(
         shift=shift,
         velocity=velocity,
+        tilts=tilts,
         rotation=rotation,
         omega=omega,
         q=q,
@@ -101,6 +105,14 @@ def free_joint(
         speeds=speeds,
         accelerations=accelerations,
     )
+
+
+def watch_joints(model: Model, joints: Iterable[FreeJoint], system: kane.System) -> None:
+    """Declare the condition monitors of a system of bodies that constraints hold."""
+    mass = kane.mass_matrix(system)
+    conditions.watch_masses(model, mass)
+    conditions.watch_constraints(model, kane.constraint_matrix(system), mass)
+    conditions.watch_singularity(model, *(cos(joint.tilts[1]) for joint in joints))
 
 
 def _accelerations(model: Model, body: str, axis: int, about_axis: str) -> SX:

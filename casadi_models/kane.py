@@ -107,11 +107,18 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Accelerations:
-    """Accelerations of the free and the dependent speeds; `relation` is J of u_D = J u_I."""
+    """Accelerations of the free and the dependent speeds.
+
+    Attributes:
+        free, dependent: Columns.
+        relation: J of u_D = J u_I.
+        mass: Mass matrix of the free speeds, the dependent ones eliminated.
+    """
 
     free: SX
     dependent: SX
     relation: SX
+    mass: SX
 
     @property
     def unknown(self) -> SX:
@@ -198,8 +205,23 @@ def accelerations(system: System) -> Accelerations:
         force += project(load.rate).T @ load.force
     mass, force = system.at_rest(mass), system.at_rest(force)
     # M is symmetric and positive definite: L D L^T costs a third of the general solution
-    free_dot = ca.ldl_solve(force, *ca.ldl(ca.triu2symm(ca.triu(mass))))
-    return Accelerations(free_dot, relation @ free_dot + system.at_rest(offset), relation)
+    mass = ca.triu2symm(ca.triu(mass))
+    free_dot = ca.ldl_solve(force, *ca.ldl(mass))
+    return Accelerations(free_dot, relation @ free_dot + system.at_rest(offset), relation, mass)
+
+
+def mass_matrix(system: System) -> SX:
+    """Return the mass matrix of the free speeds, constraints left aside."""
+    mass = SX.zeros(system.free.numel(), system.free.numel())
+    for term in system.inertias:
+        partial = ca.jacobian(term.rate, system.free)
+        mass += partial.T @ ca.jacobian(term.momentum, system.free)
+    return system.at_rest(mass)
+
+
+def constraint_matrix(system: System) -> SX:
+    """Return the partial derivatives of the constraints with respect to the free speeds."""
+    return system.at_rest(ca.jacobian(system.constraints, system.free))
 
 
 def imbalance(system: System, unknown_dot: SX, rows: SX) -> SX:
@@ -237,8 +259,7 @@ def multiplier_equations(system: System, free_dot: SX, multipliers: SX) -> SX:
     """
     if system.dependent.numel():
         raise ValueError("dependent speeds are eliminated already; declare all of them free")
-    partial = system.at_rest(ca.jacobian(system.constraints, system.free))
-    motion = imbalance(system, free_dot, system.free) - partial.T @ multipliers
+    motion = imbalance(system, free_dot, system.free) - constraint_matrix(system).T @ multipliers
     return ca.vertcat(motion, constraint_acceleration(system, free_dot))
 
 

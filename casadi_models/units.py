@@ -50,6 +50,7 @@ UNITS: Mapping[str, Unit] = {
     "rpm": _unit(RPM, rad=1, s=-1),
     "rad/s2": _unit(rad=1, s=-2),
     "deg/s2": _unit(DEGREE, rad=1, s=-2),
+    "1/s": _unit(s=-1),
     "m": _unit(m=1),
     "mm": _unit(1e-3, m=1),
     "cm": _unit(1e-2, m=1),

@@ -26,6 +26,7 @@ IN_SI = {
     "g": constants.gram,
 }
 PARTS = {  # of which the names of compound units are made
+    "1": {},
     "kg": {"kg": 1},
     "slug": {"kg": 1},
     "m": {"m": 1},
@@ -51,7 +52,7 @@ def test_base_units_of_a_compound_follow_from_its_name(unit):
     numerator, *denominator = unit.split("/")
     for sign, part in ((1, numerator), *((-1, d) for d in denominator)):
         for factor in part.split("."):
-            name, power = re.fullmatch(r"([A-Za-z]+)(\d?)", factor).groups()
+            name, power = re.fullmatch(r"([A-Za-z]+|1)(\d?)", factor).groups()
             for symbol, exponent in PARTS[name].items():
                 base[symbol] = base.get(symbol, 0) + sign * exponent * int(power or 1)
     assert dict(UNITS[unit].base) == {symbol: n for symbol, n in base.items() if n}

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX, cos
 
+from casadi_models import conditions
 from casadi_models.dae import Model
 
 # Unit, value, meaning; the benchmark bicycle. A `+` marks what must be positive.
@@ -152,18 +153,30 @@ def limits(model: Model, phi: SX, fz_P: SX, fz_Q: SX) -> None:
     model.limit(cos(phi), "the rear frame leans by less than 90 deg")
 
 
+def contact(model: Model, angles: SX, closure: SX) -> None:
+    """Declare that the front wheel keeps to the ground: a matter of phi, delta and theta."""
+    meaning = "the front wheel touches the ground"
+    model.invariant("position_drift", angles[[0, 2, 4]], closure, meaning)
+
+
+def rolling(model: Model, rates: SX, slip: SX) -> None:
+    """Declare that the front wheel does not slip, where all six rates are states."""
+    model.invariant("velocity_drift", rates, slip, "the front wheel rolls")
+
+
 def drift_limits(model: Model, closure: SX, slip: SX) -> None:
     """Declare how far a formulation that differentiates the constraints may drift from them."""
     model.limit(DRIFT - ca.fabs(closure), f"the front wheel is within {DRIFT:g} m of the ground")
     model.limit(DRIFT - ca.norm_inf(slip), f"the front wheel slips by less than {DRIFT:g} m/s")
 
 
-def elimination_limit(model: Model, bike: Bicycle, constraint_matrix: SX) -> None:
-    """Declare where psi_dot, theta_dot and thetaF_dot can be eliminated.
+def elimination(model: Model, bike: Bicycle, phi: SX, constraint_matrix: SX) -> None:
+    """Declare where psi_dot, theta_dot and thetaF_dot can be eliminated, and how well.
 
     Args:
         model: The formulation.
         bike: Its parameters.
+        phi: Roll angle.
         constraint_matrix: d(slip)/d(those rates), (3, 3), m; its determinant is -rF w^2 in the
             aligned bicycle and changes sign near a steer angle of 92 deg.
     """
@@ -173,6 +186,8 @@ def elimination_limit(model: Model, bike: Bicycle, constraint_matrix: SX) -> Non
         "the steer angle is below the one (92 deg upright) where rolling no longer determines yaw, "
         "pitch and front wheel rate (the form with multipliers passes there)",
     )
+    conditions.watch_elimination(model, constraint_matrix)
+    conditions.watch_singularity(model, regular, cos(phi))
 
 
 def torques(model: Model) -> Torques:

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import casadi as ca
-from casadi import SX
+from casadi import SX, cos
 
-from casadi_models import kane
+from casadi_models import conditions, kane
 from casadi_models.bicycle import declaration
 from casadi_models.bicycle.kinematics import motion
 from casadi_models.dae import Dae, Model
@@ -15,9 +15,7 @@ _INDEPENDENT = "phi_dot thetaR_dot delta_dot"
 _DEPENDENT = "psi_dot theta_dot thetaF_dot"
 _RESIDUALS = "loop_closure slip_1 slip_2 slip_3"
 
-# Double root with which a gap to the ground closes and slip dies out, 1/s (Baumgarte, 1972). At 0
-# they add up, beyond 1 little is gained; docs/bicycle.md has the figures.
-CLOSING_RATE = 1.0
+CLOSING_RATE = 1.0  # 1/s; at 0 gaps add up, beyond 1 little is gained: docs/drift.md
 
 
 def independent() -> Dae:
@@ -53,7 +51,9 @@ def independent() -> Dae:
     declaration.energies(model, rolling(kane.kinetic_energy(system)), moving.potential)
     fz_Q = (moving.C_to_N @ moving.W_to_C @ front)[2]
     declaration.limits(model, q[0], *ca.vertsplit(rolling(rear[2], fz_Q)))
-    declaration.elimination_limit(model, bike, rolling_matrix)
+    declaration.contact(model, q, moving.closure)
+    declaration.elimination(model, bike, q[0], rolling_matrix)
+    conditions.watch_masses(model, solution.mass)
     return model.freeze()
 
 
@@ -65,11 +65,12 @@ def multipliers() -> Dae:
     path = declaration.states(model, "xP yP")
     u_dot, front = _unknowns(model)
     moving = motion(declaration.bicycle(model), declaration.torques(model), q, u)
+    rate = conditions.closing_rate(model, CLOSING_RATE)
 
     # In N, so that the multipliers are the components of the ground's force
     system = replace(moving.system, constraints=moving.C_to_N @ moving.W_to_C @ moving.slip)
     slip = system.at_rest(system.constraints)  # its part along N3 is the rate of the closure
-    closing = 2 * CLOSING_RATE * slip + ca.vertcat(0, 0, CLOSING_RATE**2 * moving.closure)
+    closing = 2 * rate * slip + ca.vertcat(0, 0, rate**2 * moving.closure)
     residual = kane.multiplier_equations(system, u_dot, front)
     model.equation(residual + ca.vertcat(SX.zeros(u.numel()), closing))
     model.derivative(ca.vertcat(q, u, path), ca.vertcat(u, u_dot, moving.path_rate))
@@ -86,6 +87,13 @@ def multipliers() -> Dae:
     declaration.energies(model, kane.kinetic_energy(system), moving.potential)
     declaration.limits(model, q[0], rear[2], front[2])
     declaration.drift_limits(model, residuals[0], residuals[1:])
+    declaration.contact(model, q, moving.closure)
+    declaration.rolling(model, u, residuals[1:])
+    mass = kane.mass_matrix(system)
+    conditions.watch_masses(model, mass)
+    in_wheel_axes = replace(system, constraints=moving.slip)  # yaw does not count there
+    conditions.watch_constraints(model, kane.constraint_matrix(in_wheel_axes), mass)
+    conditions.watch_singularity(model, cos(q[0]))
     return model.freeze()
 
 

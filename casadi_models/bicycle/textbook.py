@@ -3,6 +3,7 @@
 import casadi as ca
 from casadi import SX, cos, sin, sqrt
 
+from casadi_models import conditions
 from casadi_models.bicycle import declaration
 from casadi_models.bicycle.declaration import PARAMETERS, Bicycle, assemble
 from casadi_models.bicycle.stages import BODIES, Geometry, Signals, bodies, flow, in_wheel_plane
@@ -39,8 +40,11 @@ def book() -> Dae:
     weight = sum((mass * places[body] for body, mass, _ in bodies(s)), SX.zeros(3)) * s["gravity"]
     declaration.energies(model, kinetic, -weight[2])
     declaration.limits(model, s["phi"], forces[2], forces[5])
-    declaration.elimination_limit(model, bike, s["C_2"])
+    declaration.elimination(model, bike, s["phi"], s["C_2"])
     declaration.drift_limits(model, closure, slip)
+    declaration.contact(model, y[:6], closure)
+    declaration.rolling(model, y[6:12], slip)
+    conditions.watch_masses(model, s["M"])
     return model.freeze()
 
 

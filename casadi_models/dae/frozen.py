@@ -1,10 +1,12 @@
 """`Dae`: a semi-explicit symbolic DAE that knows its variables."""
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.invariants import Invariant
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Variable
 
@@ -28,6 +30,9 @@ class Dae:
         x_start: Start value, or first guess where a rule is implicit, of every state.
         report: What a reduction took away and why, a line each.
         limits: (scalar expression, meaning): the model holds only while each one is positive.
+        invariants: What solvers let drift; a later one may move what an earlier one does not.
+        monitors: (variable, scalar expression) of how well conditioned the equations are; no
+            outputs until somebody asks for them.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -57,6 +62,8 @@ class Dae:
     x_start: tuple[float, ...]
     report: tuple[str, ...] = ()
     limits: tuple[tuple[SX, str], ...] = ()
+    invariants: tuple[Invariant, ...] = ()
+    monitors: tuple[tuple[Variable, SX], ...] = ()
 
     def __post_init__(self) -> None:
         for what, variables, columns in (
@@ -81,6 +88,19 @@ class Dae:
     def variables(self) -> tuple[Variable, ...]:
         """All variables: states, algebraics, outputs, inputs, parameters."""
         return self.states + self.algebraics + self.output_variables + self.inputs + self.parameters
+
+    def watching(self, names: Collection[str]) -> "Dae":
+        """Return the DAE with those of its monitors among the outputs that are named."""
+        wanted = [(v, expression) for v, expression in self.monitors if v.name in names]
+        if not wanted:
+            return self
+        return replace(
+            self,
+            outputs=ca.densify(ca.vertcat(self.outputs, *(e for _, e in wanted))),
+            output_variables=self.output_variables + tuple(v for v, _ in wanted),
+            observed=self.observed + tuple(v.name for v, _ in wanted),
+            monitors=tuple((v, e) for v, e in self.monitors if v.name not in names),
+        )
 
     def variable(self, name: str) -> Variable:
         """Return the variable of that name; `KeyError` when there is none."""

@@ -16,6 +16,7 @@ from casadi_models.dae.expressions import (
     share,
 )
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.invariants import Invariant
 from casadi_models.dae.starts import StartRule, refuse_disorder
 from casadi_models.dae.variables import Experiment, Start, Variable, is_name, number
 from casadi_models.units import convert
@@ -73,11 +74,13 @@ class Model:
         self._variables: dict[str, Variable] = {}
         self._symbols: dict[str, dict[str, SX]] = {kind: {} for kind in "xzup"}
         self._outputs: dict[str, SX] = {}
+        self._monitors: dict[str, SX] = {}
         self._derivatives: dict[str, SX] = {}
         self._residuals: list[SX] = []
         self._rules: list[StartRule] = []
         self._inertias: list[tuple[str, SX]] = []
         self._limits: list[tuple[SX, str]] = []
+        self._invariants: list[Invariant] = []
 
     # -- declarations ---------------------------------------------------------------------------
 
@@ -122,6 +125,15 @@ class Model:
         """Declare an output of the model, given by a scalar expression."""
         variable = self._variable(name, unit, meaning, facts, None, Start.CALCULATED)
         self._outputs[name] = self._column(f"output '{name}'", expression, 1)
+        self._variables[name] = variable
+
+    def monitor(self, name: str, expression: Any, meaning: str) -> None:
+        """Declare a number that tells how well conditioned the equations are (1).
+
+        It costs nothing until it is named as an output; see `Dae.watching`.
+        """
+        variable = self._variable(name, "1", meaning, {}, None, Start.CALCULATED)
+        self._monitors[name] = self._column(f"monitor '{name}'", expression, 1)
         self._variables[name] = variable
 
     def energies(self, kinetic: Any, potential: Any, *, nominal: float = 1.0) -> None:
@@ -175,6 +187,26 @@ class Model:
             raise self._refusal(f"limit '{meaning}' is declared twice; keep one")
         self._limits.append((self._column(f"limit '{meaning}'", expression, 1), meaning))
 
+    def invariant(self, name: str, states: SX, residual: Any, meaning: str) -> None:
+        """Note residuals that are zero in every exact solution and drift in a numerical one.
+
+        Args:
+            name: Of the monitor that shows the largest of them, in SI units.
+            states: What a projection moves to make them zero again; positions before speeds.
+            residual: Of states and parameters, a column of no more rows than `states`.
+            meaning: What is true while they are zero.
+        """
+        rows = self._column(f"invariant '{meaning}'", residual)
+        order = list(self._symbols["x"])
+        positions = tuple(map(order.index, self._names(states)))
+        if not 0 < rows.numel() <= len(positions):
+            raise self._refusal(
+                f"invariant '{meaning}' has {rows.numel()} rows for {len(positions)} states; "
+                "name at least as many states as rows"
+            )
+        self.monitor(name, ca.norm_inf(rows), f"largest residual (SI units): {meaning}")
+        self._invariants.append(Invariant(positions, rows, meaning))
+
     # -- the result -----------------------------------------------------------------------------
 
     def freeze(self) -> Dae:
@@ -193,14 +225,17 @@ class Model:
             {f"equation {i}": residual for i, residual in enumerate(self._residuals, start=1)},
             {f"output '{name}'": expression for name, expression in self._outputs.items()},
             {f"limit '{meaning}'": expression for expression, meaning in self._limits},
+            {f"monitor '{name}'": expression for name, expression in self._monitors.items()},
         )
         with self._naming_the_model():
             for part in parts:
                 refuse_faulty(part, ca.vertcat(self.t, x, z, u, p), "declared symbols")
             inertias = {f"inertia of {body}": ca.vec(matrix) for body, matrix in self._inertias}
             refuse_faulty(inertias, p, "parameters")
+            drifting = {f"invariant '{i.meaning}'": i.residual for i in self._invariants}
+            refuse_faulty(drifting, ca.vertcat(x, p), "states and parameters")
             refuse_disorder(self._rules, x, p)
-        ode, alg, outputs, limits = share([column(part.values()) for part in parts])
+        ode, alg, outputs, limits, monitors = share([column(part.values()) for part in parts])
         if not is_structurally_regular(alg, z):
             raise self._refusal(
                 "the algebraic equations do not determine every algebraic unknown (index above 1); "
@@ -234,6 +269,10 @@ class Model:
             observed=(*self._symbols["x"], *self._symbols["z"], *self._outputs),
             x_start=tuple(v.start for v in self._of("x") if v.start is not None),
             limits=tuple((limits[i], meaning) for i, (_, meaning) in enumerate(self._limits)),
+            invariants=tuple(self._invariants),
+            monitors=tuple(
+                (self._variables[name], monitors[i]) for i, name in enumerate(self._monitors)
+            ),
         )
 
     # -- details --------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from math import pi
 import casadi as ca
 from casadi import SX, sin
 
-from casadi_models import kane, rotations
+from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Dae, Model
 from casadi_models.double_pendulum import links, orientation
 from casadi_models.double_pendulum.links import Link, Rod
@@ -30,6 +30,8 @@ def quaternion() -> Dae:
     # R1^T R2 by a product of quaternions: cheaper than one of matrices
     relative = rotations.quaternion_product(orientation.conjugate(q1), q2)
     _motion(model, rod, (w1, w2), turns, rotations.from_quaternion(relative))
+    norms = ca.vertcat(links.norm_error(q1), links.norm_error(q2))
+    model.invariant("position_drift", ca.vertcat(q1, q2), norms, "quaternions have length 1")
     return model.freeze()
 
 
@@ -57,7 +59,7 @@ def _euler(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
     """
     model = links.pendulum(formulation, f"3-1-3 angles, links along -{axis}")
     rod, starts = links.parameters(model)
-    rates, turns = [], []
+    rates, turns, sines = [], [], []
     for link, start in enumerate(starts, start=1):
         rate = links.rate_states(model, link, start)
         angles = ca.vertcat(
@@ -90,14 +92,16 @@ def _euler(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
             sin(angles[1]),
             f"sin(theta{link}); psi{link} and phi{link} do not exist where it is zero",
         )
+        sines.append(ca.fabs(sin(angles[1])))
         model.limit(
-            ca.fabs(sin(angles[1])) - NEAR_SINGULAR,
+            sines[-1] - NEAR_SINGULAR,
             f"psi{link} and phi{link} exist: sin(theta{link}) is above {NEAR_SINGULAR:g} "
             "(the quaternion formulation is regular there)",
         )
         rates.append(rate)
         turns.append(rotations.body_fixed((3, 1, 3), angles, SX.zeros(3))[0] @ axes)
     _motion(model, rod, (rates[0], rates[1]), (turns[0], turns[1]), turns[0].T @ turns[1])
+    conditions.watch_singularity(model, *sines)
     return model.freeze()
 
 
@@ -138,7 +142,9 @@ def _motion(model: Model, rod: Rod, rates: Pair, turns: Pair, relative: SX) -> N
             kane.Load(2 * v_O + v_A, rod.weight),
         ),
     )
-    motion = kane.accelerations(system).free
+    solution = kane.accelerations(system)
+    motion = solution.free
+    conditions.watch_masses(model, solution.mass)
     model.derivative(w1, ca.vertcat(motion[:2], 0))
     model.derivative(w2, ca.vertcat(motion[2:], 0))
 

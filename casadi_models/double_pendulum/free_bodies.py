@@ -6,14 +6,12 @@ from functools import partial
 import casadi as ca
 from casadi import SX
 
-from casadi_models import kane, rotations
+from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Dae
 from casadi_models.double_pendulum import links
 from casadi_models.double_pendulum.links import Link
 
-# Double root with which a gap in a joint closes, 1/s (Baumgarte, 1972). At 0 gaps grow without
-# bound, at 5 and more they cost energy; docs/double_pendulum.md has the figures.
-GAP_RATE = 1.0
+CLOSING_RATE = 1.0  # 1/s; at 0 gaps grow, at 5 and more they cost energy: docs/drift.md
 GAP_LIMIT = 1e-3  # m
 
 
@@ -61,12 +59,14 @@ def multipliers() -> Dae:
     )
     accelerations = ca.vertcat(v1_dot, v2_dot, w1_dot, w2_dot)
     residual = kane.multiplier_equations(system, accelerations, ca.vertcat(*forces))
-    closing = 2 * GAP_RATE * gap_rates + GAP_RATE**2 * gaps
+    rate = conditions.closing_rate(model, CLOSING_RATE)
+    closing = 2 * rate * gap_rates + rate**2 * gaps
     residual += ca.vertcat(SX.zeros(accelerations.numel()), closing)
 
     turns = [rotations.from_quaternion(q1), rotations.from_quaternion(q2)]
-    residual, gaps, s1, s2, s1_dot, s2_dot = ca.substitute(
-        [residual, gaps, s1, s2, s1_dot, s2_dot], [R1, R2], turns
+    jacobian = kane.constraint_matrix(system)
+    residual, jacobian, gaps, gap_rates, s1, s2, s1_dot, s2_dot = ca.substitute(
+        [residual, jacobian, gaps, gap_rates, s1, s2, s1_dot, s2_dot], [R1, R2], turns
     )
     model.equation(residual)
     model.limit(GAP_LIMIT - ca.norm_inf(gaps), f"the joints are closed to within {GAP_LIMIT:g} m")
@@ -74,6 +74,16 @@ def multipliers() -> Dae:
     model.derivative(ca.vertcat(w1, w2), ca.vertcat(w1_dot, 0, w2_dot, 0))
     model.start(ca.vertcat(r1, r2), ca.vertcat(s1, 2 * s1 + s2), "closed joints")
     model.start(ca.vertcat(v1, v2), ca.vertcat(s1_dot, 2 * s1_dot + s2_dot), "closed joints")
+    norms = ca.vertcat(links.norm_error(q1), links.norm_error(q2))
+    places, speeds = ca.vertcat(q1, q2, r1, r2), system.free
+    closed = "the joints are closed"
+    model.invariant(
+        "position_drift", places, ca.vertcat(norms, gaps), f"{closed}, quaternions have length 1"
+    )
+    model.invariant("velocity_drift", speeds, gap_rates, f"{closed} and stay so")
+    mass = kane.mass_matrix(system)
+    conditions.watch_masses(model, mass)
+    conditions.watch_constraints(model, jacobian, mass)
     links.outputs(model, rod, (Link(turns[0], w1, r1, v1), Link(turns[1], w2, r2, v2)))
     return model.freeze()
 

@@ -125,6 +125,11 @@ def quaternion_states(model: Model, link: int, start: Start, rate: SX) -> SX:
     return q
 
 
+def norm_error(q: SX) -> SX:
+    """Return |q|^2 - 1, zero for a unit quaternion."""
+    return ca.dot(q, q) - 1
+
+
 def quaternion_meaning(link: int, part: str) -> str:
     """Describe a part of a quaternion, a state or an output."""
     return f"{part} of the unit quaternion of link {link}: link along -z to world"

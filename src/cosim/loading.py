@@ -40,8 +40,9 @@ def formulations(model: str) -> tuple[str, ...]:
 
 
 def observable(dae: Dae) -> tuple[str, ...]:
-    """Return the names that a run of a model can record: states, algebraic unknowns, outputs."""
-    return tuple(v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables))
+    """Return the names that a run of a model can record: states, unknowns, outputs, monitors."""
+    recorded = (*dae.states, *dae.algebraics, *dae.output_variables)
+    return tuple(v.name for v in (*recorded, *(v for v, _ in dae.monitors)))
 
 
 def no_such_output(dae: Dae, name: str) -> UnknownName:

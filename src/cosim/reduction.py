@@ -12,7 +12,7 @@ import numpy as np
 from casadi import SX
 from numpy.typing import NDArray
 
-from casadi_models.dae import Dae, StartRule, Variable
+from casadi_models.dae import Dae, Invariant, StartRule, Variable
 from cosim.errors import UnknownName, UsageError
 from cosim.loading import no_such_output, observable
 
@@ -63,7 +63,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         UsageError: No output is wanted, or one is named twice.
     """
     wanted = _checked(dae, outputs)
-    frozen = _freeze(dae, freeze)
+    frozen = _freeze(dae.watching(wanted), freeze)
     kept_y = [i for i, v in enumerate(frozen.output_variables) if v.name in wanted]
     observed = ca.vertcat(SX(0, 1), *(frozen.outputs[i] for i in kept_y))
     states, unknowns, equations = _closure(frozen, wanted, observed)
@@ -92,6 +92,8 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         inertias=_kept_inertias(frozen, parameters),
         observed=tuple(outputs),
         x_start=tuple(frozen.x_start[i] for i in states),
+        monitors=(),
+        invariants=tuple(_kept_invariants(frozen, states, parameters)),
     )
     small = replace(small, limits=_kept_limits(small))
     return replace(small, report=tuple(_report(dae, small, freeze)))
@@ -120,14 +122,27 @@ def _freeze(dae: Dae, names: Collection[str]) -> Dae:
         if parameter.name in names:
             values[i] = parameter.start or 0.0
     margins = ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
-    fixed = ca.substitute([dae.ode, dae.alg, dae.outputs, margins], [dae.p], [values])
+    drifts = [invariant.residual for invariant in dae.invariants]
+    fixed = ca.substitute([dae.ode, dae.alg, dae.outputs, margins, *drifts], [dae.p], [values])
     rules = tuple(
         replace(rule, expression=ca.substitute(rule.expression, dae.p, values))
         for rule in dae.start_rules
     )
-    ode, alg, outputs, margins = (ca.densify(column) for column in fixed)
+    ode, alg, outputs, margins, *drifts = (ca.densify(column) for column in fixed)
     limits = tuple((margins[i], meaning) for i, (_, meaning) in enumerate(dae.limits))
-    return replace(dae, ode=ode, alg=alg, outputs=outputs, start_rules=rules, limits=limits)
+    invariants = tuple(
+        replace(invariant, residual=residual)
+        for invariant, residual in zip(dae.invariants, drifts, strict=True)
+    )
+    return replace(
+        dae,
+        ode=ode,
+        alg=alg,
+        outputs=outputs,
+        start_rules=rules,
+        limits=limits,
+        invariants=invariants,
+    )
 
 
 def _closure(
@@ -196,6 +211,16 @@ def _kept_limits(small: Dae) -> tuple[tuple[SX, str], ...]:
         for margin, meaning in small.limits
         if all(symbol.element_hash() in known for symbol in ca.symvar(margin))
     )
+
+
+def _kept_invariants(
+    dae: Dae, states: Sequence[int], parameters: Sequence[int]
+) -> Iterator[Invariant]:
+    """Yield the invariants of which everything is kept; a part of one is none."""
+    for invariant in dae.invariants:
+        needed = {*invariant.states, *_used(invariant.residual, dae.x)}
+        if needed <= set(states) and set(_used(invariant.residual, dae.p)) <= set(parameters):
+            yield replace(invariant, states=tuple(states.index(i) for i in invariant.states))
 
 
 def _used(expression: SX, variables: SX) -> list[int]:

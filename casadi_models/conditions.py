@@ -1,0 +1,102 @@
+"""How far a formulation is from where its equations lose their solution: condition monitors.
+
+Numbers without unit that do not change when quantities are measured in other units. They are
+monitors of a model: nothing computes them until they are named as outputs.
+
+Source  Golub & Van Loan, Matrix Computations, 4th ed. 2013, section 2.6 (condition); van der Sluis,
+        Numer. Math. 14, 1969 (no diagonal scaling is better than unit diagonals, or unit rows, by
+        more than the factor m, or its root).
+"""
+
+from typing import Any
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae import Model
+
+
+def watch_masses(model: Model, mass: SX) -> None:
+    """Declare `mass_condition` of a mass matrix (n, n).
+
+    C is the matrix scaled to a unit diagonal: its entries are the coupling of two speeds, as a
+    correlation. The monitor is |C| |C^-1| / n in Frobenius norms, 1 where nothing is coupled.
+    Speeds that never have inertia (a slender bar about its axis) are left out.
+    """
+    inert = [i for i, entry in enumerate(ca.vertsplit(ca.diag(mass))) if not entry.is_zero()]
+    mass = mass[inert, inert]
+    size = ca.sqrt(ca.diag(mass))
+    coupling = ca.triu2symm(ca.triu(mass / (size @ size.T)))
+    model.monitor(
+        "mass_condition",
+        _or_infinite(ca.norm_fro(coupling) * ca.norm_fro(_inverse(coupling)) / len(inert)),
+        "condition of the mass matrix scaled to a unit diagonal; 1 where no speeds are coupled",
+    )
+
+
+def watch_elimination(model: Model, matrix: SX) -> None:
+    """Declare `constraint_condition` of the square matrix that gives the dependent speeds.
+
+    Its rows have one unit, its columns another one. The monitor is |A| |A^-1| / n in Frobenius
+    norms: infinite where the dependent speeds do not exist.
+    """
+    # the adjugate over the determinant: no 0/0 where only the latter vanishes
+    inverse = ca.norm_fro(ca.adj(matrix)) / ca.fabs(ca.det(matrix))
+    model.monitor(
+        "constraint_condition",
+        ca.norm_fro(matrix) * inverse / matrix.shape[0],
+        "condition of the matrix that gives the dependent speeds",
+    )
+
+
+def watch_constraints(model: Model, jacobian: SX, mass: SX) -> None:
+    """Declare `constraint_condition` of constraints that are kept with multipliers.
+
+    Args:
+        model: The formulation.
+        jacobian: d(constraints)/d(speeds), (m, n).
+        mass: Mass matrix, (n, n).
+
+    Column j is divided by the root of mass jj unless that is always zero, then every row by its
+    length; A is the result. The monitor is |A| |A^+| / m in Frobenius norms, from the trace of
+    (A A^T)^-1: 1 where no two constraints act on the same speeds, infinite where the multipliers
+    are not unique.
+    """
+    m, sizes = jacobian.shape[0], ca.diag(mass)
+    weights = [SX(1) if size.is_zero() else 1 / ca.sqrt(size) for size in ca.vertsplit(sizes)]
+    scaled = jacobian @ ca.diag(ca.vertcat(*weights))
+    scaled = ca.diag(1 / ca.sqrt(ca.sum2(scaled**2))) @ scaled
+    gram = ca.triu2symm(ca.triu(scaled @ scaled.T))
+    model.monitor(
+        "constraint_condition",
+        _or_infinite(ca.sqrt(ca.trace(_inverse(gram)) / m)),  # the trace of `gram` is m
+        "condition of the constraints, speeds scaled by masses and rows to length 1",
+    )
+
+
+def watch_singularity(model: Model, *margins: Any) -> None:
+    """Declare `singularity_distance`, the smallest of margins that vanish at a singularity."""
+    nearest = SX(margins[0])
+    for margin in margins[1:]:
+        nearest = ca.fmin(nearest, margin)
+    model.monitor(
+        "singularity_distance",
+        nearest,
+        "distance from the nearest singularity of coordinates or elimination, 0 there",
+    )
+
+
+def closing_rate(model: Model, value: float) -> SX:
+    """Declare the double root with which gaps close and slip dies out (Baumgarte, 1972), 1/s."""
+    meaning = "rate at which drift from the constraints decays; 0 lets it grow"
+    return model.parameter("closing_rate", "1/s", value, meaning, minimum=0.0)
+
+
+def _inverse(matrix: SX) -> SX:
+    """Return the inverse of a symmetric positive definite matrix."""
+    return ca.ldl_solve(SX.eye(matrix.shape[0]), *ca.ldl(matrix))
+
+
+def _or_infinite(condition: SX) -> SX:
+    """Return a condition number, infinite where a singular matrix has made it no number."""
+    return 1 / ca.fmax(1 / condition, 0)  # C's fmax takes the other one for what is no number

@@ -1,0 +1,20 @@
+"""What every exact solution keeps at zero, and a numerical one does not."""
+
+from dataclasses import dataclass
+
+from casadi import SX
+
+
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
+class Invariant:
+    """Residuals of constraints that the equations hold only through their derivatives.
+
+    Attributes:
+        states: Positions in `Dae.x` of what a projection may move.
+        residual: Of states and parameters, (m, 1) with m up to the number of those states.
+        meaning: What is true while it is zero.
+    """
+
+    states: tuple[int, ...]
+    residual: SX
+    meaning: str
