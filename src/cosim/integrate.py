@@ -59,7 +59,7 @@ def simulate(
         step_size: Largest step of `rk4` and `ode8`, s; the output interval when None.
         start: Values by name that replace starts of states, parameters, or inputs.
         inputs: Time series of some inputs, piecewise linear; the others keep their start value.
-        outputs: Names to record; everything observable when None.
+        outputs: Names to record, monitors among them; everything but those when None.
         compiled: Whether to compile the equations; if a compiler is there when None.
         on_invalid: What happens where a run leaves the model's limits, or a fixed step is too long
             for the motion: "warn" says so in `stats["invalid"]`, "stop" ends the run there,
@@ -83,6 +83,7 @@ def simulate(
     if on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     values = assign(dae, start)
+    dae = dae.watching(outputs or ())
     names = wanted_names(dae, outputs)
     start_time = number("run", "start_time", start_time)
     grid = time_grid(
