@@ -7,6 +7,7 @@ are arguments, so that nothing is compiled anew when they change.
 
 import ctypes
 from collections.abc import Sequence
+from threading import Lock
 
 import casadi as ca
 
@@ -15,6 +16,8 @@ from cosim.compile import cached_library
 from cosim.externals import cache_key
 from cosim.resources import solver_source
 from cosim.runge_kutta import METHODS, Tableau
+
+_sizing = Lock()
 
 SETTINGS = 4  # number of output times, both tolerances, largest step
 
@@ -56,8 +59,9 @@ def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]
             step, output times).
     """
     library = ctypes.CDLL(path)
-    library.cosim_points(ctypes.c_longlong(points))
-    return ca.external("run", path), library
+    with _sizing:  # CasADi reads the sizes while it makes the function
+        library.cosim_points(ctypes.c_longlong(points))
+        return ca.external("run", path), library
 
 
 def _dop853_code() -> list[str]:
