@@ -6,6 +6,7 @@ are arguments, so that nothing is compiled anew when they change.
 """
 
 import ctypes
+from threading import Lock
 
 import casadi as ca
 
@@ -14,6 +15,8 @@ from cosim.externals import cache_key
 from cosim.resources import solver_source
 from cosim.runge_kutta import METHODS, Tableau
 from cosim.stage_sums import dop853_text, numbers, sums
+
+_sizing = Lock()
 
 SETTINGS = 4  # number of output times, both tolerances, largest step
 
@@ -54,8 +57,9 @@ def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]
             step, output times).
     """
     library = ctypes.CDLL(path)
-    library.cosim_points(ctypes.c_longlong(points))
-    return ca.external("run", path), library
+    with _sizing:  # CasADi reads the sizes while it makes the function
+        library.cosim_points(ctypes.c_longlong(points))
+        return ca.external("run", path), library
 
 
 def _method_text(solver: str) -> list[str]:
