@@ -28,7 +28,7 @@ cosim._fmu
 casadi_models
 cosim.errors
 cosim.files | cosim.inputs | cosim.keeping | cosim.loading cosim.dae_builder | cosim.resources
-  | cosim.toml_file | cosim.values
+  | cosim.toml_file | cosim.values cosim.goals
 cosim.trajectory
 cosim.archive | cosim.buffers | cosim.compile | cosim.consistent | cosim.dop853 cosim.stage_sums
   | cosim.generated

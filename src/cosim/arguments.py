@@ -2,11 +2,13 @@
 
 import argparse
 from dataclasses import replace
+from typing import Any
 
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
+from cosim.goals import GOALS, OVERRULED
 from cosim.loading import load
-from cosim.roads import with_solver
+from cosim.roads import with_solver, without_goal
 from cosim.scene import Scene
 from cosim.scene_file import read_scene
 from cosim.values import quantity
@@ -18,6 +20,7 @@ _SETTINGS = (
     "relative_tolerance",
     "absolute_tolerance",
     "step_size",
+    "accuracy",
 )
 
 
@@ -30,6 +33,13 @@ def scene_from(args: argparse.Namespace) -> Scene:
     scene = named_scene(args.model)
     given = {key: getattr(args, key, None) for key in _SETTINGS}
     changes = {key: value for key, value in given.items() if value is not None}
+    if getattr(args, "budget", None) is not None:
+        changes["budget"] = 1e-3 * args.budget
+    if changes.keys() & set(GOALS):
+        overruled: dict[str, Any] = dict.fromkeys((*OVERRULED, *GOALS))
+        scene = replace(scene, settings=replace(scene.settings, **overruled))
+    elif changes.keys() & set(OVERRULED):
+        scene = without_goal(scene)
     if getattr(args, "solver", None):
         scene = with_solver(scene, args.solver)
     scene = replace(scene, settings=replace(scene.settings, **changes))

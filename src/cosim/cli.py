@@ -94,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
         help="native, linux64, win64, darwin64, aarch64-linux, all; native by default",
     )
     export.add_argument("--outputs", metavar="A,B", help="what to compute; all by default")
+    _accuracy_option(export)
 
     crosscheck = verbs.add_parser(
         "crosscheck", parents=[common, run], help="the same run on every road, and the differences"
@@ -168,6 +169,10 @@ def _value_options() -> _Parser:
 
 
 def _solver_options(parser: argparse.ArgumentParser) -> None:
+    _accuracy_option(parser)
+    parser.add_argument(
+        "--budget", type=float, metavar="MS", help="time of the solver, ms; the best run within it"
+    )
     parser.add_argument("--solver", metavar="NAME", help="cvodes, or idas for a DAE, by default")
     parser.add_argument("--absolute-tolerance", type=float, metavar="A", help="error per step, SI")
     parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
@@ -179,6 +184,15 @@ def _solver_options(parser: argparse.ArgumentParser) -> None:
         "--on-invalid",
         metavar="ACTION",
         help="where a run leaves the model's limits: warn (the default), stop or ignore",
+    )
+
+
+def _accuracy_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--accuracy",
+        type=float,
+        metavar="X",
+        help="global error of the outputs in nominal values; chooses solver and tolerance",
     )
 
 

@@ -10,6 +10,7 @@ import casadi_models
 from casadi_models.dae import Start, Variable
 from cosim.arguments import named_scene, scene_from, start_numbers
 from cosim.errors import SolverError, UnknownName, UsageError
+from cosim.goals import GOALS
 from cosim.loading import load
 from cosim.roads import run_scene, scene_dae, variant
 from cosim.scene import Scene
@@ -195,6 +196,10 @@ def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traj
         run = _run(args, scene)
         for text in run.stats.get("invalid", ()):
             print(f"warning: {run.model}: {text}", file=sys.stderr)
+        if "error_estimate" in run.stats and not args.quiet:
+            from cosim.promises import promise_kept
+
+            print(promise_kept(run), file=sys.stderr)
         return run, 0
     except SolverError as error:
         if error.partial is None or not len(error.partial):
@@ -212,7 +217,7 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         )
     from cosim.fmpy_run import simulate_fmu
 
-    for option in ("solver", "absolute_tolerance", "step_size", "on_invalid"):
+    for option in ("solver", "absolute_tolerance", "step_size", "on_invalid", *GOALS):
         if getattr(args, option) is not None:
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
     return simulate_fmu(

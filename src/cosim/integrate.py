@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -16,6 +17,7 @@ from cosim.calling import call
 from cosim.compile import has_compiler
 from cosim.consistent import algebraic_values, start_values
 from cosim.errors import SolverError, UnknownName
+from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.grids import checked_grid, time_grid
 from cosim.inputs import InputSeries
 from cosim.monitors import ON_INVALID, Breach, breaches, too_coarse
@@ -36,9 +38,11 @@ def simulate(
     stop_time: float | None = None,
     output_interval: float | None = None,
     solver: str | None = None,
-    relative_tolerance: float = 1e-8,
+    relative_tolerance: float | None = None,
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
+    accuracy: float | None = None,
+    budget: float | None = None,
     start: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
@@ -54,9 +58,12 @@ def simulate(
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.
         solver: A name of `SOLVERS`; CVODES, or IDAS for a DAE, when None.
-        relative_tolerance: Error per step relative to each state's size (1).
+        relative_tolerance: Error per step relative to each state's size (1); 1e-8 when None.
         absolute_tolerance: Error per step in SI units; a hundredth of the relative when None.
         step_size: Largest step of `rk4` and `ode8`, s; the output interval when None.
+        accuracy: Instead of solver and tolerance: largest global error of the outputs, in nominal
+            values. The cheapest configuration that was measured to do is taken, and checked.
+        budget: Instead of these, too: time that the solver may take, s.
         start: Values by name that replace starts of states, parameters, or inputs.
         inputs: Time series of some inputs, piecewise linear; the others keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
@@ -70,16 +77,19 @@ def simulate(
 
     Raises:
         UnknownName: `start`, `outputs`, `solver` or `on_invalid` holds a name that does not exist.
-        ParameterError: A value is not finite or out of its bounds.
+        ParameterError: A value is not finite or out of its bounds, or asks for what cannot be.
+        UsageError: Something is given beside the `accuracy` or `budget` that decides on it.
         InitialConditionError: The start values contradict the constraints.
         SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the run up
-            to there.
+            to there. Or the run does not have the `accuracy`; `partial` is the best one.
         MissingTool: `compiled` is True and no compiler works.
 
     References:
         Hindmarsh et al., SUNDIALS, ACM TOMS 2005, doi:10.1145/1089014.1089020.
     """
     began = perf_counter()
+    settings = (solver, relative_tolerance, absolute_tolerance, step_size)
+    refuse_contradiction(accuracy, budget, **dict(zip(OVERRULED, settings, strict=True)))
     if on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     values = assign(dae, start)
@@ -92,12 +102,32 @@ def simulate(
         dae.experiment.output_interval if output_interval is None else output_interval,
         numbers=len(all_columns(dae)),
     )
+    if compiled is None:
+        compiled = has_compiler()
+    if accuracy is not None or budget is not None:
+        from cosim.promises import promised_run  # which calls this function
+
+        solve = partial(
+            simulate,
+            dae,
+            start_time=start_time,
+            stop_time=stop_time,
+            output_interval=output_interval,
+            start=start,
+            inputs=inputs,
+            outputs=names,
+            compiled=compiled,
+            on_invalid=on_invalid,
+        )
+        length = float(grid[-1] - grid[0])
+        return promised_run(dae, solve, names, length, compiled, accuracy, budget)
+    relative = Tolerance().relative if relative_tolerance is None else relative_tolerance
     task = _Task(
         dae,
         method(dae, solver)[0],
-        Tolerance(relative_tolerance, absolute_tolerance),
+        Tolerance(relative, absolute_tolerance),
         step_size,
-        has_compiler() if compiled is None else compiled,
+        compiled,
         values,
         inputs,
         on_invalid,
@@ -112,7 +142,7 @@ def simulate(
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
-    stats = {"solver": task.solver, "relative_tolerance": relative_tolerance, **solution.stats}
+    stats = {"solver": task.solver, "relative_tolerance": relative, **solution.stats}
     stats |= {"compiled": task.compiled, "wall_time": perf_counter() - began}
     if first.invalid:
         stats["invalid"] = [breach.text for breach in first.invalid]

@@ -7,15 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from casadi_models.dae import Dae
-from cosim.errors import UnknownName
+from cosim.errors import UnknownName, UsageError
 from cosim.export import export_fmu
 from cosim.fmpy_run import simulate_fmu
+from cosim.goals import GOALS
 from cosim.inputs import InputSeries
 from cosim.integrate import simulate
 from cosim.loading import formulations, load, no_such_output, observable
 from cosim.reduction import reduce
 from cosim.scene import Scene
-from cosim.solvers import SOLVERS, Tolerance
+from cosim.solvers import SOLVERS
 from cosim.trajectory import Trajectory
 
 FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
@@ -43,30 +44,47 @@ def run_scene(
 ) -> Trajectory:
     """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
 
+    With an accuracy or a budget, the front of the model with its author's values is what chooses,
+    so that it need not be measured anew for each of the scene's values.
+
     Args:
         scene: What to run.
         road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
         compiled, on_invalid: Of CasADi's integrators, see `simulate`.
 
     Raises:
+        UsageError: An FMU shall run with an accuracy or a budget.
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
     """
     dae, settings = scene_dae(scene), scene.settings
+    goals = {name: getattr(settings, name) for name in GOALS}
+    promised = any(goal is not None for goal in goals.values())
     if road is not None:
+        if promised:
+            raise UsageError(
+                f"{scene.name}: accuracy and budget are for CasADi's integrators; an FMU gets its "
+                "accuracy when it is exported: cosim export --accuracy"
+            )
         if road not in FMU_ROADS:
             raise UnknownName.among("cosim", "road", road, FMU_ROADS)
         with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
             path = export_fmu(dae, Path(folder) / "scene.fmu")
             return run_fmu(scene, dae, path, FMU_ROADS[road])
-    relative = settings.relative_tolerance
+    start: dict[str, float] = {}
+    if promised:
+        dae = scene_dae(replace(scene, values={}))
+        known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
+        start = {name: value for name, value in scene.values.items() if name in known}
     return simulate(
         dae,
         start_time=settings.start_time,
         stop_time=settings.stop_time,
         solver=settings.solver,
-        relative_tolerance=Tolerance().relative if relative is None else relative,
+        relative_tolerance=settings.relative_tolerance,
         absolute_tolerance=settings.absolute_tolerance,
         step_size=settings.step_size,
+        start=start,
+        **goals,
         inputs=_felt(scene, dae),
         outputs=scene.outputs or None,
         compiled=compiled,
@@ -105,7 +123,7 @@ def variant(scene: Scene, name: str) -> tuple[Scene, str | None]:
         UnknownName: It is none of them, or that formulation lacks an output.
     """
     if name in FMU_ROADS:
-        return scene, name
+        return without_goal(scene), name
     if name in SOLVERS:
         return with_solver(scene, name), None
     others = other_formulations(scene)
@@ -117,15 +135,24 @@ def variant(scene: Scene, name: str) -> tuple[Scene, str | None]:
 
 
 def with_solver(scene: Scene, name: str) -> Scene:
-    """Return a scene with another solver; an adaptive one takes over no step size.
+    """Return a scene with another solver, which takes over no accuracy or budget.
+
+    An adaptive one takes over no step size either.
 
     Raises:
         UnknownName: There is no such solver.
     """
     if name not in SOLVERS:
         raise UnknownName.among("cosim", "solver", name, SOLVERS)
+    scene = without_goal(scene)
     step_size = None if SOLVERS[name].adaptive else scene.settings.step_size
     return replace(scene, settings=replace(scene.settings, solver=name, step_size=step_size))
+
+
+def without_goal(scene: Scene) -> Scene:
+    """Return a scene without an accuracy or a budget."""
+    settings = replace(scene.settings, accuracy=None, budget=None)
+    return scene if settings == scene.settings else replace(scene, settings=settings)
 
 
 def in_formulation(scene: Scene, model: str) -> Scene:

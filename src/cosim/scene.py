@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.errors import ParameterError
+from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.inputs import InputSeries
 from cosim.values import assign
 
@@ -18,9 +19,12 @@ class Settings:
         solver: A name of `SOLVERS`.
         relative_tolerance, absolute_tolerance: Error per step; the absolute one in SI units.
         step_size: Largest step of the fixed-step solvers, s.
+        accuracy: Instead of these: largest global error of the outputs, in nominal values.
+        budget: Instead of these: time that the solver may take, s.
 
     Raises:
-        ParameterError: The run would end before it begins.
+        ParameterError: The run would end before it begins; or a goal is not positive.
+        UsageError: Two things are given of which one decides on the other.
     """
 
     start_time: float = 0.0
@@ -30,8 +34,12 @@ class Settings:
     relative_tolerance: float | None = None
     absolute_tolerance: float | None = None
     step_size: float | None = None
+    accuracy: float | None = None
+    budget: float | None = None
 
     def __post_init__(self) -> None:
+        fixed = {name: getattr(self, name) for name in OVERRULED}
+        refuse_contradiction(self.accuracy, self.budget, **fixed)
         if self.stop_time is not None and self.stop_time < self.start_time:
             raise ParameterError(
                 f"stop_time = {self.stop_time:g} s lies before start_time = "

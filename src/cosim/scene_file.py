@@ -7,6 +7,7 @@ from typing import Any
 
 from casadi_models.dae import Dae, Variable
 from cosim.errors import UnknownName, UsageError
+from cosim.goals import GOALS
 from cosim.inputs import InputSeries, read_inputs
 from cosim.loading import load, no_such_output, observable
 from cosim.resources import shipped_scenes
@@ -18,7 +19,7 @@ from cosim.values import checked, number, quantity
 
 _KEYS = ("model", "title", "outputs", "parameters", "start", "inputs", "run", "figures")
 _RUN_KEYS = tuple(Settings.__dataclass_fields__)
-_POSITIVE = ("output_interval", "step_size")
+_POSITIVE = ("output_interval", "step_size", *GOALS)
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
@@ -175,7 +176,7 @@ def _settings(file: TomlFile) -> Settings:
                 Tolerance(found[key], found.get("absolute_tolerance"))
             if key == "absolute_tolerance":
                 Tolerance(absolute=found[key])
-    with file.naming("run", "stop_time"):
+    with file.naming("run", next((key for key in GOALS if key in found), "stop_time")):
         return Settings(**found)
 
 
