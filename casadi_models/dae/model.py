@@ -204,7 +204,7 @@ class Model:
                 f"invariant '{meaning}' has {rows.numel()} rows for {len(positions)} states; "
                 "name at least as many states as rows"
             )
-        self.monitor(name, ca.norm_inf(rows), f"largest residual (SI units): {meaning}")
+        self.monitor(name, ca.norm_inf(rows), f"largest drift (SI units) from: {meaning}")
         self._invariants.append(Invariant(positions, rows, meaning))
 
     # -- the result -----------------------------------------------------------------------------

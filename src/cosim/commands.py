@@ -11,6 +11,7 @@ from casadi_models.dae import Start, Variable
 from cosim.arguments import named_scene, scene_from, start_numbers
 from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.goals import GOALS
+from cosim.inspection import inspect_start
 from cosim.loading import load
 from cosim.roads import run_scene, scene_dae, variant
 from cosim.scene import Scene
@@ -63,9 +64,14 @@ def do_info(args: argparse.Namespace) -> int:
         f"{dae.operations()} scalar operations",
     }
     limits = [meaning for _, meaning in dae.limits]
+    start = inspect_start(dae)
+    conditions = [
+        {"name": v.name, "at the start": value, "meaning": v.meaning}
+        for (v, _), value in zip(dae.monitors, start.monitors, strict=True)
+    ]
     if args.json:
         tables: dict[str, Any] = {key: [*map(_facts, group)] for key, group in groups.items()}
-        tables["limits"] = limits
+        tables |= {"conditions": conditions, "limits": limits, "margins": start.margins}
         print(json.dumps(facts | tables, indent=1))
         return 0
     for key, value in facts.items():
@@ -74,8 +80,13 @@ def do_info(args: argparse.Namespace) -> int:
         if group:
             print(f"\n{key}")
             show_table([_facts(v) for v in group], as_json=args.json)
+    if conditions:
+        print("\nconditions: calculated where --outputs names them")
+        show_table(conditions, as_json=False)
     if limits:
-        print("\nlimits: a run is valid while", *limits, sep="\n  ")
+        print("\nlimits: a run is valid while a margin is positive")
+        margins = zip(start.margins, limits, strict=True)
+        show_table([{"at the start": m, "meaning": text} for m, text in margins], as_json=False)
     return 0
 
 
