@@ -80,7 +80,7 @@ def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
     outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
     t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
     solved = algebraic_function(dae)(t, x, z, u, p)
-    rows = ca.vertcat(solved, outputs(t, x, solved, u, p))
+    rows = ca.densify(ca.vertcat(solved, outputs(t, x, solved, u, p)))  # cse makes zeros sparse
     function = ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
     if n == 1:
         return function
