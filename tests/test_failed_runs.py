@@ -196,3 +196,5 @@ def test_interrupt_reaches_a_run_within_a_second(solver, compiled):
     finally:
         timer.cancel()
     assert time.monotonic() - killed[0] < 1  # measured 0.01 to 0.1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    run_for_long(0.01)  # the next one is not concerned

@@ -34,8 +34,8 @@ def test_report_is_taken_before_the_driver_gives_up():
 
 def test_run_can_be_halted_at_every_right_hand_side():
     code = watched(DRIVER)
-    assert "case IVP_EVAL_RHS:\n          if (cosim_halted) return 1;" in code
-    assert "CASADI_SYMBOL_EXPORT void cosim_halt(int on)" in code
+    assert "case IVP_EVAL_RHS:\n          if (halted) return 1;" in code
+    assert "SHARED void cosim_watch(void)" in code
 
 
 def test_entry_is_flattened():

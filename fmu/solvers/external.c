@@ -6,12 +6,6 @@
  * How many output times there are is no constant of the library: `cosim_points` must be called
  * before CasADi asks for the sizes.
  */
-#ifdef _WIN32
-#define SHARED __declspec(dllexport)
-#else
-#define SHARED __attribute__((visibility("default")))
-#endif
-
 enum { SETTINGS = 4 };
 
 static _Thread_local double report[6];
@@ -27,9 +21,6 @@ SHARED void cosim_points(long long points) {
 /* What the thread's last run took and where it ended: steps, right-hand sides, Jacobians, code,
  * time, step size. */
 SHARED void cosim_report(double *out) { memcpy(out, report, sizeof report); }
-
-/* Makes every run end at its next step, until it is switched off. */
-SHARED void cosim_halt(int on) { halted = on; }
 
 SHARED long long run_n_in(void) { return 4; }
 SHARED long long run_n_out(void) { return 2; }

@@ -30,8 +30,6 @@ typedef struct {
     double relative, absolute, largest;
 } Task;
 
-static volatile int halted;
-
 /* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */
 static int slope(Problem *self, double t, const double *x, double *dx, double *z) {
     self->arg[0] = &t;

@@ -1,11 +1,13 @@
 """One call of an engine: interruptible, without messages on the way, and what it reached."""
 
+import ctypes
 import io
-from collections.abc import Callable
-from contextlib import redirect_stderr
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
-from threading import Thread
-from typing import Any, TypeVar
+from threading import current_thread, main_thread
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,6 @@ from cosim.buffers import on_arrays
 from cosim.engines import Engine
 
 Vector = NDArray[np.float64]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -42,20 +43,17 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         p = np.array(engine.parameters(p)).ravel()
     arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
     evaluate = on_arrays(engine.function, arguments, (states, algebraics))
-
-    def work() -> tuple[str, dict[str, Any]]:
+    stats: dict[str, Any] = {}
+    told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
+    with redirect_stderr(told), _interruptible(engine.library):
         try:
             succeeded = evaluate()
         except RuntimeError as error:  # CasADi has no narrower type
-            return _flag(str(error)), {}
-        stats = engine.stats()
-        doubt = "step size too small, or too many steps"
-        cause = "" if succeeded else stats.pop("cause", doubt)
-        return cause, stats
-
-    told = io.StringIO()
-    with redirect_stderr(told):  # SUNDIALS says there at which time and step it failed
-        reason, stats = _interruptible(work, engine.halt)
+            reason = _flag(str(error))
+        else:
+            stats = engine.stats()
+            cause = stats.pop("cause", "step size too small, or too many steps")
+            reason = "" if succeeded else cause
     if "KeyboardInterrupt" in reason + told.getvalue():  # CasADi took Ctrl-C for a failure
         raise KeyboardInterrupt
     finite = np.isfinite(states).all(axis=1)
@@ -74,22 +72,21 @@ def _flag(message: str) -> str:
     return flag or message.strip().splitlines()[-1][:200]
 
 
-def _interruptible(work: Callable[[], T], halt: Callable[[bool], None] | None) -> T:
-    """Do work that Ctrl-C ends.
+@contextmanager
+def _interruptible(library: ctypes.CDLL | None) -> Iterator[None]:
+    """Let Ctrl-C end what happens in between, though it is one C function.
 
-    CasADi looks for Ctrl-C between evaluations, in the main thread. Where the work is one C
-    function, it runs in another thread, which is halted.
+    Raises:
+        KeyboardInterrupt: It did; or whatever the user's own handler of the signal does.
     """
-    if halt is None:
-        return work()
-    halt(False)
-    results: list[T] = []
-    thread = Thread(target=lambda: results.append(work()))
-    thread.start()
+    handler = signal.getsignal(signal.SIGINT)
+    if library is None or current_thread() is not main_thread() or not callable(handler):
+        yield
+        return
+    library.cosim_watch()
     try:
-        thread.join()
-    except BaseException:
-        halt(True)
-        thread.join()
-        raise
-    return results[0]
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if library.cosim_halted():
+        handler(signal.SIGINT, None)

@@ -45,7 +45,8 @@ class Engine:
         repeat_u: Whether `u` has one column per output time.
         stats: Reads what the thread's last call took; `cause` says why it failed.
         compiled: Whether the equations are machine code.
-        halt: Ends running calls, or lets them run; None where CasADi sees Ctrl-C itself.
+        library: What runs as one C function and takes over Ctrl-C (fmu/solvers/interrupt.c); None
+            where CasADi sees to that.
     """
 
     function: ca.Function
@@ -53,7 +54,7 @@ class Engine:
     repeat_u: bool
     stats: Callable[[], dict[str, Any]]
     compiled: bool
-    halt: Callable[[bool], None] | None = None
+    library: ctypes.CDLL | None = None
 
 
 def build(
@@ -236,7 +237,7 @@ def _generated(
 
     details = (unit_grid.tobytes(), repr(sorted(options.items())).encode())
     path = str(
-        cached_library(cache_key(f"generated-5 {chosen.plugin}", original, *details), generate)
+        cached_library(cache_key(f"generated-6 {chosen.plugin}", original, *details), generate)
     )
     p = MX.sym("p", dae.p.numel())
     extended = ca.vertcat(constants(p), start, length, *tolerance.pair)
@@ -244,7 +245,7 @@ def _generated(
     parameters = ca.Function("parameters", [p], [extended])
     run = ca.external("run", path)
     stats = _statistics(library, start, length)
-    return Engine(run, parameters, False, stats, True, library.cosim_halt)
+    return Engine(run, parameters, False, stats, True, library)
 
 
 def _statistics(library: ctypes.CDLL, start: float, length: float) -> Callable[[], dict[str, Any]]:
@@ -350,7 +351,7 @@ def _explicit(
     p = MX.sym("p", dae.p.numel())
     extended = ca.vertcat(constants(p), len(grid), *settings, ca.DM(grid))
     parameters = ca.Function("parameters", [p], [extended])
-    return Engine(run, parameters, False, _statistics(library, 0.0, 1.0), True, library.cosim_halt)
+    return Engine(run, parameters, False, _statistics(library, 0.0, 1.0), True, library)
 
 
 def _symbols(function: ca.Function) -> list[MX]:

@@ -34,6 +34,7 @@ def explicit_library(rhs: ca.Function, solver: str) -> str:
     sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
     own = (
         *(f"#define {name} {size}" for name, size in sizes),
+        solver_source("interrupt.c"),
         solver_source("problem.c"),
         *_method_text(solver),
         solver_source("external.c"),

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from cosim.errors import UsageError
+from cosim.resources import solver_source
 
 REPORT = 6  # numbers in a report
 
@@ -49,7 +50,8 @@ def watched(code: str) -> str:
 
     `void cosim_report(double out[6])` tells what the thread's last run took and where it ended:
     steps, right-hand sides, Jacobians, the driver's status (0: success), time, step size.
-    `void cosim_halt(int on)` makes every run of this library fail at its next right-hand side.
+    `void cosim_watch(void)` makes Ctrl-C end runs at their next right-hand side, `int
+    cosim_halted(void)` tells whether it did; see fmu/solvers/interrupt.c.
 
     Raises:
         UsageError: See `run_time_tolerances`.
@@ -64,17 +66,14 @@ def watched(code: str) -> str:
                 f"{{ {kept} {copy} cosim_seen[i] = seen[i]; }}\n"
                 "      if (d.status != IVP_SUCCESS) return 1;"
             ),
-            r"case IVP_EVAL_RHS:\n": (
-                "case IVP_EVAL_RHS:\n          if (cosim_halted) return 1;\n"
-            ),
+            r"case IVP_EVAL_RHS:\n": ("case IVP_EVAL_RHS:\n          if (halted) return 1;\n"),
         },
     )
     return (
         f"static _Thread_local double cosim_seen[{REPORT}];\n"
-        f"static volatile int cosim_halted;\n{code}\n"
+        f"{solver_source('interrupt.c')}\n{code}\n"
         "CASADI_SYMBOL_EXPORT void cosim_report(double *out) {\n"
-        f"  {copy} out[i] = cosim_seen[i];\n}}\n\n"
-        "CASADI_SYMBOL_EXPORT void cosim_halt(int on) {\n  cosim_halted = on;\n}\n"
+        f"  {copy} out[i] = cosim_seen[i];\n}}\n"
     )
 
 
