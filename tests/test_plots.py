@@ -292,8 +292,15 @@ def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
 def test_window_needs_no_file(monkeypatch):
     shown = []
     monkeypatch.setattr("cosim.picture_files.show", shown.extend)
+    monkeypatch.setattr("cosim.picture_files.require_screen", lambda: None)
     assert main(["plot", "crank_torque.toml"]) == 0
     assert [type(figure) for figure in shown] == [Figure]
+
+
+def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
+    monkeypatch.setattr("cosim.commands.run_scene", None)
+    assert main(["plot", "crank_torque.toml"]) == 2
+    assert "there is no screen" in capsys.readouterr().err
 
 
 def test_drawing_needs_no_screen(tmp_path):

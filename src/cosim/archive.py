@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import BinaryIO
 from xml.parsers import expat
 
-from cosim.errors import FmuError, SecurityError
+from cosim.errors import FmuError, SecurityError, UsageError
 
 MOST_BYTES = 2**30  # of an unpacked FMU
 MOST_ENTRIES = 10_000
@@ -39,6 +39,8 @@ def opened(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[zipfile.
             or an XML file declares entities.
     """
     name = source if isinstance(source, str | os.PathLike) else "this file"
+    if not (name is source or hasattr(source, "seek")):
+        raise UsageError.of_type("an FMU's reader", source, "a file name")
     try:
         archive = zipfile.ZipFile(source)
     except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError) as error:
@@ -74,7 +76,8 @@ def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     try:
-        return tempfile.TemporaryDirectory(prefix="cosim-")
+        # Windows deletes no library that is loaded, and fmpy keeps one that refused to start
+        return tempfile.TemporaryDirectory(prefix="cosim-", ignore_cleanup_errors=True)
     except OSError as error:
         raise FmuError(f"there is no folder for temporary files: {error}; set TMPDIR") from error
 

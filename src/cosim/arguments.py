@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from casadi_models.dae import Dae
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.goals import GOALS, OVERRULED
 from cosim.loading import load
 from cosim.roads import with_solver, without_goal
@@ -40,15 +40,20 @@ def scene_from(args: argparse.Namespace) -> Scene:
         scene = replace(scene, settings=replace(scene.settings, **overruled))
     elif changes.keys() & set(OVERRULED):
         scene = without_goal(scene)
-    if getattr(args, "solver", None):
+    if getattr(args, "solver", None) is not None:
         scene = with_solver(scene, args.solver)
     scene = replace(scene, settings=replace(scene.settings, **changes))
-    if args.outputs:
-        scene = replace(scene, outputs=tuple(args.outputs.split(",")), figures=())
+    if args.outputs is not None:
+        scene = replace(scene, outputs=names_in(args.outputs), figures=())
     numbers = start_numbers(args, scene.dae) if "values" in args else {}
     varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
     inputs = scene.inputs and scene.inputs.only(varying)
     return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Return the names of a list with commas."""
+    return tuple(name.strip() for name in text.split(","))
 
 
 def named_scene(name: str) -> Scene:
@@ -76,13 +81,22 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
     for name, text in pairs:
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
-        numbers[name] = quantity(name, text, _unit(dae, name))
+        numbers[name] = (
+            _plain(name, text) if dae is None else quantity(name, text, _unit(dae, name))
+        )
     return numbers
 
 
-def _unit(dae: Dae | None, name: str) -> str:
-    if dae is None:
-        return "1"  # an FMU's variable: a number only, in its own unit
+def _plain(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(
+            f"{name} = {text}: give a number in the FMU's own unit, and no unit"
+        ) from None
+
+
+def _unit(dae: Dae, name: str) -> str:
     try:
         return dae.variable(name).unit
     except KeyError:

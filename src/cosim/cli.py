@@ -5,12 +5,14 @@ with the verb that needs them.
 """
 
 import argparse
+import io
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from cosim.errors import CosimError
 
@@ -41,11 +43,17 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `cosim VERB ...`; return the exit code."""
-    args = _parser().parse_args(arguments)
+    args = _arguments(arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name that a terminal cannot show ends no run
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code: int = getattr(
-            import_module(_HOMES.get(args.verb, "cosim.commands")), f"do_{args.verb}"
-        )(args)
+        with warnings.catch_warnings():
+            if not args.debug:
+                warnings.showwarning = _warn
+            verb = getattr(
+                import_module(_HOMES.get(args.verb, "cosim.commands")), f"do_{args.verb}"
+            )
+            code: int = verb(args)
         sys.stdout.flush()
         return code
     except CosimError as error:
@@ -59,6 +67,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except Exception as error:
+        if args.debug:
+            raise
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        print(f"cosim {args.verb} failed with {told}; show where with: --debug", file=sys.stderr)
+        return 1
+
+
+def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
+    args, unknown = _parser().parse_known_args(arguments)
+    if unknown:  # argparse itself would point to the help of all verbs
+        told = f"cosim {args.verb}: cannot take '{unknown[0]}'"
+        _Parser().exit(2, f"{told}; see: cosim {args.verb} --help\n")
+    return args
+
+
+def _warn(message: Warning | str, *_where: Any, **_more: Any) -> None:
+    """Print a warning for a user: what it says, without a line of our code."""
+    print(f"warning: {message}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:

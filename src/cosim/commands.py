@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi_models
 from casadi_models.dae import Start, Variable
-from cosim.arguments import named_scene, scene_from, start_numbers
+from cosim.arguments import named_scene, names_in, scene_from, start_numbers
 from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.goals import GOALS
 from cosim.inspection import inspect_start
@@ -122,7 +122,7 @@ def do_export(args: argparse.Namespace) -> int:
         args.output_file or f"{name}.fmu",
         fmi=int(args.fmi),
         identifier=name,
-        platforms=args.platform.split(","),
+        platforms=names_in(args.platform),
     )
     if args.verbose:
         print(*dae.report, sep="\n", file=sys.stderr)
@@ -160,14 +160,16 @@ def do_crosscheck(args: argparse.Namespace) -> int:
     )
     rows = []
     proofs = chain.from_iterable(map(check_file, files))
-    for check in chain(proofs, models if items or not files else ()):
-        row = check.row()
-        rows.append(row)
-        if not args.quiet:
-            told = f"{row['model']}: {row['road']} against {row['against'] or 'others'}"
-            found = check.failure or f"{row['difference']:.1e}"
-            print(f"{told}: {found} {check.verdict}", file=sys.stderr, flush=True)
-    show_table(rows, as_json=args.json)
+    try:
+        for check in chain(proofs, models if items or not files else ()):
+            row = check.row()
+            rows.append(row)
+            if not args.quiet:
+                told = f"{row['model']}: {row['road']} against {row['against'] or 'others'}"
+                found = check.failure or f"{row['difference']:.1e}"
+                print(f"{told}: {found} {check.verdict}", file=sys.stderr, flush=True)
+    finally:  # an error or Ctrl-C leaves what has been compared
+        show_table(rows, as_json=args.json)
     verdicts = {row["verdict"] for row in rows}
     return 1 if "FAILED" in verdicts else 4 if "DIFFERS" in verdicts else 0
 
@@ -175,9 +177,11 @@ def do_crosscheck(args: argparse.Namespace) -> int:
 def do_plot(args: argparse.Namespace) -> int:
     """Draw a run, or two and their difference: `cosim plot MODEL|SCENE.toml|FILE.fmu`."""
     from cosim.figures import default_specs, draw_figures
-    from cosim.picture_files import picture_format, save, show
+    from cosim.picture_files import picture_format, require_screen, save, show
 
-    if args.output_file:
+    if args.output_file is None:
+        require_screen()
+    else:
         picture_format(args.output_file)  # refuses before anything has been computed
     scene = _scene(args)
     run, code = _run_or_partial(args, scene)
@@ -187,7 +191,7 @@ def do_plot(args: argparse.Namespace) -> int:
         figures = draw_figures(specs, run, other)
     else:
         figures = draw_figures(scene.figures, run) if scene and scene.figures else [run.plot()]
-    if not args.output_file:
+    if args.output_file is None:
         show(figures)
         return code
     for path in save(figures, args.output_file):
@@ -221,6 +225,8 @@ def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traj
 
 def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     if scene is not None:
+        if args.interface_type is not None:
+            raise UsageError("--interface-type is for FMUs; a model takes --solver")
         return run_scene(
             scene,
             compiled=False if args.interpreted else None,
@@ -228,8 +234,9 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         )
     from cosim.fmpy_run import simulate_fmu
 
-    for option in ("solver", "absolute_tolerance", "step_size", "on_invalid", *GOALS):
-        if getattr(args, option) is not None:
+    own = ("solver", "absolute_tolerance", "step_size", "on_invalid", "interpreted", *GOALS)
+    for option in own:
+        if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
     return simulate_fmu(
         args.model,
@@ -239,7 +246,7 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         output_interval=args.output_interval,
         relative_tolerance=args.relative_tolerance,
         start=start_numbers(args, None),
-        outputs=args.outputs.split(",") if args.outputs else None,
+        outputs=None if args.outputs is None else names_in(args.outputs),
     )
 
 

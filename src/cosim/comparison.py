@@ -72,6 +72,9 @@ def compare(
         UsageError: The runs have no variable in common, one in another unit, no output times or
             other ones.
     """
+    for run in (first, second):
+        if not isinstance(run, Trajectory):
+            raise UsageError.of_type("compare", run, "two results of simulate or simulate_fmu")
     number("compare", "bound", bound, positive=True)
     names = [name for name in first.names if name in second.names and name not in without]
     if not names:

@@ -39,7 +39,7 @@ def find_compiler() -> tuple[str, ...]:
     """
     if chosen := os.environ.get("CC"):
         try:
-            command = shlex.split(chosen)
+            command = _words(chosen)
         except ValueError as error:
             raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
         if not command or shutil.which(command[0]) is None:
@@ -89,8 +89,11 @@ def compile_library(
         MissingTool: There is no compiler, or it fails; the last lines it printed are quoted.
     """
     compiler = tuple(command or find_compiler())
-    arguments = [*FLAGS, *(f"-I{folder}" for folder in include), *options]
-    call = [*compiler, *arguments, *map(str, sources), "-o", str(target), "-lm"]
+    flags, libraries = FLAGS, ("-lm",)
+    if sys.platform == "win32" and "ziglang" not in compiler:  # Clang refuses both there
+        flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
+    arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
+    call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     try:
         failed, output = _call(call)
     except subprocess.TimeoutExpired as error:
@@ -132,7 +135,7 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             source.write_text(code, encoding="utf-8")
             options = (*_HIDDEN, _SHORT if len(code) < _LENGTH else _LONG)
             compile_library([source], library, options=options, command=command)
-            library.replace(target)
+            _keep(library, target)
     except MissingTool as error:
         raise MissingTool(f"{error}, or do not compile (--interpreted)") from error
     except OSError as error:
@@ -140,6 +143,21 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return target
+
+
+def _words(command: str) -> list[str]:
+    """Split a command as the machine's shell does; Windows writes paths with backslashes."""
+    if sys.platform == "win32":
+        return [word.strip('"') for word in shlex.split(command, posix=False)]
+    return shlex.split(command)
+
+
+def _keep(library: Path, target: Path) -> None:
+    try:
+        library.replace(target)
+    except PermissionError:  # of Windows, where another process has made and loaded it meanwhile
+        if not _loads(target):
+            raise
 
 
 def _loads(library: Path) -> bool:

@@ -21,6 +21,8 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
         UsageError: The builder holds events or discrete variables, a name or a unit is not
             allowed here, or its functions cannot be written out in scalar operations.
     """
+    if not isinstance(builder, ca.DaeBuilder):
+        raise UsageError.of_type("from_dae_builder", builder, "a casadi.DaeBuilder")
     name = builder.name()
     for kind, meaning in _REFUSED.items():
         if getattr(builder, kind)():
@@ -29,12 +31,13 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
         raise UsageError(f"DaeBuilder {name}: it has events, which cannot be exported")
     try:
         return _converted(builder, name)
-    except (ValueError, RuntimeError) as error:
-        raise UsageError(f"DaeBuilder {name}: {error}") from error
+    except ValueError as error:  # begins with the name
+        raise UsageError(f"DaeBuilder {error}") from error
+    except RuntimeError as error:
+        raise UsageError(f"DaeBuilder {name}: {' '.join(str(error).split())}") from error
 
 
 def _converted(builder: ca.DaeBuilder, name: str) -> Dae:
-    equations = builder.create(name, ["t", "x", "z", "u", "p"], ["ode", "alg", "y"]).expand()
     stop = builder.stop_time()
     model = Model(
         name,
@@ -42,6 +45,7 @@ def _converted(builder: ca.DaeBuilder, name: str) -> Dae:
         source="casadi.DaeBuilder",
         stop_time=stop if isfinite(stop) and stop > 0 else 10.0,
     )
+    equations = builder.create(name, ["t", "x", "z", "u", "p"], ["ode", "alg", "y"]).expand()
     declared = {
         kind: ca.vertcat(
             ca.SX(0, 1),
@@ -82,8 +86,7 @@ def _meaning(builder: ca.DaeBuilder, name: str) -> str:
 
 
 def _start(builder: ca.DaeBuilder, name: str) -> float:
-    start = _scalar(builder.start(name))
-    return start if isfinite(start) else 0.0
+    return _scalar(builder.start(name))
 
 
 def _facts(builder: ca.DaeBuilder, name: str) -> dict[str, Any]:

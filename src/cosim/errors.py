@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
@@ -23,6 +24,12 @@ class UsageError(CosimError):
 
     exit_code = 2
 
+    @classmethod
+    def of_type(cls, call: str, value: object, wanted: str) -> UsageError:
+        """Say that a call was given something of a type that it cannot use."""
+        given = f"{reprlib.repr(value)}, of type {type(value).__name__}"
+        return cls(f"{call} was given {given}; give {wanted}")
+
 
 class ParameterError(UsageError):
     """A value that is not finite, out of bounds, or of the wrong type."""
@@ -37,7 +44,7 @@ class UnknownName(CosimError):
     def among(cls, owner: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:
         """Say what does not exist and which names come nearest."""
         names = list(dict.fromkeys(known))
-        near = get_close_matches(str(name), names, n=3, cutoff=0.5)
+        near = _near(str(name), names)
         hint = f"did you mean {' or '.join(near)}?" if near else f"it has {_some(names)}"
         return cls(f"{owner} has no {kind} '{name}'; {hint}")
 
@@ -82,6 +89,15 @@ class MissingTool(CosimError):
     """A compiler or an optional package that is not there; the message says how to get it."""
 
     exit_code = 5
+
+
+def _near(name: str, names: list[str], most: int = 3) -> list[str]:
+    """Return the names that are spelt like one, whatever the case of its letters."""
+    folded: dict[str, list[str]] = {}
+    for known in names:
+        folded.setdefault(known.lower(), []).append(known)
+    found = get_close_matches(name.lower(), folded, n=most, cutoff=0.5)
+    return [known for key in found for known in folded[key]][:most]
 
 
 def _some(names: list[str], most: int = 12) -> str:

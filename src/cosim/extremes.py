@@ -163,7 +163,7 @@ class _Worker:
             self._process.stdin.write(f"{question}\n")
             self._process.stdin.flush()
             return self._process.stdout.readline()
-        except BrokenPipeError:
+        except OSError:  # its pipe is closed; Windows has another name for that
             return ""
 
     def _start(self) -> "subprocess.Popen[str]":

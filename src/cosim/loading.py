@@ -11,14 +11,22 @@ from casadi_models.dae import Dae
 from cosim.dae_builder import from_dae_builder
 from cosim.errors import UnknownName, UsageError
 
+_OTHER_FILES = {
+    ".py": "name the function that builds it, too, as PATH.py:FUNCTION",
+    ".toml": "a scene is taken by simulate, export, crosscheck, tradeoff and plot",
+    ".fmu": "an FMU is taken by simulate, crosscheck and plot",
+}
+
 
 def load(name: str) -> Dae:
     """Build the DAE of `MODEL`, `MODEL/FORMULATION` or `PATH.py:FUNCTION`.
 
     Raises:
         UnknownName: The catalogue has no such model, or the file no such function.
-        UsageError: The file cannot be read, or its function builds no Dae.
+        UsageError: The file cannot be read, or its function fails or builds no Dae.
     """
+    if not isinstance(name, str):
+        raise UsageError.of_type("load", name, "the name of a model, e.g. 'bicycle'")
     if ".py:" in name:
         return _from_file(*name.rsplit(":", 1))
     try:
@@ -54,7 +62,9 @@ def no_such_output(dae: Dae, name: str) -> UnknownName:
     return UnknownName.of_model(dae.full_name, "output", name, observable(dae))
 
 
-def _unknown(name: str) -> UnknownName:
+def _unknown(name: str) -> UnknownName | UsageError:
+    if takers := _OTHER_FILES.get(Path(name).suffix):
+        return UsageError(f"{name} names no model; {takers}")
     model, slash, formulation = name.partition("/")
     catalog = casadi_models.CATALOG
     models = dict.fromkeys(entry.partition("/")[0] for entry in catalog)
@@ -75,21 +85,28 @@ def _from_file(path: str, function: str) -> Dae:
     sys.modules[spec.name] = module  # where dataclasses look their annotations up
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
-        raise UsageError(f"{path} cannot be loaded: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"{path} cannot be loaded: {_told(error)}") from error
     builder = getattr(module, function, None)
     if not callable(builder):
-        callables = [n for n, v in vars(module).items() if callable(v) and not n.startswith("_")]
-        raise UnknownName.among(path, "function", function, callables)
+        own = (n for n, v in vars(module).items() if getattr(v, "__module__", "") == spec.name)
+        raise UnknownName.among(path, "function", function, own)
     try:
         built = builder()
-    except Exception as error:
-        raise UsageError(f"{path}:{function} failed: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"{path}:{function} failed: {_told(error)}") from error
     if isinstance(built, ca.DaeBuilder):
-        return from_dae_builder(built)
+        built = from_dae_builder(built)
     if not isinstance(built, Dae):
         raise UsageError(
             f"{path}:{function} returned {type(built).__name__}; return what Model.freeze() "
             "returns, or a casadi.DaeBuilder"
         )
+    if not observable(built):
+        raise UsageError(f"{path}:{function} built a model without a state or an output; add one")
     return built
+
+
+def _told(error: BaseException) -> str:
+    """Return an exception of a user's own code in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -8,11 +8,12 @@ import matplotlib
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from cosim.errors import UnknownName
+from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 
 FORMATS = ("png", "svg", "pdf")
 _DPI = 120
+_WITHOUT_SCREEN = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")  # backends
 _UNDATED = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
@@ -51,6 +52,18 @@ def save(figures: Sequence[Figure], target: str) -> list[Path]:
     places = names if len(figures) > 1 else [path]
     return [write_atomically(place, content)
             for place, content in zip(places, contents, strict=True)]  # fmt: skip
+
+
+def require_screen() -> None:
+    """Refuse to draw windows where there is no screen for them.
+
+    Raises:
+        UsageError: matplotlib only draws files here.
+    """
+    import matplotlib.pyplot as plt
+
+    if plt.get_backend().lower() in _WITHOUT_SCREEN:
+        raise UsageError("there is no screen for a window; name a file with --output-file FILE.png")
 
 
 def show(figures: Sequence[Figure]) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from casadi_models.dae import Dae
+from cosim.archive import content_of, opened
 from cosim.comparison import compare
 from cosim.crosschecks import BOUND, Check, default_tolerance
 from cosim.errors import FmuError
@@ -85,11 +86,9 @@ def check_file(path: str | os.PathLike[str]) -> Iterator[Check]:
         FmuError: The file is no FMU, or carries no reference.
     """
     try:
-        with zipfile.ZipFile(path) as fmu:
-            table = fmu.read(REFERENCE).decode()
-            facts = json.loads(fmu.read(MEASURED))
-    except (OSError, zipfile.BadZipFile) as error:
-        raise FmuError(f"cannot read {path}: {error}") from error
+        with opened(path) as fmu:
+            table = content_of(fmu, REFERENCE).decode()
+            facts = json.loads(content_of(fmu, MEASURED))
     except (KeyError, ValueError) as error:
         raise FmuError(
             f"{path} carries no reference result; export it with cosim export"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae, Invariant, StartRule, Variable
 from cosim.errors import UnknownName, UsageError
 from cosim.loading import no_such_output, observable
+from cosim.values import A_DAE
 
 Pattern = NDArray[np.bool_]
 
@@ -62,6 +63,8 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         UnknownName: The model has no such output; another formulation that has it is named.
         UsageError: No output is wanted, or one is named twice.
     """
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("reduce", dae, A_DAE)
     wanted = _checked(dae, outputs)
     frozen = _freeze(dae.watching(wanted), freeze)
     kept_y = [i for i, v in enumerate(frozen.output_variables) if v.name in wanted]
@@ -100,7 +103,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
 
 
 def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
-    if not outputs or isinstance(outputs, str):
+    if not outputs or isinstance(outputs, str) or not isinstance(outputs, Collection):
         raise UsageError(f"{dae.full_name}: name the wanted outputs, as a list")
     available = observable(dae)
     for name in outputs:
@@ -114,6 +117,8 @@ def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
 
 def _freeze(dae: Dae, names: Collection[str]) -> Dae:
     known = {v.name: v for v in dae.parameters}
+    if isinstance(names, str) or not isinstance(names, Collection):
+        raise UsageError.of_type(f"{dae.full_name}: freeze", names, "a list of parameters")
     for name in names:
         if name not in known:
             raise UnknownName.among(dae.full_name, "parameter", name, known)

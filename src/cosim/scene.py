@@ -7,7 +7,7 @@ from casadi_models.dae import Dae, Start, Variable
 from cosim.errors import ParameterError
 from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.inputs import InputSeries
-from cosim.values import assign
+from cosim.values import assign, number
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Settings:
         budget: Instead of these: time that the solver may take, s.
 
     Raises:
-        ParameterError: The run would end before it begins; or a goal is not positive.
+        ParameterError: The run would end before it begins; or a number is not finite or positive.
         UsageError: Two things are given of which one decides on the other.
     """
 
@@ -40,6 +40,10 @@ class Settings:
     def __post_init__(self) -> None:
         fixed = {name: getattr(self, name) for name in OVERRULED}
         refuse_contradiction(self.accuracy, self.budget, **fixed)
+        number("run", "start_time", self.start_time)
+        for name in ("stop_time", "output_interval", "step_size"):
+            if (value := getattr(self, name)) is not None:
+                number("run", name, value, positive=name != "stop_time")
         if self.stop_time is not None and self.stop_time < self.start_time:
             raise ParameterError(
                 f"stop_time = {self.stop_time:g} s lies before start_time = "

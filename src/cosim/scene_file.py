@@ -67,7 +67,7 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
     shipped = {entry.name: entry for entry in shipped_scenes()}
     if given.name not in shipped:
         near = UnknownName.among("the working directory or cosim", "scene", given.name, shipped)
-        raise UnknownName(f"{near}; all are shown by: cosim list")
+        raise UnknownName(f"{near} (all: cosim list)")
     return shipped[given.name]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.values import number
+from cosim.values import A_DAE, number
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,13 @@ def method(dae: Dae, solver: str | None) -> tuple[str, Method]:
 
     Raises:
         UnknownName: There is no such solver.
-        UsageError: It cannot integrate algebraic unknowns.
+        UsageError: It cannot integrate algebraic unknowns, or this is no model.
     """
-    name = solver or ("idas" if dae.algebraics else "cvodes")
-    if name not in SOLVERS:
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("a solver", dae, A_DAE)
+    default = "idas" if dae.algebraics else "cvodes"
+    name = default if solver is None else solver
+    if not isinstance(name, str) or name not in SOLVERS:
         raise UnknownName.among("cosim", "solver", name, SOLVERS)
     if dae.algebraics and not SOLVERS[name].solves_dae:
         able = " or ".join(key for key, value in SOLVERS.items() if value.solves_dae)

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, Start, Variable
-from casadi_models.units import convert
-from cosim.errors import InitialConditionError, ParameterError, UnknownName
+from casadi_models.units import UNITS, convert
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 
 Vector = NDArray[np.float64]
+
+A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
 _QUANTITY = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan))\s*(\S*)\s*"
@@ -49,6 +51,11 @@ def quantity(name: str, text: str, unit: str) -> float:
             f"{name}: '{text}' is not a number with a unit; write e.g. 1.5{unit.strip('1')}"
         )
     value, written = float(match[1]), match[2]
+    if written.startswith(","):
+        raise ParameterError(f"{name} = {text}: write a decimal point, and no other comma")
+    if written and written not in UNITS:
+        fitting = ", ".join(u for u, other in UNITS.items() if other.measures_like(UNITS[unit]))
+        raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
     try:
         return convert(value, written, unit) if written else value
     except ValueError as error:
@@ -81,7 +88,12 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
         UnknownName: A name is no state, parameter or input of the model.
         ParameterError: A number is not finite or out of its bounds, or an inertia is not physical.
         InitialConditionError: A start value is given that follows from others.
+        UsageError: This is no model, or these are no values by name.
     """
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("a run", dae, A_DAE)
+    if not isinstance(overrides, Mapping | None):
+        raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
     given = dict(overrides or {})
     settable = {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs)}
     for name, value in given.items():
