@@ -31,7 +31,8 @@ static int integrate(
         const int lost = stages(self, t, h, x, k, end);
         const double error = lost ? NAN : error_of(task, h, x, end, k);
         const double after = final ? stop : t + h;
-        if (!(error <= 1) || slope(self, after, end, k[END], NULL) || !all_finite(k[END])) {
+        if (!(error <= 1) || restore(self, end) || slope(self, after, end, k[END], NULL) ||
+            !all_finite(k[END])) {
             h *= error > 1 ? growth(error, rejected) : 0.1;
             rejected = 1;
             continue;
@@ -43,6 +44,7 @@ static int integrate(
             double *column = out + next * NX;
             if (task->grid[next] < after) {
                 evaluate(&piece, task->grid[next], column);
+                if (restore(self, column)) return NOT_FINITE;
             } else {
                 memcpy(column, end, sizeof end);
             }

@@ -25,6 +25,7 @@ static int integrate(
             }
             stage_sum(STAGES, (const double(*)[NX])k, sum);
             for (int i = 0; i < NX; ++i) x[i] += h * sum[i];
+            if (restore(self, x)) return NOT_FINITE;
             ++self->steps;
         }
         if (!all_finite(x)) return NOT_FINITE;

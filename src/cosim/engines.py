@@ -25,12 +25,14 @@ from cosim.externals import cache_key, external
 from cosim.generated import REPORT, in_one_piece, run_time_tolerances, watched
 from cosim.inputs import InputSeries
 from cosim.keeping import kept_per_thread
+from cosim.projection import projection_step
 from cosim.runge_kutta import METHODS, step_function
 from cosim.solvers import SOLVERS, Method, Tolerance, method
 from cosim.values import number
 
 Vector = NDArray[np.float64]
 
+PROJECTING = ("dop853", "ode8", "rk4")  # solvers that can end a step elsewhere than it led to
 MOST_STEPS = 2_000_000  # of fixed size; CasADi unrolls them
 _CALL = ["t", "x", "z", "u", "p"]
 
@@ -67,12 +69,14 @@ def build(
     inputs: InputSeries | None = None,
     compiled: bool = False,
     sensitivities: bool = True,
+    project: bool = False,
     slopes: Vector | None = None,
 ) -> Engine:
     """Return the engine of a solver for a grid of at least two increasing times.
 
     An adaptive solver takes no step longer than the shortest interval of an input series. IDAS
-    starts from `slopes`, consistent dx/dt at the start, or looks for them itself when None.
+    starts from `slopes`, consistent dx/dt at the start, or looks for them itself when None. With
+    `project`, every step ends where the model's invariants vanish.
 
     Raises:
         UnknownName, UsageError: See `method`; or the solver does not take what is given.
@@ -82,13 +86,19 @@ def build(
     name, _ = method(dae, solver)
     if step_size is not None:
         step_size = number("solver", "step_size", step_size, positive=True)
-    settings = (name, tolerance or Tolerance(), step_size, inputs, compiled, sensitivities)
+    if project and not (name in PROJECTING and compiled):
+        raise UsageError(
+            f"{name} does not project its steps; {', '.join(PROJECTING)} do, compiled: use one of "
+            "them, or another drift control"
+        )
+    accuracy = tolerance or Tolerance()
+    settings = (name, accuracy, step_size, inputs, compiled, sensitivities, project)
     if slopes is None:
         return _kept(dae, grid.tobytes(), settings)
     return _build(dae, grid, settings, slopes)
 
 
-_Settings = tuple[str, Tolerance, float | None, InputSeries | None, bool, bool]
+_Settings = tuple[str, Tolerance, float | None, InputSeries | None, bool, bool, bool]
 
 
 @kept_per_thread(8)
@@ -97,12 +107,12 @@ def _kept(dae: Dae, grid: bytes, settings: _Settings) -> Engine:
 
 
 def _build(dae: Dae, grid: Vector, settings: _Settings, slopes: Vector | None) -> Engine:
-    name, accuracy, step_size, inputs, compiled, sensitivities = settings
+    name, accuracy, step_size, inputs, compiled, sensitivities, project = settings
     chosen = SOLVERS[name]
     if not chosen.adaptive:
         if accuracy.absolute is not None:
             raise UsageError(f"{name} has no error control; leave absolute_tolerance out")
-        return _fixed_step(dae, grid, name, step_size, inputs, compiled)
+        return _fixed_step(dae, grid, name, step_size, inputs, compiled, project)
     if step_size is not None:
         raise UsageError(f"{name} chooses its own steps; leave step_size out or use rk4 or ode8")
     if name == "dop853":
@@ -110,7 +120,7 @@ def _build(dae: Dae, grid: Vector, settings: _Settings, slopes: Vector | None) -
             find_compiler()  # says what is missing
             raise UsageError("dop853 exists as compiled code only; use erk for interpreted runs")
         longest = np.inf if inputs is None else float(np.diff(inputs.time).min())
-        return _explicit(dae, grid, name, (*accuracy.pair, longest), inputs)
+        return _explicit(dae, grid, name, (*accuracy.pair, longest), inputs, project)
     if compiled and chosen.plugin in ("erk", "rosenbrock"):
         return _generated(dae, grid, chosen, accuracy, inputs)
     function = equations(dae, sensitivities=sensitivities)
@@ -287,6 +297,7 @@ def _fixed_step(
     step_size: float | None,
     inputs: InputSeries | None,
     compiled: bool,
+    project: bool,
 ) -> Engine:
     """Steps of one size within each output interval, at most `step_size`."""
     intervals = np.diff(grid)
@@ -298,7 +309,7 @@ def _fixed_step(
             f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; give a larger one"
         )
     if compiled:
-        return _explicit(dae, grid, name, (0.0, 0.0, largest), inputs)
+        return _explicit(dae, grid, name, (0.0, 0.0, largest), inputs, project)
     parts = np.maximum(1, np.ceil(intervals / largest * (1 - 1e-12))).astype(int)
     full, constants = _prepared(dae)
     t, x, z, u, c = _symbols(full)
@@ -331,6 +342,7 @@ def _explicit(
     name: str,
     settings: tuple[float, float, float],
     inputs: InputSeries | None,
+    project: bool,
 ) -> Engine:
     """An explicit method in C; algebraic unknowns are solved for within the right-hand side.
 
@@ -346,7 +358,8 @@ def _explicit(
         t, x, z, u, c = symbols = _symbols(function)
         solved = z
     ode, _ = function(t, x, solved, driven(dae, inputs, t, u), c)
-    path = explicit_library(ca.Function("rhs", symbols, [ode, solved]), name)
+    projection = projection_step(dae, c.numel()) if project else None
+    path = explicit_library(ca.Function("rhs", symbols, [ode, solved]), name, projection)
     run, library = explicit_function(path, len(grid))
     p = MX.sym("p", dae.p.numel())
     extended = ca.vertcat(constants(p), len(grid), *settings, ca.DM(grid))

@@ -18,15 +18,21 @@ from cosim.stage_sums import dop853_text, numbers, sums
 
 _sizing = Lock()
 
+_NO_PROJECTION = """\
+static int restore(const Problem *self, double *x) {
+    (void)self, (void)x;
+    return 0;
+}"""
 SETTINGS = 4  # number of output times, both tolerances, largest step
 
 
-def explicit_library(rhs: ca.Function, solver: str) -> str:
+def explicit_library(rhs: ca.Function, solver: str, project: ca.Function | None = None) -> str:
     """Return the path of a compiled solver.
 
     Args:
         rhs: `rhs(t, x, z, u, c) -> (dx/dt, z)`; z is a guess of the algebraic unknowns.
         solver: "dop853", "rk4" or "ode8".
+        project: `project(x, c) -> (x, change)`, applied after each step; nothing is when None.
 
     Raises:
         MissingTool: There is no compiler, or it fails.
@@ -36,7 +42,7 @@ def explicit_library(rhs: ca.Function, solver: str) -> str:
         *(f"#define {name} {size}" for name, size in sizes),
         solver_source("interrupt.c"),
         solver_source("problem.c"),
-        *_method_text(solver),
+        *_method_text(solver, project),
         solver_source("external.c"),
     )
     around = "\n".join(own)
@@ -44,9 +50,12 @@ def explicit_library(rhs: ca.Function, solver: str) -> str:
     def generate() -> str:
         generator = ca.CodeGenerator("equations", {"with_header": False})
         generator.add(rhs)
+        if project is not None:
+            generator.add(project)
         return f"{generator.dump()}\n{around}"
 
-    return str(cached_library(cache_key(f"explicit {solver}", rhs, around.encode()), generate))
+    details = around if project is None else around + project.serialize()
+    return str(cached_library(cache_key(f"explicit {solver}", rhs, details.encode()), generate))
 
 
 def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]:
@@ -63,10 +72,20 @@ def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]
         return ca.external("run", path), library
 
 
-def _method_text(solver: str) -> list[str]:
+def _projection_text(project: ca.Function | None) -> list[str]:
+    if project is None:
+        return [_NO_PROJECTION]
+    sizes = {"ARG": project.sz_arg(), "RES": project.sz_res()}
+    sizes |= {"IW": project.sz_iw() + 1, "W": project.sz_w() + 1}  # C has no empty arrays
+    defined = (f"#define PROJECT_{name} {size}" for name, size in sizes.items())
+    return [*defined, solver_source("projection.c")]
+
+
+def _method_text(solver: str, project: ca.Function | None = None) -> list[str]:
+    before = _projection_text(project)
     if solver == "dop853":
-        return [dop853_text(), solver_source("adaptive.c")]
-    return [*_fixed_step_code(METHODS[solver]), solver_source("fixed.c")]
+        return [*before, dop853_text(), solver_source("adaptive.c")]
+    return [*before, *_fixed_step_code(METHODS[solver]), solver_source("fixed.c")]
 
 
 def _fixed_step_code(tableau: Tableau) -> list[str]:

@@ -16,6 +16,7 @@ from cosim import engines
 from cosim.calling import call
 from cosim.compile import has_compiler
 from cosim.consistent import algebraic_values, start_values
+from cosim.drift import controlled
 from cosim.errors import SolverError, UnknownName
 from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.grids import checked_grid, time_grid
@@ -48,6 +49,7 @@ def simulate(
     outputs: Sequence[str] | None = None,
     compiled: bool | None = None,
     on_invalid: str = "warn",
+    drift_control: str | None = None,
 ) -> Trajectory:
     """Integrate a DAE with CVODES, or with IDAS when it has algebraic unknowns.
 
@@ -71,12 +73,15 @@ def simulate(
         on_invalid: What happens where a run leaves the model's limits, or a fixed step is too long
             for the motion: "warn" says so in `stats["invalid"]`, "stop" ends the run there,
             "ignore" looks at neither.
+        drift_control: "none", "baumgarte" (the model's `closing_rate`) or "projection" after every
+            step, which makes `dop853` the default solver; what the model has when None.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
 
     Raises:
-        UnknownName: `start`, `outputs`, `solver` or `on_invalid` holds a name that does not exist.
+        UnknownName: `start`, `outputs`, `solver`, `on_invalid` or `drift_control` holds a name that
+            does not exist.
         ParameterError: A value is not finite or out of its bounds, or asks for what cannot be.
         UsageError: Something is given beside the `accuracy` or `budget` that decides on it.
         InitialConditionError: The start values contradict the constraints.
@@ -92,6 +97,7 @@ def simulate(
     refuse_contradiction(accuracy, budget, **dict(zip(OVERRULED, settings, strict=True)))
     if on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
+    start, project = controlled(dae, drift_control, start)
     values = assign(dae, start)
     dae = dae.watching(outputs or ())
     names = wanted_names(dae, outputs)
@@ -124,13 +130,14 @@ def simulate(
     relative = Tolerance().relative if relative_tolerance is None else relative_tolerance
     task = _Task(
         dae,
-        method(dae, solver)[0],
+        method(dae, "dop853" if project and solver is None else solver)[0],
         Tolerance(relative, absolute_tolerance),
         step_size,
         compiled,
         values,
         inputs,
         on_invalid,
+        project,
     )
     solution = first = task.solve(grid)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
@@ -235,6 +242,7 @@ class _Task:
     values: Values
     inputs: InputSeries | None
     on_invalid: str
+    project: bool
 
     def solve(self, grid: Vector) -> _Solution:
         dae, values = self.dae, self.values
@@ -286,6 +294,7 @@ class _Task:
             inputs=self.inputs,
             compiled=self.compiled,
             sensitivities=False,
+            project=self.project,
             slopes=slopes,
         )
 
