@@ -40,7 +40,9 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     # CasADi writes column by column, and those after a failure not at all
     states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
     if engine.parameters is not None:
-        p = np.array(engine.parameters(p)).ravel()
+        extended = np.empty(engine.parameters.numel_out(0))
+        on_arrays(engine.parameters, [p], [extended])()
+        p = extended
     arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
     evaluate = on_arrays(engine.function, arguments, (states, algebraics))
     stats: dict[str, Any] = {}
@@ -56,8 +58,8 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
             reason = "" if succeeded else cause
     if "KeyboardInterrupt" in reason + told.getvalue():  # CasADi took Ctrl-C for a failure
         raise KeyboardInterrupt
-    finite = np.isfinite(states).all(axis=1)
-    reached = n if finite.all() else int(np.argmin(finite))
+    finite = np.isfinite(states)
+    reached = n if finite.all() else int(np.argmin(finite.all(axis=1)))
     if reason:
         last = told.getvalue().strip().rpartition("\n")[2].rstrip(". ")
         reason += f" ({last})" if last else ""
