@@ -170,11 +170,56 @@ def test_failed_configuration_says_why_and_stops_nothing(monkeypatch):
 
 
 def test_tighter_tolerances_are_left_out_where_a_looser_one_was_slow(monkeypatch):
-    monkeypatch.setattr("cosim.tradeoffs.study.SLOW", 0.0)
+    monkeypatch.setattr("cosim.tradeoffs.rounds.SLOW", 0.0)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
     ran = {m.configuration for m in study.measurements if m.status == "complete"}
     assert {(c.tolerance, c.step) for c in ran} == {(1e-3, None), (None, 0.02)}
-    assert "took more than 0 s" in study.measurements[1].status
+    assert "more than 0 s" in study.measurements[1].status
+    told = {row["configuration"] for row in study.missing()}
+    assert told == {
+        "bar_on_frame/reduced compiled erk 1e-05 ... 1e-09",
+        "bar_on_frame/reduced compiled rk4 0.01 s ... 0.005 s",
+    }
+
+
+def test_interpreted_runs_are_left_out_where_their_compiled_twin_was_slow(monkeypatch):
+    monkeypatch.setattr("cosim.tradeoffs.rounds.SLOW", 0.0)
+    selection = Selection(("erk",), (1e-3,), roads=("compiled", "interpreted"))
+    study = tradeoff(bar(), selection=selection, every_formulation=False, repeats=0)
+    assert [m.error is None for m in study.measurements] == [False, True]
+    assert "reduced compiled erk 1e-03 took" in study.measurements[1].status
+
+
+def test_study_without_time_lists_what_it_left_out_and_runs_it_when_resumed():
+    arguments = {"selection": SMALL, "every_formulation": False, "repeats": 1}
+    study = tradeoff(bar(), seconds=0.0, **arguments)
+    assert {m.status for m in study.measurements} == {
+        "left out: no time was left; resume the study"
+    }
+    again = tradeoff(bar(), resume=True, **arguments)
+    assert {m.status for m in again.measurements} == {"complete"}
+
+
+def test_failure_that_took_long_keeps_tighter_tolerances_from_running(monkeypatch):
+    def failing(self, configuration):
+        raise SolverError("it gave up")
+
+    monkeypatch.setattr(Workshop, "run", failing)
+    monkeypatch.setattr("cosim.tradeoffs.rounds.SLOW", 0.0)
+    study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
+    reasons = [m.status.partition(":")[0] for m in study.measurements]
+    assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]
+
+
+def test_what_does_not_exist_is_listed_with_its_reason():
+    selection = Selection(("erk", "dop853"), (1e-4,), roads=("compiled", "interpreted"))
+    study = tradeoff("crank_shaft", selection=selection, repeats=0)
+    told = {row["configuration"]: row["reason"] for row in study.missing()}
+    assert told == {
+        "crank_shaft/driven interpreted dop853": "exists as compiled code only",
+        "crank_shaft/multipliers erk": "cannot integrate algebraic unknowns",
+        "crank_shaft/multipliers interpreted dop853": "exists as compiled code only",
+    }
 
 
 def test_median_and_spread_leave_the_first_run_out():
@@ -218,15 +263,18 @@ def test_without_a_compiler_only_interpreted_equations_are_measured(monkeypatch)
     )
     assert "no C compiler: interpreted equations only" in said
     assert {m.configuration.road for m in study.measurements} == {"interpreted"}
+    assert ("compiled, fmpy-me, fmpy-cs", "no C compiler") in study.impossible
     with pytest.raises(MissingTool, match="no C compiler found"):
         tradeoff(bar(), selection=Selection(roads=("compiled",)))
 
 
 def test_wanted_outputs_are_measured_on_the_full_and_on_the_reduced_model():
-    selection = Selection(("erk",), (1e-6,), roads=("compiled",))
-    study = tradeoff(bar(outputs=("theta",)), selection=selection, repeats=0)
-    found = {(m.configuration.model, m.configuration.reduced) for m in study.measurements}
-    assert found == {("bar_on_frame/reduced", False), ("bar_on_frame/reduced", True)}
+    selection = Selection((), (1e-6,), (0.01,), ("compiled", "fmpy-me"))
+    study = tradeoff(
+        bar(outputs=("theta",)), selection=selection, every_formulation=False, repeats=0
+    )
+    found = {(m.configuration.road, m.configuration.reduced) for m in study.measurements}
+    assert found == set(product(("compiled", "fmpy-me"), (False, True)))
     assert {tuple(m.errors) for m in study.measurements} == {("theta",)}
 
 
@@ -234,7 +282,7 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
     table, data, figure = (str(tmp_path / name) for name in ("t.csv", "t.json", "t.png"))
     words = "tradeoff bar_on_frame/reduced --stop-time 1 --solvers erk --roads compiled"
     common = [*words.split(), "--tolerances", "1e-3,1e-6", "--repeats", "1"]
-    assert cli.main([*common, "--output-file", table, "--figure", figure]) == 0
+    assert cli.main([*common, "-v", "--output-file", table, "--figure", figure]) == 0
     captured = capsys.readouterr()
     assert "Pareto front, error against rhs_calls" in captured.out
     assert "2/2 bar_on_frame/reduced compiled erk 1e-06: error" in captured.err

@@ -35,8 +35,10 @@ def do_tradeoff(args: argparse.Namespace) -> int:
     scene = scene_from(args)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
+    shown = not args.quiet and (args.verbose or sys.stderr.isatty())
+
     def tell(line: str) -> None:
-        if not args.quiet:
+        if shown:
             print(line, file=sys.stderr, flush=True)
 
     try:
@@ -73,9 +75,10 @@ def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
 def _print(study: Tradeoff) -> None:
     done = [row for row in study.rows() if row["status"] == "complete"]
     show_table([{key: row[key] for key in _SHOWN} for row in done], as_json=False)
-    for row in study.rows():
-        if row["status"] != "complete":
-            print(f"{row['model']} {row['road']} {row['solver']}: {row['status']}", file=sys.stderr)
+    if missing := study.missing():
+        print("\nwithout a result")
+        show_table(missing, as_json=False)
+        print()
     for key, value in study.provenance.items():
         print(f"{key}: {value}")
     for cost in COSTS:

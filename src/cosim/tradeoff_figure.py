@@ -1,6 +1,8 @@
 """The figure of a trade-off study: error and drift against cost, both logarithmic."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
+from math import log10
 from typing import Any
 
 import matplotlib
@@ -10,11 +12,23 @@ from matplotlib.lines import Line2D
 
 from cosim.tradeoffs import ROADS, Measurement, Tradeoff
 
-# Okabe and Ito's colours, which colour-blind readers can tell apart, by solver
-_COLOURS = ("#0072B2", "#56B4E9", "#CC79A7", "#D55E00", "#009E73", "#E69F00", "#8B6914", "#555555")
+# Okabe and Ito's colours, which colour-blind readers can tell apart, and two darker ones
+_COLOURS = {
+    "cvodes": "#0072B2",
+    "cvodes_adams": "#56B4E9",
+    "idas": "#CC79A7",
+    "erk": "#D55E00",
+    "rosenbrock": "#009E73",
+    "dop853": "#6A3D9A",
+    "ode8": "#8B6914",
+    "rk4": "#E69F00",
+    "cvode": "#444444",  # fmpy's
+}
 _MARKERS = dict(zip(ROADS, "osD^", strict=True))
 _MILLISECONDS = 1e3
 _SMALLEST = 1e-17  # a difference of zero has no logarithm
+_ROOM = 0.5  # for the names of the front, in widths of what is drawn
+_LINE = 0.021  # from one name to the next, in heights of the panel
 _STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.axisbelow": True,
@@ -32,47 +46,60 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
 
     One marker per configuration: colour for the solver, shape for the road, filled for the full and
     hollow for the reduced model, faint for other formulations than the first. The Pareto front is
-    the black line with numbers, the reference's own error the grey band. Runs with steps longer
-    than the output interval are left out.
+    the black line, named where nothing can be: to its left. The reference's own error is the grey
+    band. Runs with steps longer than the output interval are left out.
     """
     shown = study.competing
     with matplotlib.rc_context(_STYLE):
         panels = 3 if any(m.drift for m in shown) else 2
-        figure = Figure(figsize=(5.4 * panels, 6.2), layout="constrained")
-        axes = figure.subplots(1, panels)
-        _errors(axes[0], study, shown, "rhs_calls", 1.0, "right-hand sides")
-        time = "time of the solver [ms], median"
-        _errors(axes[1], study, shown, "solver_time", _MILLISECONDS, time)
+        figure = Figure(figsize=(6.4 * panels, 7.4), layout="constrained")
+        axes = figure.subplots(1, panels, width_ratios=(1.2, 1.2, 0.8)[:panels])
+        _errors(axes[0], study, shown, "rhs_calls", 1.0)
+        axes[0].set_xlabel("right-hand sides evaluated")
+        _errors(axes[1], study, shown, "solver_time", _MILLISECONDS)
+        axes[1].set_xlabel("time of the solver [ms]: median; of the front also fastest to slowest")
         if panels == 3:
             _scatter(axes[2], shown, "solver_time", _MILLISECONDS, lambda m: m.drift)
-            axes[2].set_xlabel(time)
+            axes[2].set_xlabel("time of the solver [ms], median")
             axes[2].set_ylabel("largest drift [nominal values]")
             axes[2].set_title(f"needs no reference: {_some(study.invariants)}", fontsize=8)
-        figure.suptitle(f"{study.scene}: global error against cost", fontsize=12)
-        figure.legend(handles=_legend(shown), loc="outside lower center", ncols=6)
+        without = sum(m.error is None for m in study.measurements)
+        figure.suptitle(
+            f"{study.scene}: global error against cost of {len(shown)} configurations"
+            + (f" ({without} more have no result)" if without else ""),
+            fontsize=12,
+        )
+        figure.legend(handles=_legend(shown), loc="outside lower center", ncols=8)
     return figure
 
 
 def _errors(
-    axis: Axes,
-    study: Tradeoff,
-    shown: Sequence[Measurement],
-    cost: str,
-    factor: float,
-    label: str,
+    axis: Axes, study: Tradeoff, shown: Sequence[Measurement], cost: str, factor: float
 ) -> None:
     _scatter(axis, shown, cost, factor, lambda m: m.error)
     front = study.front(cost)
     prices = [factor * (m.cost(cost) or 0.0) for m in front]
     errors = [max(m.error or 0.0, study.floor) for m in front]
-    axis.plot(prices, errors, color="black", linewidth=1.2, zorder=4)
-    _name(axis, front, prices, errors)
+    axis.plot(prices, errors, color="black", linewidth=1.1, zorder=4)
+    if cost == "solver_time":
+        for measurement, error in zip(front, errors, strict=True):
+            if (time := measurement.solver_time) is not None:
+                ends = (factor * time.fastest, factor * time.slowest)
+                axis.plot(ends, (error, error), color="0.4", linewidth=0.6, zorder=1)
     low, high = axis.get_ylim()
-    low = min(low, study.floor / 10)
-    axis.axhspan(low, study.floor, color="0.88", zorder=0)
+    low = min(low, study.floor / 30)
+    axis.axhspan(low, study.floor, color="0.9", zorder=0)
     axis.set_ylim(low, high)
-    axis.set_title(f"grey: the reference's own error, {study.floor:.0e}", fontsize=8)
-    axis.set_xlabel(label)
+    if prices:
+        left, right = axis.get_xlim()
+        axis.set_xlim(prices[0] / (right / left) ** _ROOM, right)
+        _name(axis, list(_labels(front, prices, errors)))
+    reference = study.reference
+    axis.set_title(
+        f"grey: the reference's own error, {study.floor:.0e} "
+        f"({reference.method} against {reference.check})",
+        fontsize=8,
+    )
     axis.set_ylabel("largest global error of the kept outputs [nominal values]")
 
 
@@ -84,7 +111,6 @@ def _scatter(
     height: Callable[[Measurement], float | None],
 ) -> None:
     first = shown[0].configuration.model
-    colours = _colours(shown)
     families: dict[tuple[str, bool, str, str], list[tuple[float, float]]] = {}
     for measurement in shown:
         price, value = measurement.cost(cost), height(measurement)
@@ -93,46 +119,59 @@ def _scatter(
         configuration = measurement.configuration
         point = (factor * price, max(value, _SMALLEST))
         families.setdefault(configuration.family, []).append(point)
-        colour = colours[configuration.solver]
+        colour = _COLOURS[configuration.solver]
         axis.plot(
             *point,
             _MARKERS[configuration.road],
             color=colour,
             markerfacecolor="none" if configuration.reduced else colour,
             markersize=4.5,
-            alpha=0.9 if configuration.model == first else 0.35,
+            alpha=0.9 if configuration.model == first else 0.3,
             markeredgewidth=0.9,
         )
-    for (_, _, _, solver), points in families.items():
+    for (model, _, _, solver), points in families.items():
         along = sorted(points, key=lambda point: -point[1])
-        axis.plot(*zip(*along, strict=True), color=colours[solver], linewidth=0.5, alpha=0.3)
+        alpha = 0.5 if model == first else 0.2
+        axis.plot(*zip(*along, strict=True), color=_COLOURS[solver], linewidth=0.6, alpha=alpha)
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.grid(True)
 
 
-def _name(
-    axis: Axes, front: Sequence[Measurement], prices: Sequence[float], errors: Sequence[float]
-) -> None:
-    """Number the front, and list what the numbers stand for where nothing else can be."""
-    for number, (price, error) in enumerate(zip(prices, errors, strict=True), start=1):
-        axis.annotate(
-            str(number),
+def _labels(
+    front: Sequence[Measurement], prices: Sequence[float], errors: Sequence[float]
+) -> Iterator[tuple[str, float, float, float]]:
+    """Yield a name for each stretch of the front in one family, its place, and its last error."""
+    points = zip(front, prices, errors, strict=True)
+    for _, group in groupby(points, key=lambda point: point[0].configuration.family):
+        members = list(group)
+        (first, price, error), (last, _, lowest) = members[0], members[-1]
+        more = f" ... {last.configuration.setting}" if len(members) > 1 else ""
+        yield f"{first.configuration.short}{more}", price, error, lowest
+
+
+def _name(axis: Axes, labels: Sequence[tuple[str, float, float, float]]) -> None:
+    """Write names to the left of the front, each below the one before and what that stands for."""
+    low, high = (log10(limit) for limit in axis.get_ylim())
+
+    def part(error: float) -> float:  # of the panel's height
+        return (log10(error) - low) / (high - low)
+
+    most = 1.0
+    for text, price, error, lowest in labels:
+        height = min(part(error), most)
+        name = axis.annotate(
+            text,
             (price, error),
-            xytext=(-5, -1),
-            textcoords="offset points",
+            xytext=(price / 1.3, 10 ** (low + height * (high - low))),
             ha="right",
-            va="top",
-            fontsize=7,
+            va="center",
+            fontsize=6.5,
+            arrowprops={"arrowstyle": "-", "color": "0.6", "linewidth": 0.4, "shrinkB": 2},
             zorder=5,
         )
-    lines = [f"{i} {m.configuration.short}" for i, m in enumerate(front, start=1)]
-    axis.text(
-        0.015, 0.015, "\n".join(lines), transform=axis.transAxes, fontsize=6, va="bottom", zorder=5
-    )
-    if prices:
-        left, right = axis.get_xlim()
-        axis.set_xlim(min(left, prices[-1] / (right / prices[-1]) ** 0.5, prices[0] / 15), right)
+        name.set_in_layout(False)  # or a long one would push the panels aside
+        most = min(height, part(lowest) + _LINE / 2) - _LINE
 
 
 def _some(names: Sequence[str], most: int = 5) -> str:
@@ -142,12 +181,16 @@ def _some(names: Sequence[str], most: int = 5) -> str:
 def _legend(shown: Sequence[Measurement]) -> list[Line2D]:
     configurations = [m.configuration for m in shown]
     roads = [road for road in ROADS if any(c.road == road for c in configurations)]
-    handles = [_key("o", colour, solver) for solver, colour in _colours(shown).items()]
+    solvers = [name for name in _COLOURS if any(c.solver == name for c in configurations)]
+    handles = [_key("o", _COLOURS[name], name) for name in solvers]
     handles += [_key(_MARKERS[road], "0.3", road) for road in roads]
     if any(c.reduced for c in configurations):
         handles.append(_key("o", "0.3", "reduced to the kept outputs", hollow=True))
-    if len({c.model for c in configurations}) > 1:
-        handles.append(_key("o", "0.75", "other formulations"))
+    first, *others = dict.fromkeys(c.model for c in configurations)
+    if others:
+        names = ", ".join(name.partition("/")[2] for name in others)
+        handles.append(_key("o", "0.3", first))
+        handles.append(_key("o", "0.8", f"faint: {names}"))
     handles.append(Line2D([], [], color="black", label="Pareto front"))
     return handles
 
@@ -157,8 +200,3 @@ def _key(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2
     return Line2D(
         [], [], marker=marker, color=colour, markerfacecolor=face, linestyle="", label=label
     )
-
-
-def _colours(shown: Sequence[Measurement]) -> dict[str, str]:
-    solvers = dict.fromkeys(m.configuration.solver for m in shown)
-    return {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(solvers)}

@@ -18,7 +18,6 @@ COMPILED, INTERPRETED, MODEL_EXCHANGE, CO_SIMULATION = ROADS = (
 TOLERANCES = tuple(float(f"1e-{i}") for i in range(2, 13))
 STEPS = (10.0, 5.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of fixed-step solvers, in output intervals
 COMMUNICATION = (1.0, 10.0)  # steps of co-simulation, in output intervals
-_SPARSE = {INTERPRETED: 3, MODEL_EXCHANGE: 2, CO_SIMULATION: 2}  # every n-th tolerance
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,14 @@ class Configuration:
 
     def __str__(self) -> str:
         size = " (kept outputs only)" if self.reduced else ""
-        tolerance = "" if self.tolerance is None else f" {self.tolerance:.0e}"
-        step = "" if self.step is None else f" {self.step:.4g} s"
-        return f"{self.model}{size} {self.road} {self.solver}{tolerance}{step}"
+        return f"{self.model}{size} {self.road} {self.solver} {self.setting}"
+
+    @property
+    def setting(self) -> str:
+        """Tolerance and step."""
+        tolerance = "" if self.tolerance is None else f"{self.tolerance:.0e}"
+        step = "" if self.step is None else f"{self.step:.4g} s"
+        return f"{tolerance} {step}".strip()
 
     @property
     def short(self) -> str:
@@ -64,12 +68,11 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which configurations a user wants; the default is a sample of all of them.
+    """Which configurations a user wants; the default is all of them.
 
     Attributes:
         solvers: Names of `SOLVERS`; all of them when empty.
-        tolerances: Relative tolerances; a decade apart from 1e-2 to 1e-12 when empty, fewer on
-            slow roads.
+        tolerances: Relative tolerances; a decade apart from 1e-2 to 1e-12 when empty.
         steps: Of fixed-step solvers, s; from ten output intervals to an eighth when empty.
         roads: Names of `ROADS`; all that work here when empty.
 
@@ -110,8 +113,17 @@ class Selection:
             for road in self.roads or ROADS:
                 if road in (COMPILED, INTERPRETED):
                     yield from self._integrators(dae, reduced, road, span, interval)
-                elif not reduced and not self.solvers:
-                    yield from self._fmus(dae, road, span, interval)
+                elif not self.solvers:
+                    yield from self._fmus(dae, reduced, road, span, interval)
+
+    def impossible(self, dae: Dae) -> Iterator[tuple[str, str]]:
+        """Yield what of the selection does not exist for one formulation, and the reason."""
+        solvers, roads = self.solvers or tuple(SOLVERS), self.roads or ROADS
+        unable = [s for s in solvers if dae.algebraics and not SOLVERS[s].solves_dae]
+        if unable and {COMPILED, INTERPRETED} & set(roads):
+            yield f"{dae.full_name} {', '.join(unable)}", "cannot integrate algebraic unknowns"
+        if INTERPRETED in roads and "dop853" in solvers:
+            yield f"{dae.full_name} {INTERPRETED} dop853", "exists as compiled code only"
 
     def _integrators(
         self, dae: Dae, reduced: bool, road: str, span: float, interval: float
@@ -119,27 +131,25 @@ class Selection:
         for name in self.solvers or SOLVERS:
             if dae.algebraics and not SOLVERS[name].solves_dae:
                 continue
-            if name == "dop853" and road == INTERPRETED:  # which exists as C code only
+            if name == "dop853" and road == INTERPRETED:
                 continue
             if SOLVERS[name].adaptive:
-                for tolerance in self._tolerances(road):
+                for tolerance in self.tolerances or TOLERANCES:
                     yield Configuration(dae.full_name, reduced, road, name, tolerance)
             else:
-                factors = STEPS if road == COMPILED else (1.0,)
-                for step in self.steps or _dividing(factors, span, interval):
+                for step in self.steps or _dividing(STEPS, span, interval):
                     yield Configuration(dae.full_name, reduced, road, name, step=step)
 
-    def _fmus(self, dae: Dae, road: str, span: float, interval: float) -> Iterator[Configuration]:
+    def _fmus(
+        self, dae: Dae, reduced: bool, road: str, span: float, interval: float
+    ) -> Iterator[Configuration]:
         inside = "rosenbrock" if dae.algebraics else "erk"
-        for tolerance in self._tolerances(road):
+        for tolerance in self.tolerances or TOLERANCES:
             if road == MODEL_EXCHANGE:
-                yield Configuration(dae.full_name, False, road, "cvode", tolerance)
+                yield Configuration(dae.full_name, reduced, road, "cvode", tolerance)
                 continue
             for step in _dividing(COMMUNICATION, span, interval):
-                yield Configuration(dae.full_name, False, road, inside, tolerance, step)
-
-    def _tolerances(self, road: str) -> tuple[float, ...]:
-        return self.tolerances or TOLERANCES[:: _SPARSE.get(road, 1)]
+                yield Configuration(dae.full_name, reduced, road, inside, tolerance, step)
 
 
 def parse_list(text: str | None) -> tuple[str, ...]:

@@ -128,9 +128,9 @@ def observed_event(
     )
 
 
-def failed_event(configuration: Configuration, error: CosimError) -> Event:
-    """Keep the reason why a configuration has no result."""
-    return Event(configuration, status=f"{type(error).__name__}: {error}")
+def failed_event(configuration: Configuration, error: CosimError, seconds: float) -> Event:
+    """Keep the reason why a configuration has no result, and the time that it took, s."""
+    return Event(configuration, f"{type(error).__name__}: {error}", total_time=seconds)
 
 
 def invariants(reference: Reference) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from cosim.compile import find_compiler
 from cosim.errors import MissingTool
 from cosim.references import Reference
-from cosim.tradeoffs.configuration import COMPILED
+from cosim.tradeoffs.configuration import COMPILED, Configuration
 from cosim.tradeoffs.measurement import COSTS, Measurement
 from cosim.tradeoffs.orders import Order
 from cosim.tradeoffs.stability import StabilityLimit
@@ -51,6 +51,7 @@ class Tradeoff:
         orders: Observed order of each fixed-step solver.
         stability: The largest stable step of each, where the run ends in a steady motion.
         provenance: Versions, machine, hash of the model, method of the reference.
+        impossible: What was not measured because it does not exist, each with the reason.
     """
 
     scene: str
@@ -61,6 +62,7 @@ class Tradeoff:
     orders: tuple[Order, ...]
     stability: tuple[StabilityLimit, ...]
     provenance: Mapping[str, str]
+    impossible: tuple[tuple[str, str], ...] = ()
 
     @property
     def floor(self) -> float:
@@ -84,6 +86,20 @@ class Tradeoff:
     def proportionality(self) -> tuple[Proportionality, ...]:
         """Fit error against tolerance for each compiled adaptive solver."""
         return proportionality(self.measurements, self.floor)
+
+    def missing(self) -> list[dict[str, str]]:
+        """Return what has no result and why; of a family, what has the same reason is one row."""
+        groups: dict[tuple[tuple[str, bool, str, str], str], list[Configuration]] = {}
+        for measurement in self.measurements:
+            if measurement.error is None:
+                key = (measurement.configuration.family, measurement.status)
+                groups.setdefault(key, []).append(measurement.configuration)
+        rows = []
+        for (_, status), members in groups.items():
+            last = f" ... {members[-1].setting}" if len(members) > 1 else ""
+            rows.append({"configuration": f"{members[0]}{last}", "reason": status})
+        keys = ("configuration", "reason")
+        return [*rows, *(dict(zip(keys, pair, strict=True)) for pair in self.impossible)]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per configuration; `front` names the costs for which none is better."""
@@ -121,6 +137,7 @@ class Tradeoff:
             "proportionality": [fit.row() for fit in self.proportionality()],
             "orders": [order.row() for order in self.orders],
             "stability": [limit.row() for limit in self.stability],
+            "missing": self.missing(),
             "measurements": rows,
         }
         return json.dumps(facts, indent=1) + "\n"

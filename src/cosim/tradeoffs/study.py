@@ -1,8 +1,6 @@
 """`tradeoff`: run every selected configuration of a scene, several times, in turn."""
 
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -14,18 +12,23 @@ from cosim.references import Reference, reference
 from cosim.resources import cache_folder
 from cosim.runge_kutta import METHODS
 from cosim.scene import Scene
-from cosim.tradeoffs.configuration import COMPILED, INTERPRETED, Configuration, Selection
+from cosim.tradeoffs.configuration import (
+    COMPILED,
+    INTERPRETED,
+    ROADS,
+    Configuration,
+    Selection,
+)
 from cosim.tradeoffs.events import Event, Record
 from cosim.tradeoffs.measurement import failed_event, gather, invariants, observed_event
 from cosim.tradeoffs.orders import observed_order
 from cosim.tradeoffs.result import Tradeoff, provenance
+from cosim.tradeoffs.rounds import Tell, measure
 from cosim.tradeoffs.stability import stability_limit
 from cosim.tradeoffs.workshop import Workshop, kept_outputs, members, span
 
 REPEATS = 5
-SECONDS = 200.0  # of the whole study; what has not been timed by then is timed once
-SLOW = 20.0  # s; what takes longer is not run with tighter tolerances or smaller steps
-Tell = Callable[[str], None]
+SECONDS = 200.0  # from the beginning of a study until its last run begins
 
 
 def tradeoff(
@@ -49,7 +52,8 @@ def tradeoff(
         every_formulation: Whether the model's other formulations are measured, too; unless one is
             named when None.
         repeats: Most timed runs of each configuration.
-        seconds: Time from the beginning after which no second timed run of anything begins.
+        seconds: Time from the beginning after which no run begins. What has not run by then is
+            listed as left out; what has run once has that run's time.
         resume: Whether to go on where an interrupted study of the same scene stopped.
         tell: Called with a line of progress before and after each run.
 
@@ -77,14 +81,16 @@ def tradeoff(
         wanted = configurations(workshop, scene, selection)
 
         def run(configuration: Configuration) -> Event:
+            start = perf_counter()
             try:
                 trajectory = workshop.run(configuration)
             except CosimError as error:
-                return failed_event(configuration, error)
+                return failed_event(configuration, error, perf_counter() - start)
             return observed_event(configuration, trajectory, truth, kept, constant)
 
         events = [event for event in events if event.configuration in wanted]
-        _measure(wanted, events, run, record, repeats, began + seconds, tell)
+        measure(wanted, events, run, record, repeats, began + seconds, tell)
+        impossible = _impossible(workshop, selection)
     ordered = sorted(events, key=lambda event: wanted.index(event.configuration))
     fixed = _fixed_step_solvers(scene, selection)
     limits = [stability_limit(scene, truth, solver) for solver in fixed]
@@ -97,6 +103,7 @@ def tradeoff(
         tuple(observed_order(scene, truth, solver) for solver in fixed),
         tuple(limit for limit in limits if limit is not None),
         provenance(truth),
+        impossible,
     )
 
 
@@ -123,6 +130,14 @@ def configurations(
     return found
 
 
+def _impossible(workshop: Workshop, selection: Selection) -> tuple[tuple[str, str], ...]:
+    """Return what is not measured because it does not exist, each with the reason."""
+    found = [pair for _, dae, _ in workshop.pairs() for pair in selection.impossible(dae)]
+    if not has_compiler():
+        found.append((", ".join(road for road in ROADS if road != INTERPRETED), "no C compiler"))
+    return tuple(found)
+
+
 def _fixed_step_solvers(scene: Scene, selection: Selection) -> tuple[str, ...]:
     """Return the selected solvers of fixed steps; none for a DAE, which they cannot integrate."""
     if scene.dae.algebraics or not set(selection.roads or (COMPILED,)) & {COMPILED, INTERPRETED}:
@@ -143,64 +158,3 @@ def _possible(selection: Selection, tell: Tell) -> Selection:
 def study_record(truth: Reference) -> Record:
     """Return where the runs of a study are kept."""
     return Record(cache_folder() / "tradeoffs" / f"{truth.key}.jsonl", truth.key)
-
-
-def _measure(
-    wanted: Sequence[Configuration],
-    events: list[Event],
-    run: Callable[[Configuration], Event],
-    record: Record,
-    repeats: int,
-    deadline: float,
-    tell: Tell,
-) -> None:
-    """Run what the events lack, one round after the other."""
-    counts = Counter(event.configuration for event in events)
-    took = {e.configuration: e.total_time for e in events}
-    failed = {e.configuration for e in events if not e.errors}
-    for number in range(repeats + 1):
-        began = perf_counter()
-        for i, configuration in enumerate(wanted, start=1):
-            if counts[configuration] > number or configuration in failed:
-                continue
-            if number > 1 and perf_counter() > deadline:
-                return
-            slow = _slower_one(configuration, took) if number == 0 else None
-            if slow is not None:
-                event = Event(configuration, status=f"left out: {slow} took more than {SLOW:g} s")
-            elif number and (took[configuration] or 0.0) > SLOW / 10:
-                continue  # long runs need no repetition
-            else:
-                event = run(configuration)
-            record.append(event)
-            events.append(event)
-            counts[configuration] += 1
-            if number == 0:
-                took[configuration] = event.total_time
-                if not event.errors:
-                    failed.add(configuration)
-                tell(f"{i}/{len(wanted)} {_said(event)}")
-        tell(f"round {number} of {repeats}: {perf_counter() - began:.0f} s")
-
-
-def _slower_one(
-    configuration: Configuration, took: dict[Configuration, float | None]
-) -> Configuration | None:
-    """Return a coarser configuration of the same family that was slow already."""
-    for other, time in took.items():
-        coarser = (other.tolerance or 0) > (configuration.tolerance or 0) or (other.step or 0) > (
-            configuration.step or 0
-        )
-        if other.family == configuration.family and coarser and (time or 0.0) > SLOW:
-            return other
-    return None
-
-
-def _said(event: Event) -> str:
-    if not event.errors:
-        return f"{event.configuration}: {event.status}"
-    worst = max(event.errors, key=event.errors.__getitem__)
-    calls = "" if event.rhs_calls is None else f", {event.rhs_calls} calls"
-    time = event.solver_time if event.solver_time is not None else event.total_time
-    told = "" if time is None else f", {1e3 * time:.2f} ms"
-    return f"{event.configuration}: error {event.errors[worst]:.1e} ({worst}){calls}{told}"

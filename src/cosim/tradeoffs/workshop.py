@@ -123,7 +123,7 @@ class Workshop:
                 compiled=configuration.road == COMPILED,
             )
         return simulate_fmu(
-            self._fmu(configuration.model, dae),
+            self._fmu(dae, configuration.reduced),
             interface=_INTERFACES[configuration.road],
             start_time=start,
             stop_time=stop,
@@ -132,8 +132,9 @@ class Workshop:
             inputs=inputs,
         )
 
-    def _fmu(self, model: str, dae: Dae) -> Path:
-        path = self.folder / f"{model.replace('/', '_')}.fmu"
+    def _fmu(self, dae: Dae, reduced: bool) -> Path:
+        size = "_reduced" if reduced else ""
+        path = self.folder / f"{dae.full_name.replace('/', '_')}{size}.fmu"
         return path if path.exists() else export_fmu(dae, path)
 
 
