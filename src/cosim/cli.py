@@ -212,6 +212,11 @@ def _solver_options(parser: argparse.ArgumentParser) -> None:
         metavar="ACTION",
         help="where a run leaves the model's limits: warn (the default), stop or ignore",
     )
+    parser.add_argument(
+        "--drift-control",
+        metavar="KIND",
+        help="of constraints: none, baumgarte, or projection after every step; the model's own",
+    )
 
 
 def _accuracy_option(parser: argparse.ArgumentParser) -> None:

@@ -231,6 +231,7 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
             scene,
             compiled=False if args.interpreted else None,
             on_invalid=args.on_invalid or "warn",
+            drift_control=args.drift_control,
         )
     from cosim.fmpy_run import simulate_fmu
 

@@ -94,7 +94,8 @@ def simulate(
     """
     began = perf_counter()
     settings = (solver, relative_tolerance, absolute_tolerance, step_size)
-    refuse_contradiction(accuracy, budget, **dict(zip(OVERRULED, settings, strict=True)))
+    fixed = dict(zip(OVERRULED, settings, strict=True)) | {"drift_control": drift_control}
+    refuse_contradiction(accuracy, budget, **fixed)
     if on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     start, project = controlled(dae, drift_control, start)

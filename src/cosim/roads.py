@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from casadi_models.dae import Dae
+from cosim.drift import CLOSING_RATE
 from cosim.errors import UnknownName, UsageError
 from cosim.export import export_fmu
 from cosim.fmpy_run import simulate_fmu
@@ -41,6 +42,7 @@ def run_scene(
     *,
     compiled: bool | None = None,
     on_invalid: str = "warn",
+    drift_control: str | None = None,
 ) -> Trajectory:
     """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
 
@@ -50,7 +52,7 @@ def run_scene(
     Args:
         scene: What to run.
         road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
-        compiled, on_invalid: Of CasADi's integrators, see `simulate`.
+        compiled, on_invalid, drift_control: Of CasADi's integrators, see `simulate`.
 
     Raises:
         UsageError: An FMU shall run with an accuracy or a budget.
@@ -75,6 +77,8 @@ def run_scene(
         dae = scene_dae(replace(scene, values={}))
         known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
         start = {name: value for name, value in scene.values.items() if name in known}
+    elif drift_control and CLOSING_RATE in scene.values:
+        start = {CLOSING_RATE: scene.values[CLOSING_RATE]}  # which may contradict
     return simulate(
         dae,
         start_time=settings.start_time,
@@ -89,6 +93,7 @@ def run_scene(
         outputs=scene.outputs or None,
         compiled=compiled,
         on_invalid=on_invalid,
+        drift_control=drift_control,
     )
 
 
