@@ -235,8 +235,15 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         )
     from cosim.fmpy_run import simulate_fmu
 
-    own = ("solver", "absolute_tolerance", "step_size", "on_invalid", "interpreted", *GOALS)
-    for option in own:
+    own = (
+        "solver",
+        "absolute_tolerance",
+        "step_size",
+        "on_invalid",
+        "drift_control",
+        "interpreted",
+    )
+    for option in (*own, *GOALS):
         if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
     return simulate_fmu(
