@@ -60,6 +60,13 @@ def test_second_library_of_the_same_key_starts_no_compiler(cache, script, tmp_pa
     assert (tmp_path / "calls").read_text() == "x\nx\n"
 
 
+def test_library_for_another_processor_is_not_loaded(cache, monkeypatch):
+    first = cached_library("key", lambda: CODE)
+    options, _ = compiling._own_processor()
+    monkeypatch.setattr(compiling, "_own_processor", lambda: (options, "flags: other"))
+    assert cached_library("key", lambda: CODE) != first
+
+
 def test_damaged_library_is_made_again(cache):
     library = cached_library("key", lambda: CODE)
     library.write_bytes(library.read_bytes()[:100])

@@ -6,6 +6,7 @@ The compiler is $CC, else cc, gcc, clang, else the one in the package `ziglang`.
 import ctypes
 import hashlib
 import os
+import platform
 import shlex
 import shutil
 import signal
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -121,7 +123,8 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         MissingTool: There is no compiler, or it fails, or the cache cannot be written.
     """
     command = find_compiler()
-    settings = (*command, *FLAGS, *_HIDDEN, _SHORT, _LONG, str(_LENGTH))
+    own, processor = _own_processor()
+    settings = (*command, *FLAGS, *_HIDDEN, *own, processor, _SHORT, _LONG, str(_LENGTH))
     digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
     folder = cache_folder()
     target = folder / f"{digest}{SUFFIX}"
@@ -133,7 +136,7 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             source, library = Path(build) / "code.c", Path(build) / f"code{SUFFIX}"
             code = generate()
             source.write_text(code, encoding="utf-8")
-            options = (*_HIDDEN, _SHORT if len(code) < _LENGTH else _LONG)
+            options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
             compile_library([source], library, options=options, command=command)
             _keep(library, target)
     except MissingTool as error:
@@ -143,6 +146,22 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return target
+
+
+@cache
+def _own_processor() -> tuple[tuple[str, ...], str]:
+    """Return compiler options for this processor alone, and by what it is told from others.
+
+    Products and sums stay apart, so that results are those of any x86-64, bit for bit.
+    """
+    try:
+        known = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        known = []
+    abilities = next((line for line in known if line.startswith("flags")), "")
+    if platform.machine() != "x86_64" or not abilities:
+        return (), ""
+    return ("-march=native", "-ffp-contract=off"), abilities
 
 
 def _words(command: str) -> list[str]:
