@@ -62,9 +62,9 @@ def watch_constraints(model: Model, jacobian: SX, mass: SX) -> None:
     (A A^T)^-1: 1 where no two constraints act on the same speeds, infinite where the multipliers
     are not unique.
     """
-    m, sizes = jacobian.shape[0], ca.diag(mass)
-    weights = [SX(1) if size.is_zero() else 1 / ca.sqrt(size) for size in ca.vertsplit(sizes)]
-    scaled = jacobian @ ca.diag(ca.vertcat(*weights))
+    m = jacobian.shape[0]
+    inert = [SX(1) if entry.is_zero() else entry for entry in ca.vertsplit(ca.diag(mass))]
+    scaled = jacobian @ ca.diag(1 / ca.sqrt(ca.vertcat(*inert)))
     scaled = ca.diag(1 / ca.sqrt(ca.sum2(scaled**2))) @ scaled
     gram = ca.triu2symm(ca.triu(scaled @ scaled.T))
     model.monitor(
@@ -84,6 +84,11 @@ def watch_singularity(model: Model, *margins: Any) -> None:
         nearest,
         "distance from the nearest singularity of coordinates or elimination, 0 there",
     )
+
+
+def equal_energies(mass: SX) -> SX:
+    """Return speeds of equal kinetic energy: a projection in these sizes changes energy least."""
+    return 1 / ca.sqrt(ca.diag(mass))
 
 
 def closing_rate(model: Model, value: float) -> SX:

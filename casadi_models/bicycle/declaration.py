@@ -159,9 +159,9 @@ def contact(model: Model, angles: SX, closure: SX) -> None:
     model.invariant("position_drift", angles[[0, 2, 4]], closure, meaning)
 
 
-def rolling(model: Model, rates: SX, slip: SX) -> None:
+def rolling(model: Model, rates: SX, slip: SX, sizes: SX | None = None) -> None:
     """Declare that the front wheel does not slip, where all six rates are states."""
-    model.invariant("velocity_drift", rates, slip, "the front wheel rolls")
+    model.invariant("velocity_drift", rates, slip, "the front wheel rolls", sizes=sizes)
 
 
 def drift_limits(model: Model, closure: SX, slip: SX) -> None:

@@ -88,8 +88,8 @@ def multipliers() -> Dae:
     declaration.limits(model, q[0], rear[2], front[2])
     declaration.drift_limits(model, residuals[0], residuals[1:])
     declaration.contact(model, q, moving.closure)
-    declaration.rolling(model, u, residuals[1:])
     mass = kane.mass_matrix(system)
+    declaration.rolling(model, u, residuals[1:], sizes=conditions.equal_energies(mass))
     conditions.watch_masses(model, mass)
     in_wheel_axes = replace(system, constraints=moving.slip)  # yaw does not count there
     conditions.watch_constraints(model, kane.constraint_matrix(in_wheel_axes), mass)

@@ -187,7 +187,9 @@ class Model:
             raise self._refusal(f"limit '{meaning}' is declared twice; keep one")
         self._limits.append((self._column(f"limit '{meaning}'", expression, 1), meaning))
 
-    def invariant(self, name: str, states: SX, residual: Any, meaning: str) -> None:
+    def invariant(
+        self, name: str, states: SX, residual: Any, meaning: str, *, sizes: Any = None
+    ) -> None:
         """Note residuals that are zero in every exact solution and drift in a numerical one.
 
         Args:
@@ -195,17 +197,21 @@ class Model:
             states: What a projection moves to make them zero again; positions before speeds.
             residual: Of states and parameters, a column of no more rows than `states`.
             meaning: What is true while they are zero.
+            sizes: What counts as an equally large move of each state; its nominal value when None.
         """
-        rows = self._column(f"invariant '{meaning}'", residual)
+        rows, names = self._column(f"invariant '{meaning}'", residual), self._names(states)
         order = list(self._symbols["x"])
-        positions = tuple(map(order.index, self._names(states)))
+        positions = tuple(map(order.index, names))
+        if sizes is None:
+            sizes = [self._variables[state].nominal for state in names]
+        weights = self._column(f"sizes of '{meaning}'", sizes, len(names))
         if not 0 < rows.numel() <= len(positions):
             raise self._refusal(
                 f"invariant '{meaning}' has {rows.numel()} rows for {len(positions)} states; "
                 "name at least as many states as rows"
             )
         self.monitor(name, ca.norm_inf(rows), f"largest drift (SI units) from: {meaning}")
-        self._invariants.append(Invariant(positions, rows, meaning))
+        self._invariants.append(Invariant(positions, rows, weights, meaning))
 
     # -- the result -----------------------------------------------------------------------------
 
@@ -232,7 +238,10 @@ class Model:
                 refuse_faulty(part, ca.vertcat(self.t, x, z, u, p), "declared symbols")
             inertias = {f"inertia of {body}": ca.vec(matrix) for body, matrix in self._inertias}
             refuse_faulty(inertias, p, "parameters")
-            drifting = {f"invariant '{i.meaning}'": i.residual for i in self._invariants}
+            drifting = {
+                f"invariant '{i.meaning}'": ca.vertcat(i.residual, i.sizes)
+                for i in self._invariants
+            }
             refuse_faulty(drifting, ca.vertcat(x, p), "states and parameters")
             refuse_disorder(self._rules, x, p)
         ode, alg, outputs, limits, monitors = share([column(part.values()) for part in parts])

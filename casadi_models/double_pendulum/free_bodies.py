@@ -80,8 +80,9 @@ def multipliers() -> Dae:
     model.invariant(
         "position_drift", places, ca.vertcat(norms, gaps), f"{closed}, quaternions have length 1"
     )
-    model.invariant("velocity_drift", speeds, gap_rates, f"{closed} and stay so")
     mass = kane.mass_matrix(system)
+    sizes = conditions.equal_energies(mass)
+    model.invariant("velocity_drift", speeds, gap_rates, f"{closed} and stay so", sizes=sizes)
     conditions.watch_masses(model, mass)
     conditions.watch_constraints(model, jacobian, mass)
     links.outputs(model, rod, (Link(turns[0], w1, r1, v1), Link(turns[1], w2, r2, v2)))

@@ -3,7 +3,7 @@
  * Source  Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996, section VII.2.
  *
  * Generated text stands before this one: project(x, c) -> (x, change), a Newton step of least norm
- * and its size, both in nominal values, and the sizes of its work space PROJECT_*.
+ * and its size, and the sizes of its work space PROJECT_*.
  */
 #define ROOT_OF_ROUNDING 1e-8 /* a Newton step of this size leaves an error of rounding */
 #define MOST_CORRECTIONS 5

@@ -13,8 +13,8 @@ from casadi_models.dae import Dae
 def projection_step(dae: Dae, constants: int) -> ca.Function:
     """Return `project(x, c) -> (x, change)`, one Newton step on every invariant in its order.
 
-    Each step moves the invariant's states by the least sum of squares, in nominal values; `change`
-    is the largest of these moves. Later invariants are evaluated where earlier ones have moved to.
+    Each step moves the invariant's states by the least sum of squares, in its sizes; `change` is
+    the largest of these moves. Later invariants are evaluated where earlier ones have moved to.
 
     Args:
         dae: A model with invariants.
@@ -26,13 +26,12 @@ def projection_step(dae: Dae, constants: int) -> ca.Function:
     for invariant in dae.invariants:
         rows = list(invariant.states)
         slopes = ca.jacobian(invariant.residual, dae.x[rows])
-        law = ca.Function("law", [dae.x, dae.p], [invariant.residual, slopes])
-        residual, slopes = law(here, p)
-        sizes = ca.diag(SX([dae.states[i].nominal for i in rows]))
-        scaled = slopes @ sizes
+        law = ca.Function("law", [dae.x, dae.p], [invariant.residual, slopes, invariant.sizes])
+        residual, slopes, sizes = law(here, p)
+        scaled = slopes @ ca.diag(sizes)
         multiplier = ca.ldl_solve(residual, *ca.ldl(ca.triu2symm(ca.triu(scaled @ scaled.T))))
         move = -scaled.T @ multiplier
-        here[rows] += sizes @ move
+        here[rows] += sizes * move
         change = ca.fmax(change, ca.norm_inf(move))
     options = {"cse": True}
     return ca.Function("project", [x, c], [here, change], ["x", "c"], ["moved", "change"], options)

@@ -127,7 +127,7 @@ def _freeze(dae: Dae, names: Collection[str]) -> Dae:
         if parameter.name in names:
             values[i] = parameter.start or 0.0
     margins = ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
-    drifts = [invariant.residual for invariant in dae.invariants]
+    drifts = [column for i in dae.invariants for column in (i.residual, i.sizes)]
     fixed = ca.substitute([dae.ode, dae.alg, dae.outputs, margins, *drifts], [dae.p], [values])
     rules = tuple(
         replace(rule, expression=ca.substitute(rule.expression, dae.p, values))
@@ -136,8 +136,10 @@ def _freeze(dae: Dae, names: Collection[str]) -> Dae:
     ode, alg, outputs, margins, *drifts = (ca.densify(column) for column in fixed)
     limits = tuple((margins[i], meaning) for i, (_, meaning) in enumerate(dae.limits))
     invariants = tuple(
-        replace(invariant, residual=residual)
-        for invariant, residual in zip(dae.invariants, drifts, strict=True)
+        replace(invariant, residual=residual, sizes=sizes)
+        for invariant, residual, sizes in zip(
+            dae.invariants, drifts[::2], drifts[1::2], strict=True
+        )
     )
     return replace(
         dae,
@@ -223,8 +225,9 @@ def _kept_invariants(
 ) -> Iterator[Invariant]:
     """Yield the invariants of which everything is kept; a part of one is none."""
     for invariant in dae.invariants:
-        needed = {*invariant.states, *_used(invariant.residual, dae.x)}
-        if needed <= set(states) and set(_used(invariant.residual, dae.p)) <= set(parameters):
+        everything = ca.vertcat(invariant.residual, invariant.sizes)
+        needed = {*invariant.states, *_used(everything, dae.x)}
+        if needed <= set(states) and set(_used(everything, dae.p)) <= set(parameters):
             yield replace(invariant, states=tuple(states.index(i) for i in invariant.states))
 
 
