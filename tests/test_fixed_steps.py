@@ -1,14 +1,16 @@
 """Fixed-step methods as `tradeoff` reports them: observed order, largest stable step."""
 
+from itertools import pairwise
 from math import factorial
 
 import numpy as np
 import pytest
+from extended import Long, final_state, has_extended_precision, right_hand_side
 from oscillators import oscillator
 
 from casadi_models.dae import Model
 from cosim.errors import SolverError
-from cosim.integrate import simulate
+from cosim.integrate import simulate, start_vectors
 from cosim.loading import load
 from cosim.references import reference
 from cosim.runge_kutta import METHODS, Tableau
@@ -58,6 +60,28 @@ def test_order_8_ends_at_rounding_after_three_halvings_where_steps_must_be_small
     found = observed_order(scene(name), reference(scene(name)), "ode8")
     assert found.halvings == 3
     assert 8 < found.observed < 10  # measured 9.3, 9.5
+
+
+@pytest.mark.skipif(not has_extended_precision(), reason="long double has no more bits here")
+@pytest.mark.parametrize(
+    ("name", "stop", "steps"),
+    [
+        ("bar_on_frame", 5.0, 32),  # measured 8.13, 8.40, 7.94, 7.89
+        ("bicycle", 5.0, 30),  # measured 9.62, 8.83, 8.43, 8.17
+        ("disk_two_bars", 2.0, 16),  # measured 8.01, 8.36, 8.39, 8.21
+        ("double_pendulum", 5.0, 64),  # measured 9.31, 7.80, 7.63, 7.94
+    ],
+)
+def test_order_8_shows_over_four_halvings_where_rounding_is_small(name, stop, steps, tmp_path):
+    """From each halving to the next, not as the slope of a fit."""
+    dae = load(name)
+    f, x = right_hand_side(dae, tmp_path), start_vectors(dae)["x0"].astype(Long)
+    ends = [final_state(f, x, METHODS["ode8"], stop, steps * 2**k) for k in range(6)]
+    apart = [float(np.abs(b - a).max()) for a, b in pairwise(ends)]
+    observed = [np.log2(a / b) for a, b in pairwise(apart)]
+    assert len(observed) == 4
+    assert min(observed) > 7.5
+    assert observed[-1] == pytest.approx(8, abs=0.25)
 
 
 def test_wrong_coefficient_shows_as_a_lower_order(monkeypatch):

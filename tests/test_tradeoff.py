@@ -211,7 +211,7 @@ def test_failure_that_took_long_keeps_tighter_tolerances_from_running(monkeypatc
     assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]
 
 
-def test_what_does_not_exist_is_listed_with_its_reason():
+def test_what_cannot_be_measured_is_listed_with_its_reason():
     selection = Selection(("erk", "dop853"), (1e-4,), roads=("compiled", "interpreted"))
     study = tradeoff("crank_shaft", selection=selection, repeats=0)
     told = {row["configuration"]: row["reason"] for row in study.missing()}

@@ -17,6 +17,7 @@ COMPILED, INTERPRETED, MODEL_EXCHANGE, CO_SIMULATION = ROADS = (
 )
 TOLERANCES = tuple(float(f"1e-{i}") for i in range(2, 13))
 STEPS = (10.0, 5.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of fixed-step solvers, in output intervals
+UNROLLED = 5  # of them are measured interpreted: CasADi unrolls the steps, for half a minute
 COMMUNICATION = (1.0, 10.0)  # steps of co-simulation, in output intervals
 
 
@@ -117,13 +118,17 @@ class Selection:
                     yield from self._fmus(dae, reduced, road, span, interval)
 
     def impossible(self, dae: Dae) -> Iterator[tuple[str, str]]:
-        """Yield what of the selection does not exist for one formulation, and the reason."""
+        """Yield what of the selection is not measured of one formulation, and the reason."""
         solvers, roads = self.solvers or tuple(SOLVERS), self.roads or ROADS
         unable = [s for s in solvers if dae.algebraics and not SOLVERS[s].solves_dae]
         if unable and {COMPILED, INTERPRETED} & set(roads):
             yield f"{dae.full_name} {', '.join(unable)}", "cannot integrate algebraic unknowns"
         if INTERPRETED in roads and "dop853" in solvers:
             yield f"{dae.full_name} {INTERPRETED} dop853", "exists as compiled code only"
+        fixed = [s for s in solvers if not SOLVERS[s].adaptive and s not in unable]
+        if INTERPRETED in roads and fixed and not self.steps:
+            what = f"{dae.full_name} {INTERPRETED} {', '.join(fixed)} in smaller steps"
+            yield what, "CasADi unrolls the steps, which takes far longer than to run them"
 
     def _integrators(
         self, dae: Dae, reduced: bool, road: str, span: float, interval: float
@@ -137,7 +142,8 @@ class Selection:
                 for tolerance in self.tolerances or TOLERANCES:
                     yield Configuration(dae.full_name, reduced, road, name, tolerance)
             else:
-                for step in self.steps or _dividing(STEPS, span, interval):
+                factors = STEPS if road == COMPILED else STEPS[:UNROLLED]
+                for step in self.steps or _dividing(factors, span, interval):
                     yield Configuration(dae.full_name, reduced, road, name, step=step)
 
     def _fmus(

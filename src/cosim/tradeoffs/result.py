@@ -51,7 +51,7 @@ class Tradeoff:
         orders: Observed order of each fixed-step solver.
         stability: The largest stable step of each, where the run ends in a steady motion.
         provenance: Versions, machine, hash of the model, method of the reference.
-        impossible: What was not measured because it does not exist, each with the reason.
+        impossible: What was not measured because it cannot be, each with the reason.
     """
 
     scene: str

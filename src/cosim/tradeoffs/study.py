@@ -131,7 +131,7 @@ def configurations(
 
 
 def _impossible(workshop: Workshop, selection: Selection) -> tuple[tuple[str, str], ...]:
-    """Return what is not measured because it does not exist, each with the reason."""
+    """Return what is not measured because it cannot be, each with the reason."""
     found = [pair for _, dae, _ in workshop.pairs() for pair in selection.impossible(dae)]
     if not has_compiler():
         found.append((", ".join(road for road in ROADS if road != INTERPRETED), "no C compiler"))
