@@ -117,13 +117,18 @@ def do_export(args: argparse.Namespace) -> int:
     scene = scene_from(args)
     dae = scene_dae(scene)
     name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
-    path = export_with_proof(
-        dae,
-        args.output_file or f"{name}.fmu",
-        fmi=int(args.fmi),
-        identifier=name,
-        platforms=names_in(args.platform),
-    )
+    target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
+    options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name}
+    options["platforms"] = names_in(args.platform)
+    if accuracy is None:
+        path = export_with_proof(dae, target, **options)
+    else:
+        from cosim.fmu_promises import export_accurate
+
+        made = export_accurate(dae, target, accuracy, **options)
+        path = made.path
+        if not args.quiet:
+            print(made, file=sys.stderr)
     if args.verbose:
         print(*dae.report, sep="\n", file=sys.stderr)
     if scene.inputs and not args.quiet:

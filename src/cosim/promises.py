@@ -168,10 +168,17 @@ def _affordable(
             f"{dae.full_name}: budget = {1e3 * budget:g} ms; the cheapest configuration, "
             f"{_label(every[0])}, takes {1e3 * least:.2g} ms; give more time or a shorter run"
         )
+    done, took, failures = None, 0.0, list[SolverError]()
     for measured in reversed(affordable):  # the most accurate one first
-        done, took = _timed(measured, solve, budget)
+        try:
+            done, took = _timed(measured, solve, budget)
+        except SolverError as error:
+            failures.append(error)
+            continue
         if took <= budget:
             return _labelled(done.run, {"budget": budget} | _check(front, solve, done, names))
+    if done is None:
+        raise failures[0]
     raise SolverError(
         f"{dae.full_name}: {done}, the cheapest configuration, took {1e3 * took:.2g} ms on this "
         f"run, more than budget = {1e3 * budget:g} ms; give more time or a shorter run",
