@@ -1,6 +1,7 @@
 """`tradeoff`: counts repeat, errors are what they are said to be, nothing is lost on the way."""
 
 import json
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -182,6 +183,19 @@ def test_tighter_tolerances_are_left_out_where_a_looser_one_was_slow(monkeypatch
     }
 
 
+def test_time_to_compile_does_not_make_a_run_slow(monkeypatch):
+    original = Workshop.run
+
+    def compiling(self, configuration):
+        run = original(self, configuration)
+        return replace(run, stats=run.stats | {"wall_time": 1000.0})
+
+    monkeypatch.setattr(Workshop, "run", compiling)
+    study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
+    assert {m.status for m in study.measurements} == {"complete"}
+    assert {m.total_time.repeats for m in study.measurements} == {1}
+
+
 def test_interpreted_runs_are_left_out_where_their_compiled_twin_was_slow(monkeypatch):
     monkeypatch.setattr("cosim.tradeoffs.rounds.SLOW", 0.0)
     selection = Selection(("erk",), (1e-3,), roads=("compiled", "interpreted"))
@@ -202,10 +216,10 @@ def test_study_without_time_lists_what_it_left_out_and_runs_it_when_resumed():
 
 def test_failure_that_took_long_keeps_tighter_tolerances_from_running(monkeypatch):
     def failing(self, configuration):
-        raise SolverError("it gave up")
+        run = reference(bar()).run
+        raise SolverError("it gave up", replace(run, stats={"solve_time": 6.0}))
 
     monkeypatch.setattr(Workshop, "run", failing)
-    monkeypatch.setattr("cosim.tradeoffs.rounds.SLOW", 0.0)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
     reasons = [m.status.partition(":")[0] for m in study.measurements]
     assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]

@@ -36,6 +36,11 @@ class Event:
     solver_time: float | None = None
     total_time: float | None = None
 
+    @property
+    def run_time(self) -> float:
+        """Time of the integration as far as it is known, without what was compiled for it, s."""
+        return self.solver_time or 0.0
+
 
 @dataclass(frozen=True)
 class Record:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.comparison import compare
-from cosim.errors import CosimError
+from cosim.errors import CosimError, SolverError
 from cosim.references import Reference
 from cosim.tradeoffs.configuration import Configuration
 from cosim.tradeoffs.events import Event
@@ -128,9 +128,11 @@ def observed_event(
     )
 
 
-def failed_event(configuration: Configuration, error: CosimError, seconds: float) -> Event:
-    """Keep the reason why a configuration has no result, and the time that it took, s."""
-    return Event(configuration, f"{type(error).__name__}: {error}", total_time=seconds)
+def failed_event(configuration: Configuration, error: CosimError) -> Event:
+    """Keep the reason why a configuration has no result, and the time that the solver took."""
+    partial = error.partial if isinstance(error, SolverError) else None
+    time = partial.stats.get("solve_time") if partial is not None else None
+    return Event(configuration, f"{type(error).__name__}: {error}", solver_time=time)
 
 
 def invariants(reference: Reference) -> tuple[str, ...]:

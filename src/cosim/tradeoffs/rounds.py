@@ -33,7 +33,9 @@ def measure(
         tell: Called after each run of the first round, and after each round.
     """
     counts = Counter(event.configuration for event in events)
-    took = {e.configuration: e.total_time or 0.0 for e in events}
+    took: dict[Configuration, float] = {}
+    for event in events:
+        took.setdefault(event.configuration, event.run_time)
     failed = {e.configuration for e in events if not e.errors}
     for number in range(repeats + 1):
         began = perf_counter()
@@ -55,7 +57,7 @@ def measure(
             events.append(event)
             counts[configuration] += 1
             if number == 0:
-                took[configuration] = event.total_time or 0.0
+                took[configuration] = event.run_time
                 if not event.errors:
                     failed.add(configuration)
                 tell(f"{i}/{len(wanted)} {_said(event)}")
@@ -90,6 +92,5 @@ def _said(event: Event) -> str:
         return f"{event.configuration}: {event.status}"
     worst = max(event.errors, key=event.errors.__getitem__)
     calls = "" if event.rhs_calls is None else f", {event.rhs_calls} calls"
-    time = event.solver_time if event.solver_time is not None else event.total_time
-    told = "" if time is None else f", {1e3 * time:.2f} ms"
-    return f"{event.configuration}: error {event.errors[worst]:.1e} ({worst}){calls}{told}"
+    told = f"error {event.errors[worst]:.1e} ({worst}){calls}, {1e3 * event.run_time:.2f} ms"
+    return f"{event.configuration}: {told}"

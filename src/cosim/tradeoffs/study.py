@@ -81,11 +81,10 @@ def tradeoff(
         wanted = configurations(workshop, scene, selection)
 
         def run(configuration: Configuration) -> Event:
-            start = perf_counter()
             try:
                 trajectory = workshop.run(configuration)
             except CosimError as error:
-                return failed_event(configuration, error, perf_counter() - start)
+                return failed_event(configuration, error)
             return observed_event(configuration, trajectory, truth, kept, constant)
 
         events = [event for event in events if event.configuration in wanted]
