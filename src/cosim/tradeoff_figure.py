@@ -27,7 +27,7 @@ _COLOURS = {
 _MARKERS = dict(zip(ROADS, "osD^", strict=True))
 _MILLISECONDS = 1e3
 _SMALLEST = 1e-17  # a difference of zero has no logarithm
-_ROOM = 0.5  # for the names of the front, in widths of what is drawn
+_ROOM = 0.62  # for the names of the front, in widths of what is drawn
 _LINE = 0.021  # from one name to the next, in heights of the panel
 _STYLE: dict[Any, Any] = {
     "font.size": 9,
@@ -64,8 +64,9 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
             axes[2].set_ylabel("largest drift [nominal values]")
             axes[2].set_title(f"needs no reference: {_some(study.invariants)}", fontsize=8)
         without = sum(m.error is None for m in study.measurements)
+        values = f" with {study.provenance['values']}" if "values" in study.provenance else ""
         figure.suptitle(
-            f"{study.scene}: global error against cost of {len(shown)} configurations"
+            f"{study.scene}{values}: global error against cost of {len(shown)} configurations"
             + (f" ({without} more have no result)" if without else ""),
             fontsize=12,
         )

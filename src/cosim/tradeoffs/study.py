@@ -101,7 +101,7 @@ def tradeoff(
         gather(ordered),
         tuple(observed_order(scene, truth, solver) for solver in fixed),
         tuple(limit for limit in limits if limit is not None),
-        provenance(truth),
+        _run_facts(scene) | provenance(truth),
         impossible,
     )
 
@@ -127,6 +127,15 @@ def configurations(
             f"{', '.join(selection.roads) or 'any road'}; an FMU has its own solvers"
         )
     return found
+
+
+def _run_facts(scene: Scene) -> dict[str, str]:
+    """Return what was run: the values that the scene sets, and the output times."""
+    begin, end = span(scene)
+    interval = scene.configured().experiment.output_interval
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in scene.values.items())
+    facts = {"values": values} if values else {}
+    return facts | {"output times": f"{begin:g} to {end:g} s, every {interval:g} s"}
 
 
 def _impossible(workshop: Workshop, selection: Selection) -> tuple[tuple[str, str], ...]:
