@@ -18,8 +18,9 @@ from time import perf_counter
 
 import cosim
 from casadi_models.dae import Dae, Model
-from cosim.compile import find_compiler
+from cosim.compile import FLAGS, find_compiler
 from cosim.export.build import fmi_headers
+from cosim.export.platforms import native_target
 
 REPEATS = 15
 DRIVER = r"""
@@ -41,6 +42,7 @@ static void ignore(fmi2ComponentEnvironment e, fmi2String n, fmi2Status s, fmi2S
     (void)e, (void)n, (void)s, (void)c, (void)m;
 }
 
+__attribute__((visibility("default")))
 void measure(int count, double results[5]) {
     static const fmi2CallbackFunctions host = {ignore, calloc, free, NULL, NULL};
     double start = now();
@@ -150,8 +152,10 @@ def c_loop(fmu: Path, folder: Path) -> ctypes.CDLL:
     (sources / "driver.c").write_text(DRIVER)
     library = folder / "driver.so"
     files = [str(path) for path in sorted(sources.glob("*.c"))]
-    options = ["-O2", "-std=gnu11", "-fPIC", "-shared", f"-I{fmi_headers()}", f"-I{sources}"]
-    subprocess.run([*find_compiler(), *options, *files, "-o", str(library), "-lm"], check=True)
+    options = [*FLAGS, *native_target().options(library.name), "-std=gnu11"]  # those of exports
+    folders = [f"-I{fmi_headers()}", f"-I{sources}"]
+    call = [*find_compiler(), *options, *folders, *files, "-o", str(library), "-lm"]
+    subprocess.run(call, check=True)
     return ctypes.CDLL(str(library))
 
 

@@ -4,7 +4,6 @@
 
    model_start              x_guess, p                            -> x, defect (1)
    model_start_directional  x, p, seed_x, seed_p                  -> sens_x
-   model_start_adjoint      x, p, seed_x                          -> sens_x, sens_p
    model_algebraic          t, x, z_guess, u, p                   -> z
    model_ode                t, x, z, u, p                         -> dx
    model_outputs            t, x, z, u, p                         -> y
@@ -13,11 +12,12 @@
    model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
    model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
 
-   The two start derivatives are of x as function of the exact starts and p: calculated entries
-   of seed_x (directional) and of sens_x (adjoint) have no influence. model_directional and
-   model_adjoint see z as function of the rest, and so does model_jacobian: derivatives of dx and z
-   with respect to x and u, column by column, dense. model_step integrates from t to t + h with the
-   inputs u + s du, s from 0 to 1. */
+   The start derivative is of x as function of the exact starts and p: calculated entries of seed_x
+   have no influence. model_directional and model_adjoint see z as function of the rest, and so does
+   model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
+   model_step integrates from t to t + h with the inputs u + s du, s from 0 to 1.
+
+   model_adjoint is there where model.h has HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -31,11 +31,11 @@ enum { MOST_ARGUMENTS = 9, MOST_RESULTS = 4 };
 #pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
 #endif
 
-Equation model_start, model_start_directional, model_start_adjoint;
+Equation model_start, model_start_directional;
 Equation model_algebraic, model_ode, model_outputs;
 Equation model_directional, model_adjoint, model_jacobian, model_step;
 
-WorkSize model_start_work, model_start_directional_work, model_start_adjoint_work;
+WorkSize model_start_work, model_start_directional_work;
 WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
 WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
 

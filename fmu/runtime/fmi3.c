@@ -145,17 +145,6 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
     return (fmi3Status)directional(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity);
 }
 
-fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
-                                    size_t nUnknowns, const fmi3ValueReference knowns[],
-                                    size_t nKnowns, const fmi3Float64 seed[], size_t nSeed,
-                                    fmi3Float64 sensitivity[], size_t nSensitivity) {
-    Instance *self = instance;
-    if (!allowed(self, IN_GET_DERIVATIVE, __func__)) return fmi3Error;
-    if (!one_each(self, nSeed, nUnknowns) || !one_each(self, nSensitivity, nKnowns))
-        return fmi3Error;
-    return (fmi3Status)adjoint(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity);
-}
-
 /* -- the FMU state ---------------------------------------------------------------------------- */
 
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {

@@ -13,10 +13,14 @@ static const double TIGHTEST_TOLERANCE = 1e-13; /* about 500 rounding errors */
 static const double LOOSEST_TOLERANCE = 0.1;
 
 static WorkSize *const work_sizes[] = {
-    model_start_work,       model_start_directional_work, model_start_adjoint_work,
-    model_algebraic_work,   model_ode_work,               model_outputs_work,
-    model_directional_work, model_adjoint_work,           model_jacobian_work,
+    model_start_work, model_start_directional_work, model_algebraic_work, model_ode_work,
+    model_outputs_work, model_directional_work, model_jacobian_work,
+#if HAS_ADJOINT
+    model_adjoint_work,
+#endif
+#if !SOLVER_DOP853
     model_step_work,
+#endif
 };
 
 typedef struct {

@@ -50,11 +50,15 @@ enum {
     EVERYTHING = START_VALUES | AFTER_START
 };
 
+/* Numbers that the solver of co-simulation goes on from, see integration_dop853.c. */
+enum { SOLVER_MEMORY = SOLVER_DOP853 ? 10 * NX + ROOM(NU) + 5 : 0 };
+
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */
 typedef struct {
     double values[N_VARIABLES]; /* by value reference */
     double slopes[ROOM(NU)];    /* du/dt within the communication step */
+    double memory[ROOM(SOLVER_MEMORY)];
     double stop_time;           /* infinite where none was given */
     double tolerance;           /* relative, of co-simulation */
     uint32_t interface;         /* MODEL_EXCHANGE or CO_SIMULATION */
@@ -124,9 +128,6 @@ bool known(Instance *self, const uint32_t references[], size_t count);
 Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
                    const uint32_t knowns[], size_t n_knowns, const double seed[],
                    double sensitivity[]);
-Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-               const uint32_t knowns[], size_t n_knowns, const double seed[],
-               double sensitivity[]);
 Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]);
 
 #if defined __GNUC__ && !defined _WIN32

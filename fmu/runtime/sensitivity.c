@@ -1,15 +1,14 @@
-/* Analytic derivatives: of all results along a seed, and of weighted results backwards.
+/* Analytic derivatives of all results along a seed.
 
-   Seeds, weights and sensitivities are laid out like the values, by value reference. In
+   Seeds and sensitivities are laid out like the values, by value reference. In
    initialization mode the calculated start values follow from the exact ones and the parameters;
    later all states are independent. */
+#include "sensitivity.h"
+
 #include <math.h>
 #include <string.h>
 
-#include "equations.h"
-#include "instance.h"
-
-static bool starting(const Instance *self) {
+bool starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }
 
@@ -27,8 +26,8 @@ static bool is_unknown(const VariableInfo *variable) {
     return variable->role != TIME && variable->role != INPUT && variable->role != PARAMETER;
 }
 
-static Status check(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-                    const uint32_t knowns[], size_t n_knowns) {
+Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                   const uint32_t knowns[], size_t n_knowns) {
     if (!known(self, unknowns, n_unknowns) || !known(self, knowns, n_knowns)) return ERROR;
     for (size_t i = 0; i < n_unknowns; i++)
         if (!is_unknown(&variables[unknowns[i]]))
@@ -39,7 +38,7 @@ static Status check(Instance *self, const uint32_t unknowns[], size_t n_unknowns
     return refresh(self, ALGEBRAICS);
 }
 
-static Status run(Instance *self, Equation *equation) {
+Status run(Instance *self, Equation *equation) {
     if (equation(self->arg, self->res, self->iw, self->w, 0))
         return refuse(self, DISCARD, "the derivative has no value");
     return OK;
@@ -49,8 +48,8 @@ static Status refuse_not_finite(Instance *self, uint32_t reference, double value
     return refuse(self, DISCARD, "the derivative of %s is %g", variables[reference].name, value);
 }
 
-static Status gather(Instance *self, const uint32_t references[], size_t count,
-                     const double results[], double values[]) {
+Status gather(Instance *self, const uint32_t references[], size_t count, const double results[],
+              double values[]) {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(results[references[i]]))
             return refuse_not_finite(self, references[i], results[references[i]]);
@@ -59,7 +58,7 @@ static Status gather(Instance *self, const uint32_t references[], size_t count,
 }
 
 /* Spread a seed of exact starts and parameters to the calculated start values. */
-static Status spread_to_starts(Instance *self, double seed[]) {
+Status spread_to_starts(Instance *self, double seed[]) {
     double x[ROOM(NX)] = {0};
     self->arg[0] = self->state.values + FIRST_STATE;
     self->arg[1] = self->state.values + FIRST_PARAMETER;
@@ -69,21 +68,6 @@ static Status spread_to_starts(Instance *self, double seed[]) {
     const Status status = run(self, model_start_directional);
     if (status == OK) memcpy(seed + FIRST_STATE, x, NX * sizeof(double));
     return status;
-}
-
-/* Collect a weight of the calculated start values on exact starts and parameters. */
-static Status collect_from_starts(Instance *self, double weight[]) {
-    double x[ROOM(NX)] = {0}, p[ROOM(NP)] = {0};
-    self->arg[0] = self->state.values + FIRST_STATE;
-    self->arg[1] = self->state.values + FIRST_PARAMETER;
-    self->arg[2] = weight + FIRST_STATE;
-    self->res[0] = x;
-    self->res[1] = p;
-    const Status status = run(self, model_start_adjoint);
-    if (status != OK) return status;
-    memcpy(weight + FIRST_STATE, x, NX * sizeof(double));
-    for (int i = 0; i < NP; i++) weight[FIRST_PARAMETER + i] += p[i];
-    return OK;
 }
 
 /* Derivatives of everything along a seed of what is independent; replaces the seed. */
@@ -140,7 +124,7 @@ static Status column_of_jacobian(Instance *self, const uint32_t unknowns[], size
 Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
                    const uint32_t knowns[], size_t n_knowns, const double seed[],
                    double sensitivity[]) {
-    Status status = check(self, unknowns, n_unknowns, knowns, n_knowns);
+    Status status = check_roles(self, unknowns, n_unknowns, knowns, n_knowns);
     if (status != OK) return status;
     if (n_knowns > 0 && !seed) return refuse(self, ERROR, "the seed is missing");
     if (n_unknowns > 0 && !sensitivity) return refuse(self, ERROR, "there is no room for results");
@@ -154,34 +138,9 @@ Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
     return status == OK ? gather(self, unknowns, n_unknowns, along, sensitivity) : status;
 }
 
-/* The seed of the unknowns, as a row, times their Jacobian with respect to the knowns. */
-Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-               const uint32_t knowns[], size_t n_knowns, const double seed[],
-               double sensitivity[]) {
-    Status status = check(self, unknowns, n_unknowns, knowns, n_knowns);
-    if (status != OK) return status;
-    if (n_unknowns > 0 && !seed) return refuse(self, ERROR, "the seed is missing");
-    if (n_knowns > 0 && !sensitivity) return refuse(self, ERROR, "there is no room for results");
-
-    double weight[N_VARIABLES] = {0}, result[N_VARIABLES] = {0};
-    for (size_t i = 0; i < n_unknowns; i++) weight[unknowns[i]] += seed[i];
-    pass_values(self);
-    self->arg[5] = weight + FIRST_DERIVATIVE;
-    self->arg[6] = weight + FIRST_ALGEBRAIC;
-    self->arg[7] = weight + FIRST_OUTPUT;
-    self->res[0] = result + FIRST_STATE;
-    self->res[1] = result + FIRST_INPUT;
-    self->res[2] = result + FIRST_PARAMETER;
-    self->res[3] = result + TIME;
-    status = run(self, model_adjoint);
-    for (int i = FIRST_STATE; i < FIRST_DERIVATIVE; i++) result[i] += weight[i];
-    if (status == OK && starting(self)) status = collect_from_starts(self, result);
-    return status == OK ? gather(self, knowns, n_knowns, result, sensitivity) : status;
-}
-
 /* Derivatives of unknowns with respect to time along the solution, inputs moving as declared. */
 Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]) {
-    Status status = check(self, unknowns, count, NULL, 0);
+    Status status = check_roles(self, unknowns, count, NULL, 0);
     if (status == OK) status = refresh(self, DERIVATIVES);
     if (status != OK) return status;
     if (!rates) return refuse(self, ERROR, "there is no room for the values");

@@ -9,7 +9,7 @@
 
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 1 };
+enum { LAYOUT_VERSION = 2 };
 
 typedef struct {
     uint64_t magic;
@@ -76,6 +76,8 @@ static bool plausible(const Instance *self, const State *state) {
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     for (int i = 0; i < NU; i++)
         if (!isfinite(state->slopes[i])) return false;
+    for (int i = 0; i < SOLVER_MEMORY; i++)
+        if (!isfinite(state->memory[i])) return false;
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;
         if (!result && !isfinite(state->values[i])) return false;

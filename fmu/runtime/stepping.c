@@ -4,56 +4,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "equations.h"
-
-/* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
-   that the step ends within about 4^-5 of its length before what stops it. Attempts times the
-   integrator's own limit of steps bound the work of a call. */
-enum { MOST_ATTEMPTS = 12 };
+#include "integration.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
-
-/* Integrate over `length`; on failure nothing has changed. */
-static bool advance(Instance *self, double length) {
-    double *values = self->state.values, *u = values + FIRST_INPUT;
-    double q[3 + 2 * NU + NP], x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0}, du[ROOM(NU)] = {0};
-    for (int i = 0; i < NU; i++) du[i] = self->state.slopes[i] * length;
-    q[0] = values[TIME];
-    q[1] = length;
-    q[2] = self->state.tolerance;
-    memcpy(q + 3, u, NU * sizeof *u);
-    memcpy(q + 3 + NU, du, NU * sizeof *du);
-    memcpy(q + 3 + 2 * NU, values + FIRST_PARAMETER, NP * sizeof *values);
-    self->arg[0] = values + FIRST_STATE;
-    self->arg[1] = values + FIRST_ALGEBRAIC;
-    self->arg[2] = q;
-    self->res[0] = x;
-    self->res[1] = z;
-    if (model_step(self->arg, self->res, self->iw, self->w, 0)) return false;
-    if (!all_finite(x, NX) || !all_finite(z, NZ)) return false;
-
-    memcpy(values + FIRST_STATE, x, NX * sizeof *x);
-    memcpy(values + FIRST_ALGEBRAIC, z, NZ * sizeof *z);
-    for (int i = 0; i < NU; i++) u[i] += du[i];
-    self->state.stale |= AFTER_START;
-    return true;
-}
-
-/* Integrate up to `end`, or as far as it goes; time tells how far. */
-static bool advance_to(Instance *self, double end) {
-    double *time = &self->state.values[TIME];
-    double length = end - *time;
-    for (int attempt = 0; attempt < MOST_ATTEMPTS && *time < end; attempt++) {
-        if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
-        const double rest = end - *time;
-        const bool last = length >= rest;
-        if (advance(self, last ? rest : length))
-            *time = last ? end : *time + length;
-        else
-            length = (last ? rest : length) / 4;
-    }
-    return *time >= end;
-}
 
 static void drop_spent_slopes(Instance *self) {
     if (self->state.slopes_spent) memset(self->state.slopes, 0, sizeof self->state.slopes);
@@ -76,7 +29,7 @@ Status do_step(Instance *self, double from, double length) {
 
     drop_spent_slopes(self);
     const State before = self->state;
-    const bool done = advance_to(self, end);
+    const bool done = integrate_to(self, end);
     self->state.slopes_spent = true;
     self->state.step_status = done ? OK : DISCARD;
     if (done) return OK;

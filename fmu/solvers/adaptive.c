@@ -17,7 +17,7 @@ static int integrate(
     memcpy(x, out, sizeof x);
     *reached = t;
     *last = 0;
-    if (slope(self, t, x, k[0], z) || !all_finite(k[0])) return NOT_FINITE;
+    if (slope(self, t, x, k[0], z) || !is_finite(k[0])) return NOT_FINITE;
     double h = fmin(first_step(self, task, t, stop - t, x, k), task->largest);
     while (next < task->points) {
         *reached = t;
@@ -32,7 +32,7 @@ static int integrate(
         const double error = lost ? NAN : error_of(task, h, x, end, k);
         const double after = final ? stop : t + h;
         if (!(error <= 1) || restore(self, end) || slope(self, after, end, k[END], NULL) ||
-            !all_finite(k[END])) {
+            !is_finite(k[END])) {
             h *= error > 1 ? growth(error, rejected) : 0.1;
             rejected = 1;
             continue;

@@ -4,7 +4,7 @@
  *         sections II.4 (starting step, control) and II.10 (error estimate, interpolant).
  *
  * What includes this text has before it: NX; the types Problem and Task; slope(self, t, x, dx, z),
- * which returns 0 where dx/dt has a value; all_finite(x); and the generated node[] and weighted
+ * which returns 0 where dx/dt has a value; is_finite(x); and the generated node[] and weighted
  * sums of the slopes stage_sum(stage, k, sum), error_5(k, sum), error_3(k, sum) and
  * dense_sum(row, k, sum). It has to define scale.
  */
@@ -39,7 +39,7 @@ static double first_step(
     double y[NX], change[NX];
     h = fmin(h, span);
     for (int i = 0; i < NX; ++i) y[i] = x[i] + h * k[0][i];
-    if (slope(self, t + h, y, k[1], NULL) || !all_finite(k[1])) return h;
+    if (slope(self, t + h, y, k[1], NULL) || !is_finite(k[1])) return h;
     for (int i = 0; i < NX; ++i) change[i] = k[1][i] - k[0][i];
     const double steepest = fmax(rate, norm(task, change, x) / h);
     const double next = steepest > 1e-15 ? pow(0.01 / steepest, 1.0 / 8) : fmax(1e-6, 1e-3 * h);
@@ -55,7 +55,7 @@ static int stages(Problem *self, double t, double h, const double *x, Slopes k, 
         if (s == END) break; /* the slope there is found once the step is accepted */
         if (slope(self, t + node[s] * h, end, k[s], NULL)) return 1;
     }
-    return !all_finite(end);
+    return !is_finite(end);
 }
 
 /* Error of a step in units of the tolerance. */

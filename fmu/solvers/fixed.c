@@ -28,7 +28,7 @@ static int integrate(
             if (restore(self, x)) return NOT_FINITE;
             ++self->steps;
         }
-        if (!all_finite(x)) return NOT_FINITE;
+        if (!is_finite(x)) return NOT_FINITE;
         memcpy(out + next * NX, x, sizeof x);
         if (z && slope(self, task->grid[next], x, k[0], z + next * NZ)) return NOT_FINITE;
     }

@@ -43,7 +43,7 @@ static int slope(Problem *self, double t, const double *x, double *dx, double *z
     return rhs(self->arg, self->res, self->iw, self->w, 0);
 }
 
-static int all_finite(const double *values) {
+static int is_finite(const double *values) {
     double sum = 0;
     for (int i = 0; i < NX; ++i) sum += 0 * values[i]; /* 0 * inf and 0 * nan are nan */
     return sum == 0;

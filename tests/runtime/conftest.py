@@ -10,13 +10,19 @@ import pytest
 import toy
 
 
+@pytest.fixture(scope="session", params=["step"])
+def solver(request: pytest.FixtureRequest) -> str:
+    """The solver of co-simulation, see `toy.write`; some modules take both."""
+    return str(request.param)
+
+
 @pytest.fixture(scope="session")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model(solver: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the toy's model.h and model.c."""
     if harness.compiler() is None:
         pytest.skip("needs a C compiler")
     folder = tmp_path_factory.mktemp("toy")
-    toy.write(folder, toy.toy(), toy.TABLE)
+    toy.write(folder, toy.toy(), toy.TABLE, solver)
     return folder
 
 

@@ -36,10 +36,11 @@ def compiler() -> str | None:
     return next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
 
 
-def sources(version: int) -> list[Path]:
-    """Return the runtime's files for one FMI version."""
-    other = f"fmi{5 - version}"
-    return sorted(path for path in RUNTIME.glob("*.c") if not path.name.startswith(other))
+def sources(model: Path, version: int) -> list[Path]:
+    """Return the runtime's files for one FMI version and the solver that a model is written for."""
+    dop853 = "SOLVER_DOP853 1" in (model / "model.h").read_text()
+    others = (f"fmi{5 - version}", "integration_step" if dop853 else "integration_dop853")
+    return sorted(path for path in RUNTIME.glob("*.c") if not path.name.startswith(others))
 
 
 def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Path) -> list[Path]:
@@ -47,7 +48,7 @@ def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Pat
     folder.mkdir(parents=True, exist_ok=True)
     include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
     objects = []
-    for source in [model / "model.c", *sources(version)]:
+    for source in [model / "model.c", *sources(model, version)]:
         target = folder / f"{source.stem}.o"
         strict = STRICT if source.parent == RUNTIME else ["-std=c11"]
         run([compiler(), *strict, *flags, *include, "-c", source, "-o", target])

@@ -7,6 +7,8 @@ import toy
 from harness import program, run
 
 THREADED = ["-g", "-O1", "-fsanitize=thread"]
+SOLVERS = ["step", "dop853"]
+with_each_solver = pytest.mark.parametrize("solver", SOLVERS, scope="session")
 
 
 @pytest.fixture(scope="module")
@@ -15,12 +17,14 @@ def fuzzers(model: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[int, 
     return {v: program(f"fuzz_fmi{v}", model, v, folder / str(v)) for v in (2, 3)}
 
 
+@with_each_solver
 @pytest.mark.parametrize("version", [2, 3])
 def test_random_calls_do_no_harm(fuzzers, version):
     check(fuzzers[version], seed=1, calls=100_000)
 
 
 @pytest.mark.slow
+@with_each_solver
 @pytest.mark.parametrize("seed", range(2, 6))
 @pytest.mark.parametrize("version", [2, 3])
 def test_millions_of_random_calls_do_no_harm(fuzzers, version, seed):
@@ -39,6 +43,7 @@ def test_a_failing_allocation_leaves_nothing_behind(model, tmp_path):
     assert int(failures) == 3  # instance, FMU state, de-serialized state
 
 
+@with_each_solver
 def test_64_threads_and_1000_instances_give_the_bits_of_serial_runs(model, tmp_path):
     crowd = program("crowd", model, 2, tmp_path, ["-g", "-O2"])
     assert int(run([crowd, 64, 1000])) == 1000
@@ -49,8 +54,9 @@ def test_threads_share_nothing(model, tmp_path):
     assert int(run([crowd, 16, 32])) == 32
 
 
-def test_a_model_with_nothing_but_a_state_compiles_without_a_warning(tmp_path):
-    toy.write(tmp_path, toy.bare(), toy.BARE)
+@pytest.mark.parametrize("kind", SOLVERS)
+def test_a_model_with_nothing_but_a_state_compiles_without_a_warning(kind, tmp_path):
+    toy.write(tmp_path, toy.bare(), toy.BARE, kind)
     for version in (2, 3):
         fuzzer = program(f"fuzz_fmi{version}", tmp_path, version, tmp_path / str(version))
         assert int(run([fuzzer, 1, 20_000]).split()[0]) == 20_000

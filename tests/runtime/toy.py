@@ -16,6 +16,8 @@ from pathlib import Path
 import casadi as ca
 from casadi import MX, SX
 
+from cosim.stage_sums import dop853_text
+
 GUID = "{toy-guid}"
 
 
@@ -93,17 +95,21 @@ def bare() -> Equations:
     return Equations(t, x, z, u, p, -x, SX(0, 1), SX(0, 1), SX(0, 1), calculated=None)
 
 
-def write(folder: Path, model: Equations, table: Sequence[Row]) -> None:
-    """Write model.h and model.c."""
+def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "step") -> None:
+    """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs."""
     counts = {role: sum(row.role == role for row in table) for role in ROLES}
     header = [
         '#define MODEL_IDENTIFIER "toy"',
         '#define MODEL_NAME "toy"',
         f'#define MODEL_GUID "{GUID}"',
         "#define DEFAULT_TOLERANCE 1e-8",
+        "#define HAS_ADJOINT 1",
+        f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
+        "#define LARGEST_STEP 0.5",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
     ]
     (folder / "model.h").write_text("\n".join(header) + "\n")
+    (folder / "dop853.h").write_text(dop853_text())
     generator = ca.CodeGenerator("model.c", {"with_export": False})
     for function in _contract(model):
         generator.add(function)
@@ -190,11 +196,9 @@ def _start_functions(m: Equations) -> list[ca.Function]:
     seed_x, seed_p = MX.sym("seed_x", x.numel()), MX.sym("seed_p", p.numel())
     inputs = [guess, p]
     forward = ca.jtimes(x, ca.vertcat(guess), seed_x) + ca.jtimes(x, p, seed_p)
-    backward = [ca.jtimes(x, k, seed_x, True) for k in inputs]
     return [
         ca.Function("model_start", inputs, [x, defect]),
         ca.Function("model_start_directional", [*inputs, seed_x, seed_p], [forward]),
-        ca.Function("model_start_adjoint", [*inputs, seed_x], backward),
     ]
 
 

@@ -16,23 +16,45 @@ from cosim.generated import differential_errors, run_time_tolerances
 _CALL = ["t", "x", "z", "u", "p"]
 
 
-def equations_code(dae: Dae) -> str:
-    """Return the generated C code of everything that the runtime calls."""
+# Solvers of co-simulation. `dop853` is hand-written, in the runtime; the others are CasADi's.
+DOP853 = "dop853"
+SOLVERS = (DOP853, "erk", "rosenbrock")
+
+
+def default_solver(dae: Dae) -> str:
+    """Return the solver that an FMU gets: one for DAEs where there are algebraic unknowns."""
+    return "rosenbrock" if dae.algebraics else DOP853
+
+
+def equations_code(dae: Dae, fmi: int, solver: str) -> str:
+    """Return the generated C code of everything that the runtime calls.
+
+    Args:
+        dae: The model.
+        fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
+        solver: Of `SOLVERS`.
+    """
     generator = ca.CodeGenerator("equations", {"with_header": False, "indent": 1})
     for function in (
         start_function(dae),
         algebraic_function(dae),
         _plain(dae, "model_ode", dae.ode),
         _plain(dae, "model_outputs", dae.outputs),
-        *sensitivity_functions(dae),
-        step_function(dae),
+        *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
+    if not uses_dop853(dae, solver):
+        generator.add(step_function(dae, solver))
     code = str(generator.dump())
-    if not dae.states:
+    if not dae.states or solver == DOP853:
         return code
     code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
     return differential_errors(code) if dae.algebraics else code
+
+
+def uses_dop853(dae: Dae, solver: str) -> bool:
+    """Tell whether the runtime's own solver is compiled; it needs something to integrate."""
+    return solver == DOP853 and bool(dae.states)
 
 
 def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:
@@ -40,12 +62,12 @@ def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:
     return ca.Function(name, symbols, [expression], _CALL, ["value"], {"cse": True})
 
 
-def step_function(dae: Dae) -> ca.Function:
+def step_function(dae: Dae, plugin: str) -> ca.Function:
     """Return `model_step(x, z, q) -> (x_end, z_end)`, the co-simulation solver.
 
     q = (t0, h, relative tolerance, u0, du, p): integrates over h with inputs u0 + s du, s from 0 to
-    1, by CasADi's `erk`, or `rosenbrock` where there are algebraic unknowns. The states are scaled
-    by their nominal values, so that one tolerance fits all of them.
+    1, by CasADi's `erk` or `rosenbrock`. The states are scaled by their nominal values, so that one
+    tolerance fits all of them.
     """
     s, scaled = SX.sym("s"), SX.sym("scaled", dae.x.numel())
     t0, h, rtol = SX.sym("t0"), SX.sym("h"), SX.sym("rtol")
@@ -59,9 +81,8 @@ def step_function(dae: Dae) -> ca.Function:
     moving = [t0 + s * h, u0 + s * du, scale * scaled]
     ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
     problem = {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
-    plugin = "rosenbrock" if dae.algebraics else "erk"
     # So many that a step of seconds passes, so few that an absurd one fails within a second
-    options = {"show_eval_warnings": False, "max_num_steps": 4000 if dae.algebraics else 10_000}
+    options = {"show_eval_warnings": False, "max_num_steps": 10_000 if plugin == "erk" else 4000}
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])

@@ -11,11 +11,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from casadi_models.dae import Dae
-from cosim.errors import ExportError, ParameterError, UnknownName
+from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.export import description2, description3
 from cosim.export.build import binaries
 from cosim.export.check import check_fmu
 from cosim.export.documentation import documentation_page
+from cosim.export.equations import SOLVERS, default_solver, uses_dop853
 from cosim.export.identifier import model_identifier
 from cosim.export.platforms import NATIVE, targets
 from cosim.export.sources import equations, model_header, variable_table
@@ -23,6 +24,7 @@ from cosim.export.structure import Identity
 from cosim.export.variables import dependencies, fmu_variables
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.resources import cache_folder, runtime_sources
+from cosim.stage_sums import dop853_text
 from cosim.values import number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
@@ -39,6 +41,7 @@ def export_fmu(
     outputs: Sequence[str] | None = None,
     platforms: Sequence[str] = (NATIVE,),
     tolerance: float = TOLERANCE,
+    solver: str | None = None,
 ) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
 
@@ -51,13 +54,17 @@ def export_fmu(
         platforms: What it runs on: "native" (this machine), "linux64", "win64", "darwin64",
             "aarch64-linux" (FMI 3.0) or "all".
         tolerance: Relative tolerance that the FMU recommends.
+        solver: Of co-simulation: "dop853" (explicit, order 8; the default of ODEs), "rosenbrock"
+            (stiff; the default where there are algebraic unknowns) or "erk" (explicit, order 5,
+            ODEs only).
 
     Returns:
         Path of the FMU.
 
     Raises:
         ExportError: The name is no C name, or the file cannot be written.
-        UnknownName: The model has no such output, or FMI no such version or platform.
+        UnknownName: The model has no such output, or FMI no such version, platform or solver.
+        UsageError: The solver cannot solve for algebraic unknowns.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
     """
@@ -71,7 +78,7 @@ def export_fmu(
         raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
     if outputs is not None:
         dae = _observing(dae, outputs)
-    files = source_files(dae, name, tolerance, fmi)
+    files = source_files(dae, name, tolerance, fmi, solver)
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
     content = zipped(files | binaries(sources, name, chosen))
     if problems := check_fmu(io.BytesIO(content)):
@@ -82,14 +89,20 @@ def export_fmu(
     return write_atomically(path, content)
 
 
-def source_files(dae: Dae, name: str, tolerance: float, fmi: int) -> dict[str, bytes]:
-    """Return the content of the FMU by path, without binaries."""
+def source_files(
+    dae: Dae, name: str, tolerance: float, fmi: int, solver: str | None = None
+) -> dict[str, bytes]:
+    """Return the content of the FMU by path, without binaries; see `export_fmu`."""
+    solver = _solver_for(dae, solver)
     variables = fmu_variables(dae)
-    runtime = {e.name: e.read_bytes() for e in runtime_sources() if _belongs(e.name, fmi)}
+    others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
+    runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
         "model.c": variable_table(variables).encode(),
-        "equations.c": equations(dae).encode(),
+        "equations.c": equations(dae, fmi, solver).encode(),
     }
+    if uses_dop853(dae, solver):
+        code["dop853.h"] = dop853_text().encode()
     compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
     draft = Identity(name, "", f"cosim-rigid {version('cosim-rigid')}", compiled, tolerance)
     depends = dependencies(dae)
@@ -99,7 +112,7 @@ def source_files(dae: Dae, name: str, tolerance: float, fmi: int) -> dict[str, b
     for part in (unsigned, *code.values(), *runtime.values()):
         digest.update(part)
     guid = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
-    code["model.h"] = model_header(dae, name, guid, tolerance).encode()
+    code["model.h"] = model_header(dae, name, guid, tolerance, fmi, solver).encode()
     if fmi == 3:
         code["buildDescription.xml"] = description3.build_description(draft)
     return {
@@ -109,9 +122,17 @@ def source_files(dae: Dae, name: str, tolerance: float, fmi: int) -> dict[str, b
     }
 
 
-def _belongs(file: str, fmi: int) -> bool:
-    """Tell whether a file of the runtime is for this version of FMI, or for every."""
-    return not file.startswith("fmi") or file.startswith(f"fmi{fmi}")
+def _solver_for(dae: Dae, solver: str | None) -> str:
+    if solver is None:
+        return default_solver(dae)
+    if solver not in SOLVERS:
+        raise UnknownName.among("cosim export", "solver", solver, SOLVERS)
+    if solver == "erk" and dae.algebraics:
+        raise UsageError(
+            f"{dae.full_name} has algebraic unknowns, which erk cannot solve for; take dop853 "
+            "or rosenbrock"
+        )
+    return solver
 
 
 def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:

@@ -9,14 +9,13 @@ from casadi import MX, SX
 from casadi_models.dae import Dae, StartRule
 
 
-def sensitivity_functions(dae: Dae) -> list[ca.Function]:
+def sensitivity_functions(dae: Dae, *, adjoint: bool) -> list[ca.Function]:
     """Return the functions that fmu/runtime/equations.h declares beside the equations."""
     return [
         directional_function(dae),
-        adjoint_function(dae),
         jacobian_function(dae),
         start_directional_function(dae),
-        start_adjoint_function(dae),
+        *([adjoint_function(dae)] if adjoint else []),
     ]
 
 
@@ -96,16 +95,6 @@ def start_directional_function(dae: Dae) -> ca.Function:
     x, p, seed_x, seed_p = (_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
     moved = _along_starts(dae, x, p, seed_x, seed_p)
     return ca.Function("model_start_directional", [x, p, seed_x, seed_p], [moved])
-
-
-def start_adjoint_function(dae: Dae) -> ca.Function:
-    """Return `model_start_adjoint(x, p, seed_x)`: gradients with respect to exact starts and p."""
-    x, p, seed_x, along_x, along_p = (_like(s) for s in (dae.x, dae.p, dae.x, dae.x, dae.p))
-    moved = _along_starts(dae, x, p, along_x, along_p)
-    gradients = [ca.jtimes(moved, along, seed_x, True) for along in (along_x, along_p)]
-    still = {along_x: MX.zeros(dae.x.numel()), along_p: MX.zeros(dae.p.numel())}
-    results = ca.substitute(gradients, list(still), list(still.values()))
-    return ca.Function("model_start_adjoint", [x, p, seed_x], results)
 
 
 def _along_starts(dae: Dae, x: MX, p: MX, seed_x: MX, seed_p: MX) -> MX:

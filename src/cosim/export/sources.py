@@ -4,12 +4,18 @@ import re
 from collections.abc import Sequence
 
 from casadi_models.dae import Dae
-from cosim.export.equations import equations_code
+from cosim.export.equations import equations_code, uses_dop853
+from cosim.export.folding import folded
 from cosim.export.variables import FmuVariable
 
+LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
 
-def model_header(dae: Dae, identifier: str, guid: str, tolerance: float) -> str:
+
+def model_header(
+    dae: Dae, identifier: str, guid: str, tolerance: float, fmi: int, solver: str
+) -> str:
     """Return `model.h`: the sizes and names that the runtime is compiled with."""
+    span = dae.experiment.stop_time
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
 #define MODEL_H
@@ -22,6 +28,9 @@ def model_header(dae: Dae, identifier: str, guid: str, tolerance: float) -> str:
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
 #define DEFAULT_TOLERANCE {tolerance!r}
+#define HAS_ADJOINT {int(fmi == 3)}
+#define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
+#define LARGEST_STEP {span / LEAST_STEPS!r}
 #endif
 """
 
@@ -39,18 +48,26 @@ const VariableInfo variables[] = {{
 
 
 # Compilers of other people do not get our options; system headers must stay outside.
-_HIDDEN = """#include <math.h>
+_HEAD = """#include <math.h>
 #if defined __GNUC__ && !defined _WIN32
 #pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
 #endif
 #define CASADI_SYMBOL_EXPORT
+#if defined __GNUC__
+#define SMALL __attribute__((cold)) /* compiled for size */
+#else
+#define SMALL
+#endif
 """
 
+# Start values and derivatives: most of the code, and no solver waits for it in every step.
+_SMALL = re.compile(r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE)
 
-def equations(dae: Dae) -> str:
+
+def equations(dae: Dae, fmi: int, solver: str) -> str:
     """Return `equations.c`: CasADi's code, its functions visible inside the library only."""
-    code = re.sub(r"^ \* +$", " *", equations_code(dae), flags=re.MULTILINE)
-    return _HIDDEN + code
+    code = re.sub(r"^ \* +$", " *", equations_code(dae, fmi, solver), flags=re.MULTILINE)
+    return _HEAD + _SMALL.sub(r"\1SMALL ", folded(code))
 
 
 def _row(variable: FmuVariable) -> tuple[str, ...]:
