@@ -1,6 +1,6 @@
 """Coordinate projection: the smallest change of a state that makes its invariants vanish.
 
-Sources  Eich, SIAM J. Numer. Anal. 30, 1993, doi:10.1137/0730076 (convergence).
+Sources  Eich, SIAM J. Numer. Anal. 30, 1993, 1467-1482 (convergence).
          Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed. 1996, section VII.2.
 """
 

@@ -1,0 +1,155 @@
+"""Drift control of the forms with multipliers: what it leaves of drift and error, what it costs.
+
+Prints the tables of docs/drift.md. Times are medians of interleaved repeats of the solver alone;
+only their ratio to the run without control counts. Runs of more than SLOW seconds are not repeated.
+"""
+
+import sys
+from dataclasses import dataclass, field
+from statistics import median
+
+import numpy as np
+
+import cosim
+from casadi_models.dae import Dae
+from cosim.trajectory import Trajectory
+
+REPEATS = 25
+SLOW = 1.0  # s
+MONITORS = ("position_drift", "velocity_drift")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run that is controlled in several ways.
+
+    Attributes:
+        model: With multipliers.
+        values: Start values and parameters.
+        stop_time, output_interval: s.
+        truth: A formulation without constraints that its equations could drift from.
+        judged: What is compared with it; nothing where a run is too long for that.
+        energy: Whether energy is constant.
+    """
+
+    model: str
+    stop_time: float
+    output_interval: float = 0.01
+    values: dict[str, float] = field(default_factory=dict)
+    truth: str = ""
+    judged: tuple[str, ...] = ()
+    energy: bool = False
+
+
+WEAVE = {"thetaR_dot": -13.0}  # 3.9 m/s, below the weave speed of 4.29 m/s: a bounded weave
+TIP = ("x_tip", "y_tip", "z_tip")
+SHORT = (
+    Case(
+        "bicycle/multipliers",
+        20.0,
+        truth="bicycle/independent",
+        judged=("phi", "delta", "psi", "xP", "yP"),
+        energy=True,
+    ),
+    Case(
+        "double_pendulum/multipliers",
+        10.0,
+        truth="double_pendulum/quaternion",
+        judged=TIP,
+        energy=True,
+    ),
+    Case("bar_on_frame/two_body", 10.0, truth="bar_on_frame/reduced", judged=("theta", "tk_G_F")),
+    Case("crank_shaft/multipliers", 4.0, truth="crank_shaft/driven", judged=("phi", "fx_A")),
+)
+LONG = (
+    Case("bicycle/multipliers", 200.0, 0.1, WEAVE, energy=True),
+    Case("double_pendulum/multipliers", 600.0, 0.1, energy=True),
+    Case("bar_on_frame/two_body", 200.0, 0.1),
+    Case("crank_shaft/multipliers", 60.0, 0.1),
+)
+CONTROLS = (
+    ("none", {"drift_control": "none"}),
+    ("Baumgarte, 1/s", {"drift_control": "baumgarte"}),
+    ("Baumgarte, 10/s", {"drift_control": "baumgarte", "start": {"closing_rate": 10.0}}),
+    ("projection", {"drift_control": "projection"}),
+)
+
+
+def main() -> None:
+    for cases, tolerances in ((SHORT, (1e-6, 1e-8)), (LONG, (1e-8,))):
+        print(
+            "| model | solver | rtol | control | position | velocity | energy | error | calls "
+            "| time |"
+        )
+        print("|---|---|---|---|---|---|---|---|---|---|")
+        for case in cases:
+            dae = cosim.load(case.model)
+            truth = _truth(case)
+            for solver in ("dop853", "idas"):
+                for rtol in tolerances:
+                    _measure(case, dae, truth, solver, rtol)
+        print()
+
+
+def _measure(case: Case, dae: Dae, truth: Trajectory | None, solver: str, rtol: float) -> None:
+    """Print a row for each control that model and solver can have."""
+    possible = {
+        name: options
+        for name, options in CONTROLS
+        if (solver == "dop853" or name != "projection")
+        and (any(v.name == "closing_rate" for v in dae.parameters) or "Baum" not in name)
+    }
+    runs = {name: _run(case, dae, solver, rtol, options) for name, options in possible.items()}
+    times: dict[str, list[float]] = {name: [] for name in possible}
+    slow = max(run.stats["solve_time"] for run in runs.values()) > SLOW
+    for _ in range(2 if slow else REPEATS):
+        for name, options in possible.items():
+            again = _run(case, dae, solver, rtol, options)
+            times[name].append(again.stats["solve_time"])
+    for name, run in runs.items():
+        ratio = median(times[name]) / median(times["none"])
+        drifts = " | ".join(f"{np.abs(run[monitor]).max():.0e}" for monitor in MONITORS)
+        energy = f"{np.ptp(run['energy']) / np.abs(run['energy'][0]):.0e}" if case.energy else ""
+        error = "" if truth is None else f"{_error(case, run, truth):.0e}"
+        print(
+            f"| {case.model} | {solver} | {rtol:.0e} | {name} | {drifts} | {energy} | {error} "
+            f"| {run.stats['rhs_calls']} | {ratio:.2f} |",
+            flush=True,
+        )
+
+
+def _run(case: Case, dae: Dae, solver: str, rtol: float, options: dict) -> Trajectory:
+    merged = {**case.values, **options.get("start", {})}
+    return cosim.simulate(
+        dae,
+        solver=solver,
+        relative_tolerance=rtol,
+        stop_time=case.stop_time,
+        output_interval=case.output_interval,
+        outputs=(*case.judged, "energy", *MONITORS),
+        drift_control=options["drift_control"],
+        start=merged,
+        on_invalid="ignore",
+    )
+
+
+def _truth(case: Case) -> Trajectory | None:
+    if not case.judged:
+        return None
+    return cosim.simulate(
+        cosim.load(case.truth),
+        solver="dop853",
+        relative_tolerance=1e-13,
+        stop_time=case.stop_time,
+        outputs=case.judged,
+        start=case.values,
+    )
+
+
+def _error(case: Case, run: Trajectory, truth: Trajectory) -> float:
+    """Return the largest error in nominal values."""
+    return cosim.compare(truth, run.select(case.judged)).worst.scaled
+
+
+if __name__ == "__main__":
+    sys.exit(main())
