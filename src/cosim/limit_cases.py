@@ -68,8 +68,9 @@ PENDULUM = tuple(
     f"double_pendulum/{form}"
     for form in ("quaternion", "euler_313", "euler_313_axial", "multipliers")
 )
-EXPLICIT = ("cvodes", "erk", "rosenbrock", "rk4", "ode8")
+EXPLICIT = ("cvodes", "erk", "rosenbrock", "dop853", "rk4", "ode8")
 IMPLICIT = ("idas", "rosenbrock")
+SINGULAR = ("cvodes", "erk", "dop853", "rk4", "ode8")  # what is sent to singularities
 FACTORS = (1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
 
 
@@ -102,7 +103,7 @@ def _crank() -> Iterator[Case]:
 
 def _bar() -> Iterator[Case]:
     runs = [(BAR[0], solver) for solver in (*EXPLICIT, "cvodes_adams")]
-    runs += [(BAR[1], solver) for solver in IMPLICIT]
+    runs += [(BAR[1], solver) for solver in (*IMPLICIT, "dop853")]
     for b, (model, solver) in product((0, 2e-4, 2e-2, 0.2, 2, 20, 200, 2000), runs):
         other = Reference(BAR[0], "cvodes" if solver == "rosenbrock" else "rosenbrock")
         yield Case(
@@ -134,7 +135,7 @@ def _bar() -> Iterator[Case]:
 
 def _bicycle() -> Iterator[Case]:
     runs = [(BICYCLE[0], solver) for solver in EXPLICIT]
-    runs += [(BICYCLE[1], "cvodes"), (BICYCLE[2], "idas"), (BICYCLE[2], "rosenbrock")]
+    runs += [(BICYCLE[1], "cvodes"), *((BICYCLE[2], name) for name in (*IMPLICIT, "dop853"))]
     speeds = (0.0, 0.01, 2.0, 3.5, 4.292, 6.024, 8.0, 30.0, 100.0)
 
     def against(solver: str) -> Reference:
@@ -186,14 +187,12 @@ def _disk() -> Iterator[Case]:
 
 def _pendulum() -> Iterator[Case]:
     regular = Reference(PENDULUM[0], "erk", 1e-12)
-    for angle, solver in product(
-        (0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, pi), ("cvodes", "erk", "rk4", "ode8")
-    ):
+    for angle, solver in product((0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, pi), SINGULAR):
         values = {"theta1_0": angle}
         name = f"theta1 = {angle:g} rad, {solver}"
         case = Case("pendulum: 3-1-3 singularity", name, PENDULUM[2], values, 2.0)
         yield replace(case, solver=solver, references=(regular,))
-    for height, solver in product((80, 89, 89.999, 90), ("cvodes", "erk", "rk4", "ode8")):
+    for height, solver in product((80, 89, 89.999, 90), SINGULAR):
         values = {"theta1_0": height * DEGREE, "phi1_0": 0.0}
         name = f"link 1 at {height:g} deg, {solver}"
         case = Case("pendulum: 3-1-3 singularity", name, PENDULUM[1], values, 2.0)
@@ -232,7 +231,7 @@ def _masses() -> Iterator[Case]:
 
 def _tolerances() -> Iterator[Case]:
     values = (nan, -1.0, 0.0, 1e-18, 1e-15, 1e-14, 1e-13, 1e-12, 1e-11, 1e-9, 1e-4, 1e-2, 0.1, 1.0)
-    solvers = ("cvodes", "cvodes_adams", "erk", "rosenbrock", "idas")
+    solvers = ("cvodes", "cvodes_adams", "erk", "dop853", "rosenbrock", "idas")
     for rtol, solver in product(values, solvers):
         other = Reference(PENDULUM[0], "rosenbrock" if solver == "erk" else "erk", 1e-13)
         case = Case("tolerances", f"rtol {rtol:g}, {solver}", PENDULUM[0], {}, 2.0)
@@ -240,7 +239,7 @@ def _tolerances() -> Iterator[Case]:
         yield replace(
             case, bound=bound, solver=solver, relative_tolerance=rtol, references=(other,)
         )
-    for rtol, solver in product((1e-14, 1e-13, 1e-12, 1e-11), IMPLICIT):
+    for rtol, solver in product((1e-14, 1e-13, 1e-12, 1e-11), (*IMPLICIT, "dop853")):
         case = Case("tolerances", f"rtol {rtol:g}, {solver}", PENDULUM[3], {}, 2.0)
         other = Reference(PENDULUM[0], "erk", 1e-13)
         yield replace(case, solver=solver, relative_tolerance=rtol, references=(other,))
