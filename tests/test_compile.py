@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cosim import compile as compiling
-from cosim.compile import cached_library, find_compiler, has_compiler
+from cosim.compile import cached_library, compile_library, find_compiler, has_compiler
 from cosim.errors import MissingTool
 
 CODE = "int answer(void) { return 42; }\n"
@@ -198,3 +198,36 @@ def test_two_processes_may_make_the_same_library(cache):
     first, second = (process.communicate()[0] for process in both)
     assert first == second
     assert names(cache) == [first.decode().strip()]
+
+
+# -- Windows, as far as it can be played here ------------------------------------------------------
+
+
+@pytest.mark.parametrize(("bundled", "given"), [(False, False), (True, True)])
+def test_windows_compilers_but_the_bundled_one_get_neither_fpic_nor_libm(
+    bundled, given, script, tmp_path, monkeypatch
+):
+    script(f'echo "$@" >> {tmp_path}/calls', 'touch "$WANTED"')
+    monkeypatch.setenv("WANTED", str(tmp_path / "code.dll"))
+    monkeypatch.setattr(compiling.sys, "platform", "win32")
+    command = [str(tmp_path / "compiler"), *["ziglang"] * bundled]
+    compile_library([tmp_path / "code.c"], tmp_path / "code.dll", command=command)
+    words = (tmp_path / "calls").read_text().split()
+    assert ("-fPIC" in words, "-lm" in words) == (given, given)
+
+
+def test_paths_with_backslashes_and_spaces_are_read_as_windows_writes_them(monkeypatch):
+    chosen = r'"C:\Program Files\LLVM\bin\clang.exe" -m64'
+    monkeypatch.setenv("CC", chosen)
+    monkeypatch.setattr(compiling.shutil, "which", lambda name: name)
+    monkeypatch.setattr(compiling.sys, "platform", "win32")
+    assert find_compiler() == (r"C:\Program Files\LLVM\bin\clang.exe", "-m64")
+
+
+def test_library_that_another_process_has_made_and_loaded_meanwhile_is_taken(cache, monkeypatch):
+    def refuse(self, target):  # as Windows does where the target is loaded
+        target.write_bytes(self.read_bytes())
+        raise PermissionError(13, "Access is denied")
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    assert ctypes.CDLL(str(cached_library("key", lambda: CODE))).answer() == 42

@@ -189,9 +189,10 @@ def do_plot(args: argparse.Namespace) -> int:
     else:
         picture_format(args.output_file)  # refuses before anything has been computed
     scene = _scene(args)
+    second = None if args.compare is None else _second(args, scene)
     run, code = _run_or_partial(args, scene)
-    if args.compare:
-        other = _compared(args, scene)
+    if second:
+        other = run_scene(*second, compiled=False if args.interpreted else None)
         specs = (scene and scene.figures) or default_specs(run, other)
         figures = draw_figures(specs, run, other)
     else:
@@ -263,12 +264,11 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     )
 
 
-def _compared(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
-    """Return the run that `--compare` asks for."""
+def _second(args: argparse.Namespace, scene: Scene | None) -> tuple[Scene, str | None]:
+    """Return scene and road of the run that `--compare` asks for."""
     if scene is None:
         raise UsageError("--compare is for models and scenes; an FMU has one road only")
-    other, road = variant(scene, args.compare)
-    return run_scene(other, road, compiled=False if args.interpreted else None)
+    return variant(scene, args.compare)
 
 
 def _facts(variable: Variable) -> dict[str, Any]:

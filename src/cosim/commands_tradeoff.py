@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from pathlib import Path
 from typing import Any
 
 from cosim.arguments import scene_from
@@ -18,10 +19,9 @@ _SHOWN = (
 
 def do_tradeoff(args: argparse.Namespace) -> int:
     """Measure error against cost: `cosim tradeoff MODEL|SCENE.toml`."""
-    if args.output_file and not args.output_file.endswith((".csv", ".json")):
-        raise UnknownName.among(
-            args.output_file, "file format", args.output_file, (".csv", ".json")
-        )
+    ending = Path(args.output_file).suffix if args.output_file else ".csv"
+    if ending not in (".csv", ".json"):
+        raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
     if args.figure:
         from cosim.picture_files import picture_format
 

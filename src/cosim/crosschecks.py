@@ -1,7 +1,7 @@
 """The same run on every road and in every formulation, and how far the results are apart."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import casadi_models
 from casadi_models.dae import Dae
 from cosim.comparison import Comparison, compare
-from cosim.errors import FmuError, InitialConditionError, SolverError
+from cosim.errors import FmuError, InitialConditionError, SolverError, UsageError
 from cosim.export import export_fmu
 from cosim.fmpy_run import INTERFACES
 from cosim.loading import formulations, load
@@ -108,6 +108,8 @@ def crosscheck(
     number("crosscheck", "bound", bound, positive=True)
     if isinstance(models, str | Scene):
         models = [models]
+    if not isinstance(models, Collection | None):
+        raise UsageError.of_type("crosscheck", models, "names of models, or scenes")
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
         first: Trajectory | None = None
         for scene in _members(item):
@@ -150,6 +152,8 @@ def _members(item: str | Scene) -> Iterator[Scene]:
         names = (item,) if "/" in item or ".py:" in item else formulations(item)
         yield from (Scene(name, load(name)) for name in names)
         return
+    if not isinstance(item, Scene):
+        raise UsageError.of_type("crosscheck", item, "names of models, or scenes")
     yield from fitting_formulations(item)
 
 

@@ -1,6 +1,6 @@
 """The figures that a scene asks for, of one run or of two with their difference."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import matplotlib
@@ -49,6 +49,11 @@ def draw_figures(
         UnknownName: A run lacks a variable.
         UsageError: The two runs have other output times.
     """
+    for each in (run, other):
+        if not isinstance(each, Trajectory | None) or run is None:
+            raise UsageError.of_type("draw_figures", each, "results of simulate or simulate_fmu")
+    if isinstance(specs, FigureSpec | str) or not isinstance(specs, Collection):
+        raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
     if other is not None:
         _refuse_other_times(run, other)
     with matplotlib.rc_context(_STYLE):

@@ -24,7 +24,7 @@ from cosim.fmpy_instance import (
 )
 from cosim.inputs import InputSeries
 from cosim.trajectory import Column, Trajectory
-from cosim.values import number
+from cosim.values import listed, number
 
 __all__ = ["INTERFACES", "simulate_fmu", "unpacked"]
 
@@ -72,7 +72,7 @@ def simulate_fmu(
         span = _span(path, description, start_time, stop_time, output_interval)
         tolerance = _tolerance(path, relative_tolerance)
         variables = by_name(description)
-        values = _start_values(path, variables, start or {})
+        values = _start_values(path, variables, {} if start is None else start)
         names = _recorded(path, variables, outputs)
         with instantiated(folder, description, kind, path) as (instance, explained):
             calls = count_derivatives(instance) if kind == "ModelExchange" else None
@@ -157,6 +157,8 @@ def _tolerance(path: object, relative: float | None) -> float | None:
 def _start_values(
     path: object, variables: Mapping[str, Any], start: Mapping[str, float]
 ) -> dict[str, float]:
+    if not isinstance(start, Mapping):
+        raise UsageError.of_type(f"{path}: start", start, "values by name, e.g. {'phi': 0.1}")
     settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
     for name in start:
         if name not in variables:
@@ -171,12 +173,13 @@ def _recorded(
 ) -> list[str]:
     if outputs is None:
         return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
-    for name in outputs:
+    wanted = listed(f"{path}: outputs", outputs)
+    for name in wanted:
         if name not in variables:
             raise UnknownName.among(str(path), "output", name, variables)
         if not is_number(variables[name]):
             raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(outputs))
+    return list(dict.fromkeys(wanted))
 
 
 def _driven(
@@ -191,6 +194,8 @@ def _driven(
     """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
     if series is None:
         return None
+    if not isinstance(series, InputSeries):
+        raise UsageError.of_type(f"{path}: inputs", series, "what cosim.read_inputs returns")
     known = {v.name: v for v in description.modelVariables if v.causality == "input"}
     for name in series.names:
         if name not in known:

@@ -17,7 +17,7 @@ from cosim.calling import call
 from cosim.compile import has_compiler
 from cosim.consistent import algebraic_values, start_values
 from cosim.drift import controlled
-from cosim.errors import SolverError, UnknownName
+from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.grids import checked_grid, time_grid
 from cosim.inputs import InputSeries
@@ -25,7 +25,7 @@ from cosim.monitors import ON_INVALID, Breach, breaches, too_coarse
 from cosim.observation import all_columns, observe, wanted_names
 from cosim.solvers import SOLVERS, Tolerance, method
 from cosim.trajectory import Trajectory
-from cosim.values import Values, assign, number
+from cosim.values import Values, assign, listed, number
 
 __all__ = ["SOLVERS", "integrator", "simulate", "start_vectors", "time_grid"]
 
@@ -96,12 +96,13 @@ def simulate(
     settings = (solver, relative_tolerance, absolute_tolerance, step_size)
     fixed = dict(zip(OVERRULED, settings, strict=True)) | {"drift_control": drift_control}
     refuse_contradiction(accuracy, budget, **fixed)
-    if on_invalid not in ON_INVALID:
+    if not isinstance(on_invalid, str) or on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     start, project = controlled(dae, drift_control, start)
     values = assign(dae, start)
-    dae = dae.watching(outputs or ())
-    names = wanted_names(dae, outputs)
+    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
+    dae = dae.watching(wanted or ())
+    names = wanted_names(dae, wanted)
     start_time = number("run", "start_time", start_time)
     grid = time_grid(
         start_time,
@@ -109,6 +110,8 @@ def simulate(
         dae.experiment.output_interval if output_interval is None else output_interval,
         numbers=len(all_columns(dae)),
     )
+    if not isinstance(compiled, bool | None):
+        raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
     if compiled is None:
         compiled = has_compiler()
     if accuracy is not None or budget is not None:
@@ -320,6 +323,8 @@ class _Task:
 def _input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
     """Return every input at the output times, (nu, n)."""
     table = np.tile(values.u[:, None], len(grid))
+    if not isinstance(inputs, InputSeries | None):
+        raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, "what read_inputs returns")
     if inputs is not None:
         known = [variable.name for variable in dae.inputs]
         for name, row in zip(inputs.names, inputs.at(grid), strict=True):

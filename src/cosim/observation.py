@@ -1,7 +1,5 @@
 """From states to everything that a run records."""
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
 from casadi import MX
@@ -52,23 +50,22 @@ def all_columns(dae: Dae) -> tuple[Column, ...]:
     )
 
 
-def wanted_names(dae: Dae, outputs: Sequence[str] | None) -> tuple[str, ...]:
+def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
     """Return the names to record.
 
     Raises:
         UnknownName: The model has no such output.
-        UsageError: It is named twice, or is not in a list.
+        UsageError: It is named twice.
     """
-    wanted = dae.observed if outputs is None else outputs
-    if isinstance(wanted, str):
-        raise UsageError(f"{dae.full_name}: outputs = {wanted!r}; give a list of names")
+    if outputs is None:
+        return dae.observed
     available = {column.name for column in all_columns(dae)}
-    for name in wanted:
+    for name in outputs:
         if name not in available:
             raise no_such_output(dae, name)
-        if list(wanted).count(name) > 1:
+        if outputs.count(name) > 1:
             raise UsageError(f"{dae.full_name}: output '{name}' is named twice; name it once")
-    return tuple(wanted)
+    return outputs
 
 
 @kept_per_thread(16)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae, Invariant, StartRule, Variable
 from cosim.errors import UnknownName, UsageError
 from cosim.loading import no_such_output, observable
-from cosim.values import A_DAE
+from cosim.values import A_DAE, listed
 
 Pattern = NDArray[np.bool_]
 
@@ -61,10 +61,13 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
 
     Raises:
         UnknownName: The model has no such output; another formulation that has it is named.
-        UsageError: No output is wanted, or one is named twice.
+        UsageError: No output is wanted, or one is named twice; or an argument is no list.
     """
     if not isinstance(dae, Dae):
         raise UsageError.of_type("reduce", dae, A_DAE)
+    if isinstance(freeze, str) or not isinstance(freeze, Collection):
+        raise UsageError.of_type(f"{dae.full_name}: freeze", freeze, "a list of parameters")
+    outputs = listed(f"{dae.full_name}: outputs", outputs)
     wanted = _checked(dae, outputs)
     frozen = _freeze(dae.watching(wanted), freeze)
     kept_y = [i for i, v in enumerate(frozen.output_variables) if v.name in wanted]
@@ -103,8 +106,6 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
 
 
 def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
-    if not outputs or isinstance(outputs, str) or not isinstance(outputs, Collection):
-        raise UsageError(f"{dae.full_name}: name the wanted outputs, as a list")
     available = observable(dae)
     for name in outputs:
         if name not in available:
@@ -117,8 +118,6 @@ def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
 
 def _freeze(dae: Dae, names: Collection[str]) -> Dae:
     known = {v.name: v for v in dae.parameters}
-    if isinstance(names, str) or not isinstance(names, Collection):
-        raise UsageError.of_type(f"{dae.full_name}: freeze", names, "a list of parameters")
     for name in names:
         if name not in known:
             raise UnknownName.among(dae.full_name, "parameter", name, known)

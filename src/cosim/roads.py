@@ -58,6 +58,8 @@ def run_scene(
         UsageError: An FMU shall run with an accuracy or a budget.
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
     """
+    if not isinstance(scene, Scene):
+        raise UsageError.of_type("run_scene", scene, "what cosim.read_scene returns")
     dae, settings = scene_dae(scene), scene.settings
     goals = {name: getattr(settings, name) for name in GOALS}
     promised = any(goal is not None for goal in goals.values())

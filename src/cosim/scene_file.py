@@ -61,6 +61,8 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
     Raises:
         UnknownName: There is no such file, and no shipped scene of that name.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise UsageError.of_type("read_scene", path, "the name of a TOML file")
     given = Path(path)
     if given.exists() or len(given.parts) > 1:
         return given

@@ -133,8 +133,11 @@ class Trajectory:
 
         Raises:
             ExportError: The file cannot be written.
+            UsageError: The target is neither.
         """
         if not isinstance(target, str | os.PathLike):
+            if not hasattr(target, "write"):
+                raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
             self._write_csv(target)
             return
         from cosim.files import write_atomically  # only where a file is wanted

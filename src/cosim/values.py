@@ -81,6 +81,21 @@ def number(owner: str, name: str, value: Any, *, positive: bool = False) -> floa
     return result
 
 
+def listed(call: str, names: Any) -> tuple[str, ...]:
+    """Return names as a tuple.
+
+    Raises:
+        UsageError: They are a single text, no list of anything, or none.
+    """
+    try:
+        found = () if isinstance(names, str) else tuple(map(str, names))
+    except TypeError:
+        found = ()
+    if not found:
+        raise UsageError.of_type(call, names, "a list of names")
+    return found
+
+
 def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     """Put a user's numbers in place of the model's start values, parameters and inputs.
 

@@ -1,0 +1,145 @@
+"""Python calls with arguments of the wrong type: a `CosimError` in one line, never numpy's own."""
+
+import numpy as np
+import pytest
+from small_models import decay
+
+import cosim
+from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
+from cosim.scene import Settings
+
+DAE = decay()
+RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
+NO_MODEL = ["decay", None, 3, RUN, type(DAE)]
+NO_RUN = ["run.csv", None, 3, DAE, np.ones(3)]
+NO_NAMES = ["x", 3, True, np.array(1.0), object(), [], {}]
+NO_MAPPING = ["x", 3, ["x"], [("x", 1.0)], np.ones(2)]
+NO_NUMBER = ["1", True, 1j, [1.0], np.ones(3), np.ones(1), np.array(1.0), {}, object()]
+NOT_FINITE = [float("nan"), float("inf"), -float("inf"), np.float64("nan"), 10**400]
+
+
+def refusal(kind, call):
+    with pytest.raises(kind) as caught:
+        call()
+    assert isinstance(caught.value, CosimError)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 400
+    return message
+
+
+@pytest.mark.parametrize("wrong", NO_MODEL, ids=repr)
+@pytest.mark.parametrize(
+    "call",
+    [
+        cosim.simulate,
+        cosim.start_vectors,
+        lambda dae: cosim.integrator(dae, [0, 1]),
+        lambda dae: cosim.reduce(dae, ["x"]),
+        lambda dae: cosim.Scene("wrong", dae),
+    ],
+    ids=["simulate", "start_vectors", "integrator", "reduce", "Scene"],
+)
+def test_what_is_no_model_is_refused_with_how_to_get_one(call, wrong):
+    told = refusal(UsageError, lambda: call(wrong))
+    assert type(wrong).__name__ in told
+    assert told.endswith("give a Dae, as cosim.load('bicycle') returns")
+
+
+@pytest.mark.parametrize("wrong", NO_RUN, ids=repr)
+def test_what_is_no_run_is_neither_compared_nor_drawn(wrong):
+    for pair in ((RUN, wrong), (wrong, RUN)):
+        assert "compare was given" in refusal(UsageError, lambda pair=pair: cosim.compare(*pair))
+    assert "draw_figures was given" in refusal(UsageError, lambda: cosim.draw_figures([], wrong))
+
+
+@pytest.mark.parametrize("wrong", [None, 3, RUN, DAE], ids=repr)
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (cosim.run_scene, "run_scene"),
+        (cosim.read_scene, "read_scene"),
+        (cosim.simulate_fmu, "an FMU's reader"),
+        (lambda wrong: next(cosim.crosscheck([wrong])), "crosscheck"),
+        (RUN.to_csv, "to_csv"),
+    ],
+    ids=["run_scene", "read_scene", "simulate_fmu", "crosscheck", "to_csv"],
+)
+def test_what_is_no_file_and_no_scene_is_refused(call, name, wrong):
+    assert refusal(UsageError, lambda: call(wrong)).startswith(f"{name} was given ")
+
+
+@pytest.mark.parametrize("wrong", NO_NUMBER, ids=repr)
+@pytest.mark.parametrize("setting", ["start_time", "relative_tolerance", "output_interval"])
+def test_what_is_no_number_is_refused_in_a_call(setting, wrong):
+    told = refusal(ParameterError, lambda: cosim.simulate(DAE, **{setting: wrong}))
+    assert f"{setting} = " in told
+
+
+@pytest.mark.parametrize("wrong", [*NO_NUMBER, *NOT_FINITE], ids=lambda value: repr(value)[:20])
+@pytest.mark.parametrize("setting", ["start_time", "stop_time", "output_interval", "step_size"])
+def test_what_is_no_finite_number_is_refused_in_a_scene(setting, wrong):
+    assert f"{setting} = " in refusal(ParameterError, lambda: Settings(**{setting: wrong}))
+
+
+@pytest.mark.parametrize("wrong", NO_NAMES, ids=repr)
+def test_what_is_no_list_of_names_is_refused(wrong):
+    for call in (cosim.simulate, cosim.reduce):
+        told = refusal(UsageError, lambda call=call: call(DAE, outputs=wrong))
+        assert told.startswith("decay: outputs was given ")
+        assert told.endswith("; give a list of names")
+
+
+@pytest.mark.parametrize("names", [("x",), {"x"}, np.array(["x"]), (n for n in "x")], ids=repr)
+def test_any_list_of_names_will_do(names):
+    run = cosim.simulate(DAE, stop_time=0.1, outputs=names, compiled=False)
+    assert run.names == ("x",)
+
+
+@pytest.mark.parametrize("wrong", NO_MAPPING, ids=repr)
+def test_values_that_have_no_names_are_refused(wrong):
+    told = refusal(UsageError, lambda: cosim.simulate(DAE, start=wrong))
+    assert "give values by name" in told
+
+
+@pytest.mark.parametrize("wrong", [None, "1", True, np.ones(2), np.ones(1), 1j, [1.0]], ids=repr)
+def test_value_of_a_variable_must_be_a_number(wrong):
+    assert "decay: x [m] = " in refusal(
+        ParameterError, lambda: cosim.simulate(DAE, start={"x": wrong})
+    )
+
+
+@pytest.mark.parametrize("wrong", ["", "CVODE", 3, ["cvodes"], {}, np.array("cvodes")], ids=repr)
+def test_what_is_no_solver_is_refused(wrong):
+    for call in (cosim.simulate, lambda dae, solver: cosim.integrator(dae, [0, 1], solver=solver)):
+        told = refusal(UnknownName, lambda call=call: call(DAE, solver=wrong))
+        assert "cosim has no solver" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"inputs": "force.csv"}, "inputs was given 'force.csv'"),
+        ({"inputs": {"force": 1.0}}, "inputs was given {'force': 1.0}"),
+        ({"compiled": "no"}, "compiled was given 'no', of type str; give True, False or None"),
+        ({"compiled": np.ones(2)}, "compiled was given array"),
+        ({"on_invalid": np.ones(2)}, "to an invalid state '[1. 1.]'"),
+        ({"on_invalid": None}, "to an invalid state 'None'"),
+    ],
+    ids=str,
+)
+def test_other_arguments_of_a_run_are_checked_too(arguments, told):
+    assert told in refusal(CosimError, lambda: cosim.simulate(DAE, **arguments))
+
+
+@pytest.mark.parametrize("wrong", ["rate", 3, True], ids=repr)
+def test_what_is_no_list_of_parameters_is_not_frozen(wrong):
+    told = refusal(UsageError, lambda: cosim.reduce(DAE, ["x"], freeze=wrong))
+    assert told.startswith("decay: freeze was given ")
+
+
+@pytest.mark.parametrize(
+    "wrong", ["x", None, 3, [], [0.0], [0, np.nan], [[0, 1]], ["a", "b"], [0, 1j]], ids=repr
+)
+def test_grid_of_an_integrator_must_be_times(wrong):
+    assert refusal(ParameterError, lambda: cosim.integrator(DAE, wrong)).startswith("grid: ")

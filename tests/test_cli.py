@@ -1,0 +1,404 @@
+"""The command line: every verb answers, and every wrong word is refused in one sentence.
+
+Exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ, 5 a tool is
+missing, 130 interrupted.
+"""
+
+import json
+import re
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+import casadi_models
+from cosim.cli import main
+from cosim.errors import CosimError
+
+BLOW_UP = """
+from casadi_models.dae import Model
+
+
+def build():
+    model = Model("blow_up")
+    x = model.state("x", "m", 1.0, "goes to infinity at 1 s")
+    model.derivative(x, x**2)
+    return model.freeze()
+"""
+SHORT = ("--stop-time", "0.02", "--interpreted")
+
+
+@pytest.fixture
+def refused(capsys, monkeypatch, tmp_path):
+    """Return a function that runs a command line which must fail without computing anything."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cosim.integrate.call", lambda *_: pytest.fail("it ran"))
+
+    def run(line):
+        try:
+            code = main(line.split())
+        except SystemExit as end:  # of argparse
+            code = end.code
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert len(printed.err.splitlines()) == 1, printed.err  # one sentence, no traceback
+        assert not list(tmp_path.iterdir())
+        return code, printed.err
+
+    return run
+
+
+# -- what is not understood: 2 --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("", "the following arguments are required: VERB; see: cosim --help"),
+        ("simulat bicycle", "invalid choice: 'simulat' .*'simulate'.*; see: cosim --help"),
+        ("simulate", "required: MODEL|SCENE.toml|FILE.fmu; see: cosim simulate --help"),
+        ("simulate bicycle --frob", "cannot take '--frob'; see: cosim simulate --help"),
+        ("simulate bicycle crank_shaft", "cannot take 'crank_shaft'"),
+        ("simulate bicycle --stop-time soon", "--stop-time: invalid float value: 'soon'"),
+        ("simulate bicycle --stop-time 1,5", "--stop-time: invalid float value: '1,5'"),
+        ("simulate bicycle --solver", "--solver: expected one argument"),
+        ("simulate bicycle -p mA", "-p mA: write NAME=VALUE"),
+        ("simulate bicycle -p phi=1 -p phi=2", "phi is given twice"),
+        ("simulate bicycle -p phi=1 --start-values phi 2", "phi is given twice"),
+        ("simulate bicycle --start-values phi", "'phi' has no value; give NAME VALUE pairs"),
+        ("simulate bicycle --interface-type CoSimulation", "--interface-type is for FMUs"),
+        ("simulate bicycle --step-size 0.1", "cvodes chooses its own steps"),
+        ("simulate bicycle/multipliers --solver erk", "erk cannot integrate; use idas"),
+        ("simulate bicycle --outputs phi,phi", "output 'phi' is named twice"),
+        ("simulate swing.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
+        ("simulate swing.py:build", "swing.py is not a file"),
+        ("info bar_theta.toml", "a scene is taken by simulate, export, crosscheck, tradeoff"),
+        ("info bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
+        ("export bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
+        ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
+        ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one road only"),
+        ("simulate bicycle.fmu --solver idas", "--solver is for models"),
+        ("simulate bicycle.fmu --interpreted", "--interpreted is for models"),
+        ("simulate bicycle.fmu -p phi=3deg", "phi = 3deg: give a number in the FMU's own unit"),
+    ],
+)
+def test_wrong_usage_is_told_with_the_way_out(line, told, refused):
+    code, message = refused(line)
+    assert code == 2
+    assert re.search(told, message), message
+
+
+# -- numbers that make no sense: 2 ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--stop-time nan", "stop_time = nan is not finite"),
+        ("--stop-time inf", "stop_time = inf is not finite"),
+        ("--stop-time -1", "stop_time = -1 s lies before start_time = 0 s; give a later stop"),
+        ("--start-time 5 --stop-time 4", "stop_time = 4 s lies before start_time = 5 s"),
+        ("--start-time nan", "start_time = nan is not finite"),
+        ("--output-interval 0", "output_interval = 0.0 is not positive"),
+        ("--output-interval -1", "output_interval = -1.0 is not positive"),
+        ("--output-interval nan", "output_interval = nan is not finite"),
+        ("--output-interval 1e-300", "output times of .* GB; give a larger one"),
+        ("--relative-tolerance nan", "relative_tolerance = nan is not finite"),
+        ("--relative-tolerance -1", "relative_tolerance = -1 is not within"),
+        ("--relative-tolerance 1e-20", "relative_tolerance = 1e-20 is not within"),
+        ("--relative-tolerance 2", "relative_tolerance = 2 is not within"),
+        ("--relative-tolerance 0", "both tolerances are 0"),
+        ("--absolute-tolerance -1", "absolute_tolerance = -1 is negative"),
+        ("--absolute-tolerance 1e400", "absolute_tolerance = inf is not finite"),
+        ("--solver rk4 --step-size 0", "step_size = 0.0 is not positive"),
+        ("--solver rk4 --step-size nan", "step_size = nan is not finite"),
+        ("--solver rk4 --step-size 1e-300", "makes more than .* steps; give a larger one"),
+        ("--accuracy -1", "accuracy = -1.0 is not positive"),
+        ("--budget nan", "budget = nan is not finite"),
+        ("-p mA=nan", r"mA \[kg\] = nan is not finite"),
+        ("-p mA=inf", r"mA \[kg\] = inf is not finite"),
+        ("-p mA=-1", "mA = -1 kg is out of its range 2e-12 ... 2e.12 kg; give a value within"),
+        ("-p mA=1e308", "mA = 1e.308 kg is out of its range"),
+        ("-p mA=5e-324", "mA = 4.94066e-324 kg is out of its range"),
+        ("-p mA=", "mA: '' is not a number with a unit; write e.g. 1.5kg"),
+        ("-p mA=True", "mA: 'True' is not a number with a unit"),
+        ("-p mA=1,5", "mA = 1,5: write a decimal point"),
+        ("-p mA=1m", "mA = 1m: 'm' cannot be converted to 'kg'"),
+        ("-p mA=1stone", "mA = 1stone: unit 'stone' is unknown; fitting: kg, g, slug"),
+        ("-p IBxz=100", "inertia of rear frame has principal moments .*, which no body has"),
+        ("-p steer_torque=nan", "steer_torque .* = nan is not finite"),
+        ("--start-values phi soon", "phi: 'soon' is not a number with a unit"),
+    ],
+)
+def test_senseless_number_is_refused_with_its_name_value_and_rule(words, told, refused):
+    code, message = refused(f"simulate bicycle {words}")
+    assert code == 2
+    assert re.search(told, message), message
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "crosscheck crank_shaft --bound -1",
+        "crosscheck crank_shaft --bound nan",
+        "crosscheck crank_shaft --stop-time -1",
+        "crosscheck crank_shaft --stop-time inf",
+        "crosscheck crank_shaft --output-interval 0",
+        "crosscheck crank_shaft --relative-tolerance 7",
+        "extremes crank_shaft --timeout 0",
+        "extremes crank_shaft --timeout nan",
+        "tradeoff crank_shaft --stop-time nan",
+        "plot crank_shaft --stop-time nan --output-file a.png",
+    ],
+)
+def test_other_verbs_refuse_senseless_numbers_too(line, refused):
+    code, message = refused(line)
+    assert code == 2
+    assert message.startswith("ParameterError: ")
+
+
+# -- names that do not exist: 3 -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("simulate Bicycle", "no model 'Bicycle'; did you mean bicycle. .all: cosim list"),
+        ("info bycicle", "no model 'bycicle'; did you mean bicycle"),
+        ("export bike", "no model 'bike'; "),
+        ("simulate ..", "no model '..'; it has crank_shaft, bar_on_frame, bicycle"),
+        ("simulate %n%s", "no model '%n%s'; it has crank_shaft"),
+        ("simulate bicycle/book/x", "no formulation 'book/x'; did you mean book"),
+        ("simulate bicycle/", "no formulation ''; it has independent, book, multipliers"),
+        ("plot crank_sahft --output-file a.png", "no model 'crank_sahft'; did you mean crank"),
+        ("crosscheck bicicle", "no model 'bicicle'; did you mean bicycle"),
+        ("tradeoff bicicle", "no model 'bicicle'; did you mean bicycle"),
+        ("extremes bicicle", "no model 'bicicle'; did you mean bicycle"),
+        ("simulate bicycle.tml", "no model 'bicycle.tml'; did you mean bicycle"),
+        ("simulate bar_teta.toml", "no scene 'bar_teta.toml'; did you mean bar_theta.toml"),
+        ("simulate bicycle --outputs Phi", "no output 'Phi'; did you mean phi"),
+        ("simulate bicycle --outputs phi,", "no output ''"),
+        ("simulate bicycle --outputs=", "no output ''"),
+        ("simulate bar_on_frame --outputs frame_shift_1", "; bar_on_frame/two_body does"),
+        ("export bicycle --outputs speeed", "no output 'speeed'; did you mean speed"),
+        ("simulate bicycle -p ma=1", "no state, parameter or input 'ma'; did you mean mA"),
+        ("simulate bicycle -p =1", "no state, parameter or input ''"),
+        ("simulate bicycle -p fz_P=1", "'fz_P' is a result of the model and cannot be set"),
+        ("simulate bicycle --start-values phi_dott 1", "did you mean phi_dot"),
+        ("simulate bicycle --solver CVODES", "no solver 'CVODES'; did you mean cvodes"),
+        ("simulate bicycle --solver=", "no solver ''; it has cvodes"),
+        ("simulate bicycle --on-invalid explode", "'explode'; it has warn, stop, ignore"),
+        ("simulate bicycle --drift-control projektion", "did you mean projection"),
+        ("export bicycle --fmi 4", "no FMI version '4'; it has 2, 3"),
+        ("export bicycle --platform win32", "no platform 'win32'; did you mean win64"),
+        ("export bicycle --platform=", "no platform ''; it has native, all"),
+        ("plot bicycle --output-file a.jpg", "no picture format 'jpg'; did you mean png"),
+        ("plot bicycle --output-file a.png --compare multiplier", "did you mean multipliers"),
+        ("tradeoff bicycle --figure a.bmp", "no picture format 'bmp'"),
+        ("extremes crank_shaft --figure a.bmp", "no picture format 'bmp'"),
+        ("tradeoff bicycle --output-file a.txt", "no file format '.txt'; it has .csv, .json"),
+    ],
+)
+def test_unknown_name_is_told_with_the_nearest(line, told, refused):
+    code, message = refused(line)
+    assert code == 3
+    assert re.search(told, message), message
+
+
+def test_calculated_start_is_told_with_what_may_be_set(refused):
+    code, message = refused("simulate bicycle -p theta=1")
+    assert code == 1
+    assert "the start of theta is calculated" in message
+    assert "set some of phi, delta, w" in message
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", ["simulate", "export", "plot"])
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("{}/none/a.{}", "No such file or directory; create .*none first"),
+        ("{}/folder.{}", "it is a directory; give a file name"),
+        ("{}/a\0b.{}", "null byte"),
+        ("{}/" + 300 * "a" + ".{}", "File name too long"),
+        ("/proc/a.{1}", ""),  # refuses new files to every user
+    ],
+)
+def test_impossible_output_file_is_named_with_the_cause(verb, name, told, tmp_path, capsys):
+    ending = {"simulate": "csv", "export": "fmu", "plot": "png"}[verb]
+    (tmp_path / f"folder.{ending}").mkdir()
+    options = SHORT if verb != "export" else ()
+    target = name.format(tmp_path, ending)
+    assert main([verb, "crank_torque.toml", *options, "--output-file", target]) == 1
+    printed = capsys.readouterr().err
+    assert re.search(f"ExportError: cannot write .*: .*{told}", printed), printed
+    assert len(printed.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [f"folder.{ending}"]
+
+
+def test_failed_command_leaves_the_old_file(tmp_path, capsys):
+    target = tmp_path / "run.csv"
+    target.write_text("old")
+    assert main(["simulate", "crank_shaft", "-p", "frob=1", "--output-file", str(target)]) == 3
+    assert target.read_text() == "old"
+
+
+@pytest.mark.parametrize("verb", ["simulate", "crosscheck"])
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (None, "No such file or directory; give an FMU"),
+        (b"", "it is not a zip archive; give an FMU"),
+        (b"PK\3\4 and then garbage", "it is not a zip archive; give an FMU"),
+    ],
+)
+def test_file_that_is_no_fmu_is_told(verb, content, told, tmp_path, capsys):
+    path = tmp_path / "a.fmu"
+    if content is not None:
+        path.write_bytes(content)
+    assert main([verb, str(path)]) == 1
+    assert capsys.readouterr().err == f"FmuError: cannot read {path}: {told}\n"
+
+
+# -- failed and interrupted runs, missing tools: 1, 130, 5 ----------------------------------------
+
+
+def test_failed_run_prints_what_it_reached_and_says_so(tmp_path, capsys):
+    (tmp_path / "blow_up.py").write_text(BLOW_UP)
+    model = f"{tmp_path}/blow_up.py:build"
+    assert main(["simulate", model, "--stop-time", "2", "--interpreted"]) == 1
+    printed = capsys.readouterr()
+    time, x = np.genfromtxt(printed.out.splitlines()[1:], delimiter=",").T
+    assert 0.9 < time[-1] < 1
+    np.testing.assert_allclose(x, 1 / (1 - time), rtol=1e-3)  # closed form; measured 5e-5
+    assert "SolverError: blow_up: cvodes stopped after 0.99 s: CV_" in printed.err
+    assert len(printed.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_interrupted_command_ends_with_130(debug, monkeypatch, capsys):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cosim.commands.run_scene", interrupt)
+    assert main(["simulate", "crank_shaft", *["--debug"] * debug]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize("verb", ["export", "crosscheck"])
+def test_missing_compiler_ends_with_5_and_says_how_to_get_one(verb, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("cosim.compile.find_spec", lambda _: None)
+    assert main([verb, "crank_shaft"]) == 5
+    message = capsys.readouterr().err
+    assert "MissingTool: no C compiler found" in message
+    assert "pip install" in message
+
+
+def test_fault_of_our_own_is_one_line_unless_debugging(monkeypatch, capsys):
+    def fail(*_, **__):
+        raise ZeroDivisionError("what\nnobody thought of")
+
+    monkeypatch.setattr("cosim.commands.run_scene", fail)
+    assert main(["simulate", "crank_shaft"]) == 1
+    told = "cosim simulate failed with ZeroDivisionError: what nobody thought of; show where with"
+    assert capsys.readouterr().err == f"{told}: --debug\n"
+    with pytest.raises(ZeroDivisionError):
+        main(["simulate", "crank_shaft", "--debug"])
+
+
+def test_error_shows_where_it_arose_when_debugging():
+    with pytest.raises(CosimError, match="did you mean bicycle"):
+        main(["info", "bycicle", "--debug"])
+
+
+def test_model_that_cannot_be_exported_leaves_the_table_of_the_others(tmp_path, capsys):
+    (tmp_path / "word.py").write_text(BLOW_UP.replace("blow_up", "while").replace("x**2", "-x"))
+    line = ["crosscheck", "crank_shaft/driven", f"{tmp_path}/word.py:build", "--stop-time", "0.1"]
+    assert main([*line, "-q"]) == 1
+    printed = capsys.readouterr()
+    assert printed.out.count("crank_shaft/driven") == 2
+    assert "'while' cannot name an FMU: it is a reserved word" in printed.err
+
+
+# -- what is done: 0 ------------------------------------------------------------------------------
+
+
+def test_warning_is_a_line_of_text_and_no_refusal(capsys):
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main(["simulate", "bar_on_frame", *SHORT, "-p", "theta=60"]) == 0
+    told = capsys.readouterr().err
+    assert told.startswith("warning: bar_on_frame/reduced: theta = 60 rad is more than two turns")
+    assert len(told.splitlines()) == 1
+
+
+def test_list_names_every_formulation_in_text_and_in_json(capsys):
+    assert main(["list"]) == 0
+    text = capsys.readouterr().out
+    assert main(["list", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["models"]
+    assert [row["model"] for row in rows] == list(casadi_models.CATALOG)
+    assert all(re.search(rf"^{name} ", text, re.MULTILINE) for name in casadi_models.CATALOG)
+
+
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_info_tells_unit_start_and_meaning_of_every_variable(name, capsys):
+    assert main(["info", name, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    tables = [facts[key] for key in ("states", "algebraic unknowns", "inputs", "parameters")]
+    assert all(row["unit"] and row["start"] and row["meaning"] for t in tables for row in t)
+
+
+def test_values_settings_and_outputs_reach_the_run(capsys):
+    line = ["simulate", "crank_shaft", "-p", "omega=60rpm", "--start-values", "alpha", "0"]
+    times = ["--start-time", "1", "--stop-time", "2", "--output-interval", "0.5"]
+    how = ["--outputs", "phi, omega", "--solver", "ode8", "--interpreted"]
+    assert main([*line, *times, *how]) == 0
+    head, *rows = capsys.readouterr().out.splitlines()
+    assert head == "time,phi,omega"
+    time, phi, omega = np.genfromtxt(rows, delimiter=",").T
+    np.testing.assert_array_equal(time, [1, 1.5, 2])
+    np.testing.assert_allclose(omega, 2 * np.pi, rtol=1e-14)  # a turn a second; measured 0
+    np.testing.assert_allclose(phi, 2 * np.pi * (time - 1), rtol=1e-14)
+
+
+def test_json_holds_the_numbers_of_the_csv(capsys):
+    assert main(["simulate", "crank_shaft", *SHORT]) == 0
+    rows = np.genfromtxt(capsys.readouterr().out.splitlines()[1:], delimiter=",")
+    assert main(["simulate", "crank_shaft", *SHORT, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["units"]["omega"] == "rad/s"
+    np.testing.assert_array_equal(np.column_stack([*facts["values"].values()]), rows)
+
+
+def test_reader_that_has_seen_enough_is_no_error():
+    script = "from cosim.cli import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", script, "simulate", "bicycle", "--interpreted"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline().startswith("time,")
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    process.stderr.close()
+    assert process.wait(60) == 0
+
+
+def test_help_needs_neither_casadi_nor_numpy():
+    code = (
+        "import sys\n"
+        "from cosim.cli import main\n"
+        "try:\n    main(['simulate', '--help'])\n"
+        "except SystemExit:\n    pass\n"
+        "heavy = {'casadi', 'numpy', 'fmpy', 'matplotlib'}\n"
+        "raise SystemExit(', '.join(heavy & {*sys.modules}) or 0)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert "--stop-time" in run.stdout
