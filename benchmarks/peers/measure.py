@@ -1,0 +1,106 @@
+"""Times beside each other: repeats are interleaved, medians are taken."""
+
+import gc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from random import Random
+from statistics import median
+from time import perf_counter
+
+from entries import Evaluation, Run, Solver
+from problem import SEED, Problem
+
+TARGETS = (1e-4, 1e-7, 1e-10)
+LOOSEST, PER_DECADE = 1e-3, 3  # tolerances
+TOO_LONG = 5.0  # s: a run that takes longer ends the search
+REPEATS = 31
+CALLS = 2000  # right-hand sides in a turn
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The run of a solver with the largest tolerance that meets a target.
+
+    Attributes:
+        tolerance, error: Asked for, and what came of it.
+        run: Returns the states.
+    """
+
+    tolerance: float
+    error: float
+    run: Run
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a solver runs.
+
+    Attributes:
+        runs: By target; a target that is not met is missing.
+        preparation: Time until the first result is there, s: building, compiling, running.
+    """
+
+    runs: dict[float, Chosen]
+    preparation: float
+
+
+def choose(solver: Solver, problem: Problem) -> Choice:
+    """Search the tolerances from the largest on."""
+    found: dict[float, Chosen] = {}
+    preparation = 0.0
+    for k in count():
+        tolerance = LOOSEST * 10 ** (-k / PER_DECADE)
+        if len(found) == len(TARGETS) or tolerance < solver.tightest:
+            break
+        began = perf_counter()
+        run = solver.prepare(tolerance)
+        error = problem.error(run())
+        ready = perf_counter()
+        preparation = preparation or ready - began
+        for target in TARGETS:
+            if error <= target and target not in found:
+                found[target] = Chosen(tolerance, error, run)
+        if ready - began > TOO_LONG + preparation:
+            break
+    if solver.final is not None:
+        for target, chosen in found.items():
+            began = perf_counter()
+            run = solver.final(chosen.tolerance)
+            error = problem.error(run())
+            preparation = max(preparation, perf_counter() - began)
+            found[target] = Chosen(chosen.tolerance, error, run)
+    return Choice(found, preparation)
+
+
+def interleaved(runs: Sequence[Callable[[], object]], repeats: int = REPEATS) -> list[float]:
+    """Return the median time of each run, s.
+
+    In every turn the order is another one, and each is run twice, of which the second time counts:
+    threads and caches that the one before has left busy are not its own.
+    """
+    times: list[list[float]] = [[] for _ in runs]
+    pairs = list(zip(runs, times, strict=True))
+    order = Random(SEED)
+    gc.disable()
+    for _ in range(repeats):
+        order.shuffle(pairs)
+        for run, kept in pairs:
+            run()
+            began = perf_counter()
+            run()
+            kept.append(perf_counter() - began)
+    gc.enable()
+    return [median(kept) for kept in times]
+
+
+def per_call(evaluations: Sequence[Evaluation]) -> list[float]:
+    """Return the median time of one evaluation, s, of CALLS in a turn."""
+
+    def turn(evaluation: Evaluation) -> None:
+        for _ in range(CALLS // evaluation.count):
+            evaluation.run()
+
+    turns = [partial(turn, evaluation) for evaluation in evaluations]
+    return [time / CALLS for time in interleaved(turns)]

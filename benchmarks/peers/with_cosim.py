@@ -1,0 +1,69 @@
+"""The product: parameters are symbols, so that nothing is compiled anew when they change."""
+
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+from entries import Evaluation, Run, Solver, Vector
+from problem import Problem
+
+import cosim
+from cosim import calling, engines
+from cosim.externals import cache_key, external
+from cosim.solvers import Tolerance
+
+PACKAGES = ("cosim-rigid", "casadi")
+
+
+def solvers(problem: Problem) -> Iterator[Solver]:
+    dae, grid, start = problem.dae, problem.grid, problem.start
+    values = (start["x0"], start["z0"], start["p"], start["u"])
+
+    def prepared(solver: str) -> Solver:
+        def prepare(tolerance: float) -> Run:
+            engine = engines.build(dae, grid, solver, Tolerance(tolerance), compiled=True)
+            return lambda: calling.call(engine, *values).states.T
+
+        return Solver(f"cosim {solver}", prepare)
+
+    for solver in ("dop853", "erk", "cvodes_adams", "cvodes"):
+        yield prepared(solver)
+
+    names = [variable.name for variable in dae.states]
+
+    def simulate(tolerance: float) -> Run:
+        def run() -> np.ndarray:
+            found = cosim.simulate(dae, solver="dop853", relative_tolerance=tolerance)
+            return np.column_stack([found[name] for name in names])
+
+        return run
+
+    yield Solver("cosim.simulate, all outputs", simulate)
+
+
+def evaluations(problem: Problem) -> Iterator[Evaluation]:
+    dae, start = problem.dae, problem.start
+    inputs = {"t": np.zeros(1), "x": problem.states, "u": start["u"], "p": start["p"]}
+    numbers, symbols = ["t", "x"], ["t", "x", "u", "p"]
+    open_graph = ca.Function("rhs", [dae.t, dae.x, dae.u, dae.p], [dae.ode], {"cse": True})
+    yield from _called(problem.rhs, [inputs[name] for name in numbers], "cosim")
+    label = "cosim, parameters as arguments"
+    yield from _called(open_graph, [inputs[name] for name in symbols], label)
+
+
+def _called(graph: ca.Function, arguments: list[Vector], name: str) -> Iterator[Evaluation]:
+    """Compile a function of t, x and more; a loop over many states in C, and one call."""
+    count = len(arguments[1])
+    same = [i for i in range(len(arguments)) if i != 1]
+    many = graph.map("many", "serial", count, same, [])
+    key = cache_key("benchmark", many)
+    results = np.empty_like(arguments[1])
+    for function in external([graph, many], key, ["rhs", "many"]):
+        buffer, evaluate = function.buffer()
+        for i, values in enumerate(arguments):
+            if values.size:
+                buffer.set_arg(i, memoryview(values))
+        buffer.set_res(0, memoryview(results))
+        one = function.name() == "rhs"
+        held = (buffer, arguments, results)
+        yield Evaluation(name, evaluate, 1 if one else count, one, held)

@@ -1,0 +1,46 @@
+"""heyoka: Taylor's method, the derivatives compiled from its own symbolic expressions."""
+
+from collections.abc import Iterator
+
+import heyoka as hy
+import numpy as np
+import walk
+from entries import Evaluation, Run, Solver
+from problem import Problem
+
+PACKAGES = ("heyoka",)
+
+
+def solvers(problem: Problem) -> Iterator[Solver]:
+    variables, results = _expressions(problem)
+    system = list(zip(variables, results, strict=True))
+    x0, grid = problem.start["x0"], problem.grid
+
+    def prepare(tolerance: float, compact: bool = True) -> Run:
+        solver = hy.taylor_adaptive(system, x0, tol=tolerance, compact_mode=compact)
+
+        def run() -> np.ndarray:
+            solver.time = grid[0]
+            solver.state[:] = x0
+            return solver.propagate_grid(grid)[-1]
+
+        return run
+
+    # order and steps are the same in both modes; the other one takes up to a minute to compile
+    yield Solver("heyoka", prepare, lambda tolerance: prepare(tolerance, False), tightest=1e-15)
+    yield Solver("heyoka, compact mode", prepare, tightest=1e-15)
+
+
+def evaluations(problem: Problem) -> Iterator[Evaluation]:
+    variables, results = _expressions(problem)
+    function = hy.cfunc(results, variables)
+    x = np.ascontiguousarray(problem.states.T)
+    dx, one, result = np.empty_like(x), x[:, 0].copy(), np.empty(len(x))
+    yield Evaluation("heyoka cfunc", lambda: function(x, outputs=dx), x.shape[1])
+    yield Evaluation("heyoka cfunc", lambda: function(one, outputs=result), one=True)
+
+
+def _expressions(problem: Problem) -> tuple[list[hy.expression], list[hy.expression]]:
+    variables = hy.make_vars(*(f"x{i}" for i in range(problem.size)))
+    rhs = problem.python({name: getattr(hy, name) for name in walk.FUNCTIONS})
+    return variables, [hy.expression(0.0) + result for result in rhs(hy.time, variables)]
