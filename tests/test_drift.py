@@ -1,5 +1,7 @@
 """Drift control: constraints that are kept through their derivatives only, and what it does."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,8 +9,11 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from cosim.cli import main
+from cosim.drift import DRIFT_CONTROLS, controllable
 from cosim.errors import UnknownName, UsageError
 from cosim.projection import projection_step
+from cosim.scene import Scene, Settings
+from cosim.tradeoffs import Selection, tradeoff
 
 MONITORS = ["position_drift", "velocity_drift"]
 FREE_BODIES = ("bicycle/multipliers", "double_pendulum/multipliers")
@@ -146,6 +151,29 @@ def test_command_line_projects(tmp_path, capsys):
     assert np.abs(drift).max() < 1e-13
     assert main([*call, "--drift-control", "none", "-p", "closing_rate=2"]) == 2
     assert "makes it 0" in capsys.readouterr().err
+
+
+def test_tradeoff_measures_what_model_and_solver_can_have():
+    selection = Selection(("idas", "dop853"), (1e-6,), (), ("compiled",), DRIFT_CONTROLS)
+    scene = Scene("bike", cosim.load("bicycle/multipliers"), outputs=("phi",))
+    scene = replace(scene, settings=Settings(stop_time=0.5))
+    study = tradeoff(scene, selection=selection, every_formulation=False, repeats=1)
+    full = [m.configuration for m in study.measurements if not m.configuration.reduced]
+    assert {(c.solver, c.drift_control) for c in full} == {
+        *(("idas", control) for control in ("none", "baumgarte")),
+        *(("dop853", control) for control in DRIFT_CONTROLS),
+    }
+    assert all(m.error < 1e-4 for m in study.measurements)
+    assert ("bicycle/multipliers projection, idas", "do not project their steps") in [
+        tuple(row.values()) for row in study.missing()
+    ]
+    with pytest.raises(UnknownName, match="did you mean projection"):
+        Selection(drift_controls=("projections",))
+
+
+def test_explicit_form_without_constraints_has_nothing_to_measure():
+    dae = cosim.load("crank_shaft/driven")
+    assert [name for name in DRIFT_CONTROLS if controllable(dae, name)] == ["none"]
 
 
 def test_invariant_of_too_many_rows_is_refused():

@@ -233,6 +233,9 @@ def _selection_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
     parser.add_argument("--steps", metavar="A,B", help="s; of rk4 and ode8")
     parser.add_argument("--roads", metavar="A,B", help="compiled, interpreted, fmpy-me, fmpy-cs")
+    parser.add_argument(
+        "--drift-controls", metavar="A,B", help="none, baumgarte, projection; the model's own"
+    )
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs; 5")
     parser.add_argument("--resume", action="store_true", help="go on after an interruption")
     parser.add_argument("--output-file", metavar="FILE", help="CSV or JSON, with provenance")

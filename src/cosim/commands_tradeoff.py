@@ -31,6 +31,7 @@ def do_tradeoff(args: argparse.Namespace) -> int:
         parse_numbers("--tolerances", args.tolerances),
         parse_numbers("--steps", args.steps),
         parse_list(args.roads),
+        parse_list(args.drift_controls),
     )
     scene = scene_from(args)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
@@ -74,7 +75,8 @@ def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
 
 def _print(study: Tradeoff) -> None:
     done = [row for row in study.rows() if row["status"] == "complete"]
-    show_table([{key: row[key] for key in _SHOWN} for row in done], as_json=False)
+    control = ("drift_control",) if any(row["drift_control"] for row in done) else ()
+    show_table([{key: row[key] for key in (*control, *_SHOWN)} for row in done], as_json=False)
     if missing := study.missing():
         print("\nwithout a result")
         show_table(missing, as_json=False)

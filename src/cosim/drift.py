@@ -17,6 +17,15 @@ class DriftControl(NamedTuple):
     project: bool
 
 
+def controllable(dae: Dae, name: str) -> bool:
+    """Tell whether a model can have a drift control."""
+    try:
+        controlled(dae, name, None)
+    except UsageError:
+        return False
+    return True
+
+
 def controlled(dae: Dae, name: str | None, start: Mapping[str, float] | None) -> DriftControl:
     """Return what a choice of drift control means for a run.
 

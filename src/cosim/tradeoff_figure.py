@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cosim.tradeoffs import ROADS, Measurement, Tradeoff
+from cosim.tradeoffs.configuration import Family
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart, and two darker ones
 _COLOURS = {
@@ -112,7 +113,7 @@ def _scatter(
     height: Callable[[Measurement], float | None],
 ) -> None:
     first = shown[0].configuration.model
-    families: dict[tuple[str, bool, str, str], list[tuple[float, float]]] = {}
+    families: dict[Family, list[tuple[float, float]]] = {}
     for measurement in shown:
         price, value = measurement.cost(cost), height(measurement)
         if price is None or value is None:
@@ -130,7 +131,7 @@ def _scatter(
             alpha=0.9 if configuration.model == first else 0.3,
             markeredgewidth=0.9,
         )
-    for (model, _, _, solver), points in families.items():
+    for (model, _, _, solver, _), points in families.items():
         along = sorted(points, key=lambda point: -point[1])
         alpha = 0.5 if model == first else 0.2
         axis.plot(*zip(*along, strict=True), color=_COLOURS[solver], linewidth=0.6, alpha=alpha)

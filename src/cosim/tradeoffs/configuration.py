@@ -1,10 +1,12 @@
 """What is measured: configurations, and the selection of them that a user asks for."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from casadi_models.dae import Dae
+from cosim.drift import DRIFT_CONTROLS, controllable
+from cosim.engines import PROJECTING
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.solvers import SOLVERS, Tolerance
 from cosim.values import number
@@ -19,6 +21,7 @@ TOLERANCES = tuple(float(f"1e-{i}") for i in range(2, 13))
 STEPS = (10.0, 5.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of fixed-step solvers, in output intervals
 UNROLLED = 5  # of them are measured interpreted: CasADi unrolls the steps, for half a minute
 COMMUNICATION = (1.0, 10.0)  # steps of co-simulation, in output intervals
+Family = tuple[str, bool, str, str, str | None]  # model, reduced, road, solver, drift control
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class Configuration:
         solver: A name of `SOLVERS`; of an FMU, what integrates it.
         tolerance: Relative tolerance of an adaptive solver.
         step: Step of a fixed-step solver, or from one communication point to the next, s.
+        drift_control: One of `DRIFT_CONTROLS`; the model's own when None.
     """
 
     model: str
@@ -40,10 +44,12 @@ class Configuration:
     solver: str
     tolerance: float | None = None
     step: float | None = None
+    drift_control: str | None = None
 
     def __str__(self) -> str:
         size = " (kept outputs only)" if self.reduced else ""
-        return f"{self.model}{size} {self.road} {self.solver} {self.setting}"
+        control = "" if self.drift_control is None else f" (drift: {self.drift_control})"
+        return f"{self.model}{size}{control} {self.road} {self.solver} {self.setting}"
 
     @property
     def setting(self) -> str:
@@ -58,9 +64,9 @@ class Configuration:
         return str(self).removeprefix(f"{self.model.partition('/')[0]}/")
 
     @property
-    def family(self) -> tuple[str, bool, str, str]:
+    def family(self) -> Family:
         """What configurations share that differ in tolerance and step only."""
-        return self.model, self.reduced, self.road, self.solver
+        return self.model, self.reduced, self.road, self.solver, self.drift_control
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
@@ -76,9 +82,10 @@ class Selection:
         tolerances: Relative tolerances; a decade apart from 1e-2 to 1e-12 when empty.
         steps: Of fixed-step solvers, s; from ten output intervals to an eighth when empty.
         roads: Names of `ROADS`; all that work here when empty.
+        drift_controls: Of `DRIFT_CONTROLS`, for CasADi's integrators; the model's own when empty.
 
     Raises:
-        UnknownName: A solver or a road does not exist.
+        UnknownName: A solver, a road or a drift control does not exist.
         ParameterError: A tolerance or a step is out of range.
     """
 
@@ -86,9 +93,14 @@ class Selection:
     tolerances: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
     roads: tuple[str, ...] = ()
+    drift_controls: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for kind, names, known in (("solver", self.solvers, SOLVERS), ("road", self.roads, ROADS)):
+        for kind, names, known in (
+            ("solver", self.solvers, SOLVERS),
+            ("road", self.roads, ROADS),
+            ("drift control", self.drift_controls, DRIFT_CONTROLS),
+        ):
             for name in names:
                 if name not in known:
                     raise UnknownName.among("cosim tradeoff", kind, name, known)
@@ -113,7 +125,9 @@ class Selection:
                 continue
             for road in self.roads or ROADS:
                 if road in (COMPILED, INTERPRETED):
-                    yield from self._integrators(dae, reduced, road, span, interval)
+                    for plain in self._integrators(dae, reduced, road, span, interval):
+                        for control in self._drift_controls(model, plain):
+                            yield replace(plain, drift_control=control)
                 elif not self.solvers:
                     yield from self._fmus(dae, reduced, road, span, interval)
 
@@ -129,6 +143,20 @@ class Selection:
         if INTERPRETED in roads and fixed and not self.steps:
             what = f"{dae.full_name} {INTERPRETED} {', '.join(fixed)} in smaller steps"
             yield what, "CasADi unrolls the steps, which takes far longer than to run them"
+        if refused := [c for c in self.drift_controls if not controllable(dae, c)]:
+            yield f"{dae.full_name} {', '.join(refused)}", "the model cannot drift or be controlled"
+        if "projection" in self.drift_controls:
+            others = [s for s in solvers if s not in PROJECTING]
+            yield f"{dae.full_name} projection, {', '.join(others)}", "do not project their steps"
+
+    def _drift_controls(self, dae: Dae, plain: Configuration) -> Iterator[str | None]:
+        """Yield the drift controls that a model and a solver can have."""
+        if not self.drift_controls:
+            yield None
+        for control in self.drift_controls:
+            able = plain.solver in PROJECTING and plain.road == COMPILED
+            if controllable(dae, control) and (able or control != "projection"):
+                yield control
 
     def _integrators(
         self, dae: Dae, reduced: bool, road: str, span: float, interval: float

@@ -73,6 +73,7 @@ class Measurement:
             "reduced": "yes" if configuration.reduced else "no",
             "road": configuration.road,
             "solver": configuration.solver,
+            "drift_control": configuration.drift_control,
             "tolerance": configuration.tolerance,
             "step": configuration.step,
             "error": self.error,

@@ -16,7 +16,7 @@ import numpy as np
 from cosim.compile import find_compiler
 from cosim.errors import MissingTool
 from cosim.references import Reference
-from cosim.tradeoffs.configuration import COMPILED, Configuration
+from cosim.tradeoffs.configuration import COMPILED, Configuration, Family
 from cosim.tradeoffs.measurement import COSTS, Measurement
 from cosim.tradeoffs.orders import Order
 from cosim.tradeoffs.stability import StabilityLimit
@@ -89,7 +89,7 @@ class Tradeoff:
 
     def missing(self) -> list[dict[str, str]]:
         """Return what has no result and why; of a family, what has the same reason is one row."""
-        groups: dict[tuple[tuple[str, bool, str, str], str], list[Configuration]] = {}
+        groups: dict[tuple[Family, str], list[Configuration]] = {}
         for measurement in self.measurements:
             if measurement.error is None:
                 key = (measurement.configuration.family, measurement.status)
@@ -162,7 +162,7 @@ def proportionality(
     measurements: Sequence[Measurement], floor: float
 ) -> tuple[Proportionality, ...]:
     """Fit log error = log constant + slope log tolerance, above the floor and below 0.1."""
-    families: dict[tuple[str, bool, str, str], list[tuple[float, float]]] = {}
+    families: dict[Family, list[tuple[float, float]]] = {}
     for measurement in measurements:
         configuration, error = measurement.configuration, measurement.error
         adaptive = configuration.road == COMPILED and configuration.tolerance is not None
@@ -170,13 +170,18 @@ def proportionality(
             point = (log10(configuration.tolerance or 1.0), log10(error))
             families.setdefault(configuration.family, []).append(point)
     fits = []
-    for (model, reduced, _, solver), points in families.items():
+    for (model, reduced, _, solver, control), points in families.items():
         if len(points) >= 3:
             tolerances, errors = np.array(points).T
             slope, intercept = np.polyfit(tolerances, errors, 1)
             fits.append(
                 Proportionality(
-                    model, reduced, solver, float(slope), 10 ** float(intercept), len(points)
+                    model,
+                    reduced,
+                    f"{solver} {control or ''}".rstrip(),
+                    float(slope),
+                    10 ** float(intercept),
+                    len(points),
                 )
             )
     return tuple(fits)

@@ -121,6 +121,7 @@ class Workshop:
                 inputs=inputs,
                 outputs=self.kept if configuration.reduced else None,
                 compiled=configuration.road == COMPILED,
+                drift_control=configuration.drift_control,
             )
         return simulate_fmu(
             self._fmu(dae, configuration.reduced),
