@@ -22,7 +22,7 @@ from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.grids import checked_grid, time_grid
 from cosim.inputs import InputSeries
 from cosim.monitors import ON_INVALID, Breach, breaches, too_coarse
-from cosim.observation import all_columns, observe, wanted_names
+from cosim.observation import all_columns, observe, wanted_names, watching
 from cosim.solvers import SOLVERS, Tolerance, method
 from cosim.trajectory import Trajectory
 from cosim.values import Values, assign, listed, number
@@ -101,7 +101,7 @@ def simulate(
     start, project = controlled(dae, drift_control, start)
     values = assign(dae, start)
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
-    dae = dae.watching(wanted or ())
+    dae = watching(dae, wanted or ())
     names = wanted_names(dae, wanted)
     start_time = number("run", "start_time", start_time)
     grid = time_grid(

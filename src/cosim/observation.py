@@ -50,6 +50,12 @@ def all_columns(dae: Dae) -> tuple[Column, ...]:
     )
 
 
+@kept_per_thread(8)
+def watching(dae: Dae, names: tuple[str, ...]) -> Dae:
+    """Return the DAE with those of its monitors among the outputs that are named."""
+    return dae.watching(names)
+
+
 def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
     """Return the names to record.
 
