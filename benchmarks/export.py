@@ -1,15 +1,18 @@
 """Print what an export costs: time from a cold and a warm cache, file sizes, instantiation.
 
-    python benchmarks/export.py [MODEL...]
+    python benchmarks/export.py [--platform NAME] [MODEL...]
 
-Every export runs in a process of its own, imports included, as on the command line.
+Every export runs in a process of its own, imports included, as on the command line. Cold means
+that nothing of the FMU is compiled; the bundled compiler has what it keeps of the C libraries.
 """
 
+import argparse
 import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
 from statistics import median
 from time import perf_counter
 
@@ -18,20 +21,25 @@ import fmpy
 import casadi_models
 from cosim.archive import unpacked
 
-ONE = "import cosim, sys; cosim.export_fmu(cosim.load(sys.argv[1]), sys.argv[2])"
+ONE = """import cosim, sys
+model, target, fmi, platform, name = sys.argv[1:]
+dae = cosim.load(model)
+cosim.export_fmu(dae, target, fmi=int(fmi), platforms=(platform,), identifier=name)"""
 REPEATS = 200
 
 
-def timed_export(model: str, target: Path, cache: Path) -> float:
-    """Return the seconds that one export takes."""
-    began = perf_counter()
-    command = [sys.executable, "-c", ONE, model, str(target)]
+def timed_export(arguments: list[str], cache: Path) -> tuple[float, float]:
+    """Return the wall time and the processor time, s, that one export takes."""
+    before, began = getrusage(RUSAGE_CHILDREN), perf_counter()
+    command = [sys.executable, "-c", ONE, *arguments]
     subprocess.run(command, check=True, env=os.environ | {"COSIM_CACHE": str(cache)})
-    return perf_counter() - began
+    after, wall = getrusage(RUSAGE_CHILDREN), perf_counter() - began
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall, used
 
 
 def instantiation(path: Path) -> float:
-    """Return the median time of one instantiation through fmpy, library loaded, in ms."""
+    """Return the median time of one instantiation through fmpy, library loaded, in us."""
     with unpacked(path) as folder:
         described = fmpy.read_model_description(str(folder))
         kept = fmpy.instantiate_fmu(str(folder), described, "ModelExchange")
@@ -42,20 +50,32 @@ def instantiation(path: Path) -> float:
             kept.instantiate()
             times.append(perf_counter() - began)
         kept.freeInstance()
-    return 1e3 * median(times)
+    return 1e6 * median(times)
 
 
 def main() -> None:
-    models = sys.argv[1:] or casadi_models.CATALOG
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("models", nargs="*", default=casadi_models.CATALOG, metavar="MODEL")
+    parser.add_argument("--platform", default="native")
+    args = parser.parse_args()
     total = 0.0
-    print(f"{'model':32} {'cold, s':>8} {'warm, s':>8} {'file, kB':>9} {'instance, ms':>13}")
+    print(f"{'model':32} {'cold, s':>8} {'of CPU':>7} {'warm, s':>8} "
+          f"{'FMI 2, kB':>10} {'FMI 3, kB':>10} {'instance, us':>13}")  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         target, cache = Path(folder) / "model.fmu", Path(folder) / "cache"
-        for model in models:
-            cold, warm = (timed_export(model, target, cache) for _ in range(2))
+        third = Path(folder) / "model3.fmu"
+        stamp = f"m{os.getpid()}"  # a name that nothing was ever compiled under
+        if args.platform != "native":  # fills what the bundled compiler keeps
+            timed_export([args.models[0], str(target), "3", args.platform, stamp + "_"], cache)
+        for model in args.models:
+            arguments = [model, str(target), "2", args.platform, stamp]
+            cold, used = timed_export(arguments, cache)
+            warm, _ = timed_export(arguments, cache)
+            timed_export([model, str(third), "3", args.platform, stamp], cache)
             total += warm
-            size = target.stat().st_size / 1000
-            print(f"{model:32} {cold:8.2f} {warm:8.2f} {size:9.0f} {instantiation(target):13.3f}")
+            sizes = [path.stat().st_size / 1000 for path in (target, third)]
+            print(f"{model:32} {cold:8.2f} {used:7.2f} {warm:8.2f} "
+                  f"{sizes[0]:10.0f} {sizes[1]:10.0f} {instantiation(target):13.2f}")  # fmt: skip
     print(f"\nall warm: {total:.1f} s")
 
 

@@ -121,6 +121,12 @@ def _parser() -> argparse.ArgumentParser:
         help="native, linux64, win64, darwin64, aarch64-linux, all; native by default",
     )
     export.add_argument("--outputs", metavar="A,B", help="what to compute; all by default")
+    export.add_argument(
+        "--solver",
+        dest="fmu_solver",
+        metavar="NAME",
+        help="of co-simulation: dop853, erk or rosenbrock; by the model's kind by default",
+    )
     _accuracy_option(export)
 
     crosscheck = verbs.add_parser(

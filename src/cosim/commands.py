@@ -118,7 +118,7 @@ def do_export(args: argparse.Namespace) -> int:
     dae = scene_dae(scene)
     name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
-    options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name}
+    options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
     options["platforms"] = names_in(args.platform)
     if accuracy is None:
         path = export_with_proof(dae, target, **options)
