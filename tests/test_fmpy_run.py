@@ -2,7 +2,9 @@
 
 import ctypes
 import re
+import signal
 import tempfile
+import threading
 import zipfile
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -383,3 +385,15 @@ def test_no_folder_for_temporary_files_is_told(fmus, monkeypatch, tmp_path):
 def test_description_of_the_archive_is_the_one_that_counts(fmus):
     with zipfile.ZipFile(fmus["decay", 2]) as archive:
         assert archive.namelist().count(DESCRIPTION) == 1
+
+
+@pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
+@pytest.mark.parametrize("seconds", [0.3, 0.31, 0.32])  # mostly within a callback of ctypes
+def test_ctrl_c_ends_a_run_wherever_it_is(fmus, interface, seconds):
+    path, span = fmus["decay", 2], {"stop_time": 1e4, "output_interval": 0.01}
+    timer = threading.Timer(seconds, signal.raise_signal, [signal.SIGINT])
+    before = signal.getsignal(signal.SIGINT)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        cosim.simulate_fmu(path, interface=interface, **span)
+    assert signal.getsignal(signal.SIGINT) is before

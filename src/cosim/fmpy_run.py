@@ -1,9 +1,13 @@
 """Road two: an FMU through fmpy to a `Trajectory`."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import current_thread, main_thread
 from time import perf_counter
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -80,19 +84,18 @@ def simulate_fmu(
             ready = perf_counter()
             result = _simulated(
                 explained,
+                span.start,
                 filename=str(folder),
                 model_description=description,
                 fmu_instance=instance,
                 fmi_type=kind,
                 validate=False,
-                start_time=span.start,
                 stop_time=span.stop,
                 output_interval=span.interval,
                 relative_tolerance=tolerance,
                 start_values=values,
                 input=table,
                 output=names,
-                step_finished=_moving(span.start),
             )
             done = perf_counter()
             stats: dict[str, Any] = {"solver": f"fmpy {kind}", "solve_time": done - ready}
@@ -213,25 +216,59 @@ def _driven(
     return fmpy_inputs.drive_model_exchange(instance, series, references, constants)
 
 
-def _moving(start: float) -> Callable[[float, Any], bool]:
-    """Return what stops fmpy where time stands still: it repeats a discarded step for ever."""
+def _moving(start: float, interrupts: Sequence[int]) -> Callable[[float, Any], bool]:
+    """Return what stops fmpy after Ctrl-C, or where time stands still.
+
+    Where an FMU discards a step, fmpy repeats it for ever.
+    """
     last = start
 
     def moves(time: float, _recorder: Any) -> bool:
         nonlocal last
         last, before = time, last
-        return time > before
+        return time > before and not interrupts
 
     return moves
 
 
-def _simulated(explained: Callable[[Exception], FmuError], **arguments: Any) -> Any:
+def _simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
     from fmpy import simulate_fmu as run
 
+    with _noticed_interrupts() as interrupts:
+        moving = _moving(start, interrupts)
+        try:
+            result = run(start_time=start, step_finished=moving, **arguments)
+        except Exception as error:
+            if interrupts:
+                raise KeyboardInterrupt from error
+            raise explained(error) from error
+        if interrupts:
+            raise KeyboardInterrupt
+    return result
+
+
+@contextmanager
+def _noticed_interrupts() -> Iterator[list[int]]:
+    """Collect Ctrl-C for `_moving`: ctypes swallows what is raised within fmpy's callbacks.
+
+    The second one does what it usually does.
+    """
+    seen: list[int] = []
+    usual = signal.getsignal(signal.SIGINT)
+    if current_thread() is not main_thread() or not callable(usual):
+        yield seen
+        return
+
+    def notice(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        if len(seen) > 1:
+            usual(number, frame)
+
+    signal.signal(signal.SIGINT, notice)
     try:
-        return run(**arguments)
-    except Exception as error:
-        raise explained(error) from error
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def _rows(

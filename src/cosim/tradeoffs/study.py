@@ -28,7 +28,7 @@ from cosim.tradeoffs.stability import stability_limit
 from cosim.tradeoffs.workshop import Workshop, kept_outputs, members, span
 
 REPEATS = 5
-SECONDS = 200.0  # from the beginning of a study until its last run begins
+SECONDS = 240.0  # from the beginning of a study until its last run begins
 
 
 def tradeoff(
