@@ -37,8 +37,9 @@ def refusal(kind, call):
         lambda dae: cosim.integrator(dae, [0, 1]),
         lambda dae: cosim.reduce(dae, ["x"]),
         lambda dae: cosim.Scene("wrong", dae),
+        lambda dae: cosim.export_fmu(dae, "wrong.fmu"),
     ],
-    ids=["simulate", "start_vectors", "integrator", "reduce", "Scene"],
+    ids=["simulate", "start_vectors", "integrator", "reduce", "Scene", "export_fmu"],
 )
 def test_what_is_no_model_is_refused_with_how_to_get_one(call, wrong):
     told = refusal(UsageError, lambda: call(wrong))
@@ -62,8 +63,10 @@ def test_what_is_no_run_is_neither_compared_nor_drawn(wrong):
         (cosim.simulate_fmu, "an FMU's reader"),
         (lambda wrong: next(cosim.crosscheck([wrong])), "crosscheck"),
         (RUN.to_csv, "to_csv"),
+        (lambda wrong: cosim.export_fmu(DAE, wrong), "export_fmu"),
+        (lambda wrong: cosim.tradeoff(wrong), "tradeoff"),
     ],
-    ids=["run_scene", "read_scene", "simulate_fmu", "crosscheck", "to_csv"],
+    ids=["run_scene", "read_scene", "simulate_fmu", "crosscheck", "to_csv", "export", "tradeoff"],
 )
 def test_what_is_no_file_and_no_scene_is_refused(call, name, wrong):
     assert refusal(UsageError, lambda: call(wrong)).startswith(f"{name} was given ")
@@ -84,7 +87,10 @@ def test_what_is_no_finite_number_is_refused_in_a_scene(setting, wrong):
 
 @pytest.mark.parametrize("wrong", NO_NAMES, ids=repr)
 def test_what_is_no_list_of_names_is_refused(wrong):
-    for call in (cosim.simulate, cosim.reduce):
+    def export(dae, outputs):
+        cosim.export_fmu(dae, "x.fmu", outputs=outputs)
+
+    for call in (cosim.simulate, cosim.reduce, export):
         told = refusal(UsageError, lambda call=call: call(DAE, outputs=wrong))
         assert told.startswith("decay: outputs was given ")
         assert told.endswith("; give a list of names")
@@ -143,3 +149,17 @@ def test_what_is_no_list_of_parameters_is_not_frozen(wrong):
 )
 def test_grid_of_an_integrator_must_be_times(wrong):
     assert refusal(ParameterError, lambda: cosim.integrator(DAE, wrong)).startswith("grid: ")
+
+
+@pytest.mark.parametrize("version", [2.0, "2", "3.0", None, True, 4], ids=repr)
+def test_version_of_fmi_is_2_or_3(version, tmp_path):
+    told = refusal(UnknownName, lambda: cosim.export_fmu(DAE, tmp_path / "a.fmu", fmi=version))
+    assert f"cosim has no FMI version '{version}'" in told
+
+
+@pytest.mark.parametrize("platforms", ["native", "win64"])
+def test_platforms_are_a_list(platforms, tmp_path):
+    told = refusal(
+        UsageError, lambda: cosim.export_fmu(DAE, tmp_path / "a.fmu", platforms=platforms)
+    )
+    assert told.endswith("give a list of platforms")

@@ -70,6 +70,8 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle --start-values phi", "'phi' has no value; give NAME VALUE pairs"),
         ("simulate bicycle --interface-type CoSimulation", "--interface-type is for FMUs"),
         ("simulate bicycle --step-size 0.1", "cvodes chooses its own steps"),
+        ("simulate bicycle --solver rk4 --relative-tolerance 1e-3", "rk4 has no error control"),
+        ("simulate bicycle --solver ode8 --absolute-tolerance 1", "ode8 has no error control"),
         ("simulate bicycle/multipliers --solver erk", "erk cannot integrate; use idas"),
         ("simulate bicycle --outputs phi,phi", "output 'phi' is named twice"),
         ("simulate swing.py", "name the function that builds it, too, as PATH.py:FUNCTION"),

@@ -216,12 +216,13 @@ def test_windows_compilers_but_the_bundled_one_get_neither_fpic_nor_libm(
     assert ("-fPIC" in words, "-lm" in words) == (given, given)
 
 
-def test_paths_with_backslashes_and_spaces_are_read_as_windows_writes_them(monkeypatch):
-    chosen = r'"C:\Program Files\LLVM\bin\clang.exe" -m64'
+@pytest.mark.parametrize("path", [r"C:\LLVM\bin\clang.exe", r"C:\Program Files\clang.exe"])
+def test_paths_with_backslashes_and_spaces_are_read_as_windows_writes_them(path, monkeypatch):
+    chosen = f'"{path}" -m64' if " " in path else f"{path} -m64"
     monkeypatch.setenv("CC", chosen)
     monkeypatch.setattr(compiling.shutil, "which", lambda name: name)
     monkeypatch.setattr(compiling.sys, "platform", "win32")
-    assert find_compiler() == (r"C:\Program Files\LLVM\bin\clang.exe", "-m64")
+    assert find_compiler() == (path, "-m64")
 
 
 def test_library_that_another_process_has_made_and_loaded_meanwhile_is_taken(cache, monkeypatch):

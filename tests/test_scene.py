@@ -367,6 +367,12 @@ def test_variant_is_a_road_a_solver_or_a_formulation(write):
         variant(scene, "twobody")
 
 
+def test_tolerances_do_not_outlive_the_adaptive_solver():
+    scene = with_solver(read_scene("bicycle_model_1.toml"), "ode8")
+    assert scene.settings.relative_tolerance is None
+    assert scene.settings.absolute_tolerance is None
+
+
 def test_step_size_does_not_outlive_the_fixed_step_solver():
     dae = cosim.load("crank_shaft")
     scene = Scene("crank", dae, settings=Settings(solver="ode8", step_size=0.1))

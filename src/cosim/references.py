@@ -22,7 +22,7 @@ from casadi_models.dae import Dae
 from cosim.comparison import compare
 from cosim.compile import has_compiler
 from cosim.consistent import start_function
-from cosim.errors import ExportError, SolverError
+from cosim.errors import ExportError, SolverError, UsageError
 from cosim.files import write_atomically
 from cosim.integrate import simulate, time_grid
 from cosim.resources import cache_folder
@@ -119,6 +119,8 @@ def reference(scene: Scene | Dae) -> Reference:
     """
     if isinstance(scene, Dae):
         scene = Scene(scene.full_name, scene)
+    if not isinstance(scene, Scene):
+        raise UsageError.of_type("reference", scene, "a Scene or a Dae")
     dae = scene.configured()
     key = reference_key(scene)
     place = cache_folder() / "references" / f"{key}.npz"

@@ -17,7 +17,7 @@ from cosim.integrate import simulate
 from cosim.loading import formulations, load, no_such_output, observable
 from cosim.reduction import reduce
 from cosim.scene import Scene
-from cosim.solvers import SOLVERS
+from cosim.solvers import SOLVERS, method
 from cosim.trajectory import Trajectory
 
 FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
@@ -74,6 +74,8 @@ def run_scene(
         with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
             path = export_fmu(dae, Path(folder) / "scene.fmu")
             return run_fmu(scene, dae, path, FMU_ROADS[road])
+    if settings.relative_tolerance is not None and not method(dae, settings.solver)[1].adaptive:
+        raise UsageError(f"{settings.solver} has no error control; leave relative_tolerance out")
     start: dict[str, float] = {}
     if promised:
         dae = scene_dae(replace(scene, values={}))
@@ -144,7 +146,7 @@ def variant(scene: Scene, name: str) -> tuple[Scene, str | None]:
 def with_solver(scene: Scene, name: str) -> Scene:
     """Return a scene with another solver, which takes over no accuracy or budget.
 
-    An adaptive one takes over no step size either.
+    An adaptive one takes over no step size either, one with fixed steps no tolerance.
 
     Raises:
         UnknownName: There is no such solver.
@@ -152,8 +154,12 @@ def with_solver(scene: Scene, name: str) -> Scene:
     if name not in SOLVERS:
         raise UnknownName.among("cosim", "solver", name, SOLVERS)
     scene = without_goal(scene)
-    step_size = None if SOLVERS[name].adaptive else scene.settings.step_size
-    return replace(scene, settings=replace(scene.settings, solver=name, step_size=step_size))
+    settings = replace(scene.settings, solver=name)
+    if SOLVERS[name].adaptive:
+        settings = replace(settings, step_size=None)
+    else:
+        settings = replace(settings, relative_tolerance=None, absolute_tolerance=None)
+    return replace(scene, settings=settings)
 
 
 def without_goal(scene: Scene) -> Scene:

@@ -25,7 +25,7 @@ from cosim.export.variables import dependencies, fmu_variables
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.resources import cache_folder, runtime_sources
 from cosim.stage_sums import dop853_text
-from cosim.values import number
+from cosim.values import A_DAE, listed, number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 VERSIONS = {2: description2, 3: description3}
@@ -64,20 +64,27 @@ def export_fmu(
     Raises:
         ExportError: The name is no C name, or the file cannot be written.
         UnknownName: The model has no such output, or FMI no such version, platform or solver.
-        UsageError: The solver cannot solve for algebraic unknowns.
+        UsageError: The solver cannot solve for algebraic unknowns; or an argument is of a type
+            that is of no use.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
     """
-    if fmi not in VERSIONS:
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("export_fmu", dae, A_DAE)
+    if not isinstance(target, str | os.PathLike):
+        raise UsageError.of_type("export_fmu", target, "a file name")
+    if type(fmi) is not int or fmi not in VERSIONS:
         raise UnknownName.among("cosim", "FMI version", str(fmi), map(str, VERSIONS))
     path = Path(target)
     refuse_unwritable(path)  # before anything has been computed
     name = model_identifier(identifier or dae.full_name)
+    if isinstance(platforms, str):
+        raise UsageError.of_type("export_fmu", platforms, "a list of platforms")
     chosen = targets(platforms, fmi)
     if not 1e-13 <= number("export", "tolerance", tolerance) <= 0.1:
         raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
     if outputs is not None:
-        dae = _observing(dae, outputs)
+        dae = _observing(dae, listed(f"{dae.full_name}: outputs", outputs))
     files = source_files(dae, name, tolerance, fmi, solver)
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
     content = zipped(files | binaries(sources, name, chosen))

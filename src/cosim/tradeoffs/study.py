@@ -64,6 +64,8 @@ def tradeoff(
         if every_formulation is None:
             every_formulation = "/" not in scene and ".py:" not in scene
         scene = Scene(scene, load(scene))
+    if not isinstance(scene, Scene):
+        raise UsageError.of_type("tradeoff", scene, "a Scene, or the name of a model")
     began, tell = perf_counter(), tell or (lambda _: None)
     selection = _possible(selection or Selection(), tell)
     if not scene.dae.states:
