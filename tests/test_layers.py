@@ -35,7 +35,7 @@ cosim.archive | cosim.buffers | cosim.compile | cosim.consistent | cosim.dop853 
 cosim.reduction | cosim.scene cosim.scene_figures
 cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim.engines
   cosim.calling cosim.observation cosim.monitors cosim.integrate
-  | cosim.export | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance
+  | cosim.export | cosim.fmpy_run cosim.fmpy_inputs cosim.fmpy_instance cosim.isolated
 cosim.comparison | cosim.inspection | cosim.roads | cosim.scene_file
 cosim.references
 cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.limit_oracles

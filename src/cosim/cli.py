@@ -109,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     _solver_options(simulate)
     simulate.add_argument("--output-file", metavar="FILE", help="CSV; standard output by default")
+    _timeout_option(simulate)
 
     export = verbs.add_parser("export", parents=[common], help="write a model as an FMU")
     export.add_argument("model", metavar="MODEL|SCENE.toml")
@@ -134,6 +135,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     crosscheck.add_argument("models", metavar="MODEL|SCENE.toml", nargs="*", help="all by default")
     crosscheck.add_argument("--bound", type=float, metavar="B", help="in nominal values; 1e-6")
+    _timeout_option(crosscheck)
 
     tradeoff = verbs.add_parser(
         "tradeoff", parents=[common, run, values], help="error against cost, on every road"
@@ -163,7 +165,14 @@ def _parser() -> argparse.ArgumentParser:
         help="draw a second run and the difference: fmu, fmu-me, fmu-cs, a solver, a formulation",
     )
     plot.add_argument("--output-file", metavar="FILE", help="PNG, SVG or PDF; a window by default")
+    _timeout_option(plot)
     return parser
+
+
+def _timeout_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--timeout", type=float, metavar="S", help="for one run of an FMU file, s; no limit"
+    )
 
 
 def _common() -> _Parser:

@@ -151,6 +151,8 @@ def do_crosscheck(args: argparse.Namespace) -> int:
         BOUND if args.bound is None else number("crosscheck", "bound", args.bound, positive=True)
     )
     files = [name for name in args.models if name.endswith(".fmu")]
+    if not files:
+        _refuse_timeout(args)
     items = [
         named_scene(name) if name.endswith(".toml") else name
         for name in args.models
@@ -164,7 +166,7 @@ def do_crosscheck(args: argparse.Namespace) -> int:
         bound=bound,
     )
     rows = []
-    proofs = chain.from_iterable(map(check_file, files))
+    proofs = chain.from_iterable(check_file(file, args.timeout) for file in files)
     try:
         for check in chain(proofs, models if items or not files else ()):
             row = check.row()
@@ -208,7 +210,15 @@ def do_plot(args: argparse.Namespace) -> int:
 
 def _scene(args: argparse.Namespace) -> Scene | None:
     """Return the scene that a command line asks for; None for an FMU."""
-    return None if args.model.endswith(".fmu") else scene_from(args)
+    if args.model.endswith(".fmu"):
+        return None
+    _refuse_timeout(args)
+    return scene_from(args)
+
+
+def _refuse_timeout(args: argparse.Namespace) -> None:
+    if args.timeout is not None:
+        raise UsageError("--timeout is for FMU files; a model's run ends at its step limit")
 
 
 def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
@@ -239,7 +249,7 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
             on_invalid=args.on_invalid or "warn",
             drift_control=args.drift_control,
         )
-    from cosim.fmpy_run import simulate_fmu
+    from cosim.isolated import simulate_apart
 
     own = (
         "solver",
@@ -252,8 +262,9 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     for option in (*own, *GOALS):
         if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
-    return simulate_fmu(
+    return simulate_apart(
         args.model,
+        timeout=args.timeout,
         interface=args.interface_type,
         start_time=args.start_time,
         stop_time=args.stop_time,

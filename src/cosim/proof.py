@@ -9,8 +9,9 @@ import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from cosim.export.platforms import NATIVE
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmpy_run import INTERFACES, simulate_fmu
 from cosim.integrate import simulate
+from cosim.isolated import simulate_apart
 from cosim.trajectory import Column, Trajectory
 
 REFERENCE = "documentation/reference.csv"
@@ -56,7 +58,10 @@ def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) 
         if tuple(options.get("platforms", (NATIVE,))) != (NATIVE,):
             here = options | {"platforms": (NATIVE,)}
             local = export_fmu(dae, Path(folder) / "local.fmu", **here)
-        checks = _checks(local, run, tolerance, BOUND)
+        checks = [*_checks(local, run, tolerance, BOUND, simulate_fmu)]
+        for check in checks:
+            if check.failure:
+                raise FmuError(check.failure)
         measured = {c.road: c.comparison.worst for c in checks if c.comparison}
         with zipfile.ZipFile(plain) as fmu:
             files = {name: fmu.read(name) for name in fmu.namelist()}
@@ -82,8 +87,14 @@ def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) 
     return write_atomically(target, zipped(files | extra))
 
 
-def check_file(path: str | os.PathLike[str]) -> Iterator[Check]:
+def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> Iterator[Check]:
     """Run an FMU through fmpy on every interface and compare with the reference inside it.
+
+    Its binary runs in a process of its own; a run that fails is a check that failed.
+
+    Args:
+        path: The FMU.
+        timeout: Wall time of one run, s.
 
     Raises:
         FmuError: The file is no FMU, or carries no reference.
@@ -97,7 +108,8 @@ def check_file(path: str | os.PathLike[str]) -> Iterator[Check]:
             f"{path} carries no reference result; export it with cosim export"
         ) from error
     tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
-    yield from _checks(path, _from_csv(table, facts), tolerance, bound)
+    apart = partial(simulate_apart, timeout=timeout)
+    yield from _checks(path, _from_csv(table, facts), tolerance, bound, apart)
 
 
 def _reference(dae: Dae, tolerance: float) -> Trajectory:
@@ -113,19 +125,28 @@ def _reference(dae: Dae, tolerance: float) -> Trajectory:
 
 
 def _checks(
-    path: str | os.PathLike[str], run: Trajectory, tolerance: float, bound: float
+    path: str | os.PathLike[str],
+    run: Trajectory,
+    tolerance: float,
+    bound: float,
+    simulate_file: Callable[..., Trajectory],
 ) -> Iterator[Check]:
     for interface in INTERFACES:
-        fine = simulate_fmu(
-            path,
-            interface=interface,
-            stop_time=float(run.time[-1]),
-            output_interval=float(run.time[1] - run.time[0]) / FINER,
-            relative_tolerance=tolerance,
-        )
+        road = f"fmpy {interface}"
+        try:
+            fine = simulate_file(
+                path,
+                interface=interface,
+                stop_time=float(run.time[-1]),
+                output_interval=float(run.time[1] - run.time[0]) / FINER,
+                relative_tolerance=tolerance,
+            )
+        except FmuError as error:
+            yield Check(run.model, road, "reference", None, failure=str(error))
+            continue
         again = replace(fine, time=fine.time[::FINER], values=fine.values[::FINER])
         difference = compare(run, again, bound=bound)
-        yield Check(run.model, f"fmpy {interface}", "reference", difference, dict(again.stats))
+        yield Check(run.model, road, "reference", difference, dict(again.stats))
 
 
 def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:
