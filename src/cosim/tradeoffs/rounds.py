@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 from cosim.tradeoffs.configuration import COMPILED, INTERPRETED, Configuration
@@ -74,14 +75,9 @@ def _too_slow(configuration: Configuration, took: Mapping[Configuration, float])
 
 def _no_slower(other: Configuration, configuration: Configuration) -> bool:
     """Tell whether a run is coarser, or the compiled twin of an interpreted one."""
-    if (other.model, other.reduced, other.solver) != (
-        configuration.model,
-        configuration.reduced,
-        configuration.solver,
-    ):
-        return False
     twins = (other.road, configuration.road) == (COMPILED, INTERPRETED)
-    return (twins or other.road == configuration.road) and (
+    alike = replace(other, road=configuration.road) if twins else other
+    return alike.family == configuration.family and (
         (other.tolerance or 0) >= (configuration.tolerance or 0)
         and (other.step or 0) >= (configuration.step or 0)
     )
