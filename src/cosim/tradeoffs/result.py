@@ -16,7 +16,7 @@ import numpy as np
 from cosim.compile import find_compiler
 from cosim.errors import MissingTool
 from cosim.references import Reference
-from cosim.tradeoffs.configuration import COMPILED, Configuration, Family
+from cosim.tradeoffs.configuration import COMPILED, Family
 from cosim.tradeoffs.measurement import COSTS, Measurement
 from cosim.tradeoffs.orders import Order
 from cosim.tradeoffs.stability import StabilityLimit
@@ -88,16 +88,19 @@ class Tradeoff:
         return proportionality(self.measurements, self.floor)
 
     def missing(self) -> list[dict[str, str]]:
-        """Return what has no result and why; of a family, what has the same reason is one row."""
-        groups: dict[tuple[Family, str], list[Configuration]] = {}
+        """Return what has no result and why.
+
+        Of a family, failures of one kind are one row, with the reason of the first.
+        """
+        groups: dict[tuple[Family, str], list[Measurement]] = {}
         for measurement in self.measurements:
             if measurement.error is None:
-                key = (measurement.configuration.family, measurement.status)
-                groups.setdefault(key, []).append(measurement.configuration)
+                kind = measurement.status.partition(":")[0]
+                groups.setdefault((measurement.configuration.family, kind), []).append(measurement)
         rows = []
-        for (_, status), members in groups.items():
-            last = f" ... {members[-1].setting}" if len(members) > 1 else ""
-            rows.append({"configuration": f"{members[0]}{last}", "reason": status})
+        for first, *others in groups.values():
+            last = f" ... {others[-1].configuration.setting}" if others else ""
+            rows.append({"configuration": f"{first.configuration}{last}", "reason": first.status})
         keys = ("configuration", "reason")
         return [*rows, *(dict(zip(keys, pair, strict=True)) for pair in self.impossible)]
 
