@@ -5,6 +5,7 @@ import subprocess
 from math import prod
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from oscillators import oscillator
@@ -198,10 +199,24 @@ static int rhs_work(long long *a, long long *r, long long *i, long long *w) {
 """
 
 
+TOY_PROJECTION = """
+static int project(const double **arg, double **res, long long *iw, double *w, int mem) {
+    (void)iw; (void)w; (void)mem;
+    res[0][0] = arg[0][0];
+    res[1][0] = 0;
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("projected", [False, True])
 @pytest.mark.parametrize("solver", ["dop853", *METHODS])
-def test_c_code_is_clean(solver, tmp_path):
+def test_c_code_is_clean(solver, projected, tmp_path):
     around = [solver_source(f"{name}.c") for name in ("interrupt", "problem", "external")]
-    parts = [TOY, *around[:2], *explicit._method_text(solver), around[2]]
+    x, c = ca.SX.sym("x"), ca.SX.sym("c")
+    project = ca.Function("project", [x, c], [x, 0]) if projected else None
+    method = explicit._method_text(solver, project)
+    parts = [TOY, TOY_PROJECTION * projected, *around[:2], *method, around[2]]
     source = Path(tmp_path / "code.c")
     source.write_text("\n".join(parts))
     flags = "-std=c11 -O2 -Wall -Wextra -Wpedantic -Wconversion -Wno-missing-field-initializers"
