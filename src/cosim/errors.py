@@ -79,12 +79,6 @@ class SecurityError(FmuError):
     """A file that would reach beyond its own folder."""
 
 
-class ComparisonError(CosimError):
-    """Two results that differ by more than the bound."""
-
-    exit_code = 4
-
-
 class MissingTool(CosimError):
     """A compiler or an optional package that is not there; the message says how to get it."""
 
