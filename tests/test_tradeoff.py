@@ -12,6 +12,7 @@ from cosim.errors import MissingTool, ParameterError, SolverError, UnknownName, 
 from cosim.loading import load
 from cosim.references import reference
 from cosim.scene import Scene, Settings
+from cosim.tradeoff_figure import draw_tradeoff
 from cosim.tradeoffs import COSTS, Configuration, Measurement, Selection, tradeoff
 from cosim.tradeoffs.events import Event, Record
 from cosim.tradeoffs.measurement import Timing, gather, invariants, observed_event
@@ -311,6 +312,19 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
     }
     assert {"casadi", "fmpy", "cosim-rigid", "platform", "compiler"} <= set(facts["provenance"])
     assert set(facts["fronts"]) == set(COSTS)
+
+
+def test_figure_names_the_front_and_shows_the_floor(study):
+    figure = draw_tradeoff(study)
+    for axis, cost in zip(figure.axes, COSTS, strict=False):
+        front = [m.configuration for m in study.front(cost)]
+        named = [text.get_text() for text in axis.texts]
+        assert named[0].startswith(front[0].short)
+        assert named[-1].endswith(front[-1].setting)
+        for configuration in front:
+            assert any(configuration.solver in name for name in named)
+        assert any(patch.get_y() + patch.get_height() == study.floor for patch in axis.patches)
+        assert f"{study.floor:.0e}" in axis.get_title()
 
 
 @pytest.mark.parametrize(
