@@ -14,7 +14,8 @@ was asked for, nothing can be judged.
 kept       of the runs that were returned, those whose true error is not above what was asked for
 chosen     the same of the cheapest configuration, which is run once more by itself
 worst      largest true error over what was asked for, of each
-estimate   smallest and largest estimated error over the true one of the chosen configuration
+estimate   smallest and largest estimated error over the true one of the chosen configuration,
+           where the reference is ten times as accurate as that one
 refused    regular motions that ended with "accuracy is not reached", or that solvers cannot do
 fallen     motions without an end, and how many of them ended with an error or a warning
 """
@@ -53,7 +54,7 @@ class Tally:
     told: int = 0
 
     def row(self, model: str, accuracy: float) -> dict[str, object]:
-        estimates = self.estimates or [float("nan")]
+        low, high = min(self.estimates, default=None), max(self.estimates, default=None)
         return {
             "model": model,
             "accuracy": accuracy,
@@ -61,7 +62,7 @@ class Tally:
             "worst": max(self.returned, default=None),
             "chosen": _share(self.chosen),
             "worst chosen": max(self.chosen, default=None),
-            "estimate": f"{min(estimates):.2g} ... {max(estimates):.2g}",
+            "estimate": f"{low:.2g} ... {high:.2g}" if low and high else "",
             "refused": self.refused,
             "unjudged": self.unjudged,
             "fallen": f"{self.told} of {self.fallen} told" if self.fallen else "",
@@ -141,7 +142,8 @@ def judge(dae: Dae, values: dict[str, float], tallies: dict[float, Tally]) -> No
         error = cosim.compare(truth, again).worst.scaled
         tally.returned.append(cosim.compare(truth, run).worst.scaled / accuracy)
         tally.chosen.append(error / accuracy)
-        tally.estimates.append(run.stats["error_estimate"] / max(error, 1e-14))
+        if best.error(dae.observed) <= error / 10:
+            tally.estimates.append(run.stats["error_estimate"] / error)
 
 
 def watch(dae: Dae, values: dict[str, float], tallies: dict[float, Tally]) -> None:

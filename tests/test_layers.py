@@ -39,7 +39,7 @@ cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim
 cosim.comparison | cosim.inspection | cosim.roads | cosim.scene_file
 cosim.references
 cosim.crosschecks | cosim.tradeoffs | cosim.extremes cosim.limit_cases cosim.limit_oracles
-cosim.fronts cosim.promises
+cosim.fronts cosim.checked_runs cosim.accurate_runs cosim.budgeted_runs cosim.promises
 cosim.plots cosim.figures cosim.picture_files cosim.tradeoff_figure cosim.limit_map
 cosim.proof | cosim.ssp
 cosim.fmu_promises

@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from casadi_models.dae import Dae
+from cosim.accurate_runs import SAFETY
 from cosim.comparison import Difference, compare
 from cosim.errors import ExportError, FmuError, ParameterError
 from cosim.export import export_fmu
 from cosim.export.platforms import NATIVE
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmpy_run import INTERFACES, simulate_fmu
-from cosim.fronts import TOLERANCES, truth
-from cosim.promises import SAFETY
+from cosim.fronts import TOLERANCES
 from cosim.proof import export_with_proof
-from cosim.references import Reference
+from cosim.references import Reference, reference
 
 _CO_SIMULATION = "CoSimulation"
 
@@ -81,7 +81,7 @@ def export_accurate(
         CosimError: See `export_with_proof`.
     """
     refuse_unwritable(target)
-    best = truth(dae)
+    best = reference(dae)
     here = options | {"platforms": (NATIVE,)}
     with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
         probe = export_fmu(dae, Path(folder) / "probe.fmu", **here)

@@ -82,11 +82,6 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
     return _read(place) or _measured(scene, compiled, place)
 
 
-def truth(dae: Dae) -> Reference:
-    """Return the reference of a model, with every variable that it has."""
-    return reference(_recording_all(dae))
-
-
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
     """Return the solvers that are measured: of different kinds, so that each can check another."""
     own = ("idas", "rosenbrock") if dae.algebraics else ("cvodes", "erk")
@@ -123,14 +118,14 @@ def _measured(scene: Scene, compiled: bool, place: Path) -> Front:
         event = _event(workshop, configuration, best)
         if event is not None:
             events[configuration] = event
-            times[solver] = _time(event)
+            times[solver] = event.run_time
         elif solver in times:  # too tight; the first ones may be too loose
             times[solver] = float("inf")
     for _ in range(ROUNDS - 1):
         for configuration, event in events.items():
-            if _time(event) < SLOW / 5:
+            if event.run_time < SLOW / 5:
                 again = _event(workshop, configuration, best) or event
-                events[configuration] = min(event, again, key=_time)
+                events[configuration] = min(event, again, key=lambda e: e.run_time)
     rounding = {
         name: float(np.spacing(np.abs(best.run[name]).max())) / best.run.column(name).nominal
         for name in best.run.names
@@ -149,10 +144,6 @@ def _event(workshop: Workshop, configuration: Configuration, best: Reference) ->
     event = observed_event(configuration, run, best, best.run.names, ())
     errors = {name: max(error, best.errors[name]) for name, error in event.errors.items()}
     return replace(event, errors=errors)
-
-
-def _time(event: Event) -> float:
-    return event.solver_time or 0.0
 
 
 def _keep(front: Front, place: Path) -> None:

@@ -25,6 +25,7 @@ from cosim.consistent import start_function
 from cosim.errors import ExportError, SolverError, UsageError
 from cosim.files import write_atomically
 from cosim.integrate import simulate, time_grid
+from cosim.observation import all_columns
 from cosim.resources import cache_folder
 from cosim.scene import Scene
 from cosim.solvers import SOLVERS
@@ -33,7 +34,7 @@ from cosim.values import assign
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no costly method is tried
 COSTLY = ("rosenbrock", "idas")  # their Jacobians take long to compile
-_FORMAT = "reference-1"
+_FORMAT = "reference-2"
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Way:
         return f"{self.solver} with {self.parts} steps per output interval"
 
     def run(self, scene: Scene, dae: Dae) -> Trajectory:
-        """Run a DAE with the scene's span and inputs."""
+        """Run a DAE with the scene's span and inputs; record all, whatever is observed."""
         settings = scene.settings
         options: dict[str, Any] = {"relative_tolerance": self.tolerance}
         if self.parts is not None:
@@ -67,6 +68,7 @@ class Way:
             stop_time=settings.stop_time,
             solver=self.solver,
             inputs=scene.inputs,
+            outputs=[column.name for column in all_columns(dae)],
             **options,
         )
 
