@@ -1,7 +1,8 @@
 """Drift control of the forms with multipliers: what it leaves of drift and error, what it costs.
 
-Prints the tables of docs/drift.md. Times are medians of interleaved repeats of the solver alone;
-only their ratio to the run without control counts. Runs of more than SLOW seconds are not repeated.
+Prints the tables of docs/drift.md; with `--figure FILE` it only draws the drift of the long runs.
+Times are medians of interleaved repeats of the solver alone; only their ratio to the run without
+control counts. Runs of more than SLOW seconds are not repeated.
 """
 
 import sys
@@ -9,13 +10,16 @@ from dataclasses import dataclass, field
 from statistics import median
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import cosim
 from casadi_models.dae import Dae
+from cosim.picture_files import save
 from cosim.trajectory import Trajectory
 
 REPEATS = 25
 SLOW = 1.0  # s
+_COLOURS = ("#d62728", "#4c78a8", "#f2b134", "#2a9d5c")  # one per control
 MONITORS = ("position_drift", "velocity_drift")
 
 
@@ -76,6 +80,9 @@ CONTROLS = (
 
 
 def main() -> None:
+    if "--figure" in sys.argv:
+        save([_figure()], sys.argv[sys.argv.index("--figure") + 1])
+        return
     for cases, tolerances in ((SHORT, (1e-6, 1e-8)), (LONG, (1e-8,))):
         print(
             "| model | solver | rtol | control | position | velocity | energy | error | calls "
@@ -89,6 +96,26 @@ def main() -> None:
                 for rtol in tolerances:
                     _measure(case, dae, truth, solver, rtol)
         print()
+
+
+def _figure() -> Figure:
+    """Draw the largest residual of bicycle and pendulum over a long run, up to each time."""
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for axis, case in zip(axes, LONG[:2], strict=True):
+        dae = cosim.load(case.model)
+        for solver, style in (("idas", "--"), ("dop853", "-")):
+            for (name, options), colour in zip(CONTROLS, _COLOURS, strict=True):
+                if solver == "idas" and name == "projection":
+                    continue
+                run = _run(case, dae, solver, 1e-8, options)
+                drift = np.maximum.accumulate(np.maximum(*(run[m] for m in MONITORS)))
+                axis.plot(run.time, drift, style, color=colour, label=f"{name} ({solver})")
+        axis.set(title=case.model, xlabel="time [s]", yscale="log", ylim=(1e-16, 1e-3))
+        axis.grid(visible=True, alpha=0.3)
+    axes[0].set_ylabel("largest drift [m, m/s, 1]")
+    axes[1].legend(fontsize=7, ncols=2, loc="center right", bbox_to_anchor=(1, 0.35))
+    return figure
 
 
 def _measure(case: Case, dae: Dae, truth: Trajectory | None, solver: str, rtol: float) -> None:

@@ -2,6 +2,7 @@
 
 import json
 
+import casadi as ca
 import pytest
 
 import cosim
@@ -38,3 +39,23 @@ def test_info_shows_conditions_and_margins(capsys):
     rows = {row["name"]: row["at the start"] for row in facts["conditions"]}
     assert rows["constraint_condition"] == pytest.approx(1.0)  # upright: no two slips are coupled
     assert len(facts["margins"]) == len(facts["limits"])
+
+
+def test_monitor_is_refused_like_any_other_declaration():
+    model = Model("point")
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1)
+    with pytest.raises(ValueError, match="'x' is declared twice"):
+        model.monitor("x", x, "the place again")
+    model.monitor("wild", ca.SX.sym("stranger"), "of nobody")
+    with pytest.raises(ValueError, match="monitor 'wild' uses 'stranger'"):
+        model.freeze()
+
+
+def test_monitors_that_are_not_named_stay_monitors():
+    dae = cosim.load("bicycle")
+    assert dae.watching(()) is dae
+    asked = dae.watching(["mass_condition"])
+    assert "mass_condition" in [v.name for v in asked.output_variables]
+    assert "mass_condition" not in [v.name for v, _ in asked.monitors]
+    assert len(asked.monitors) == len(dae.monitors) - 1
