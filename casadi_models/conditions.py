@@ -23,13 +23,13 @@ def watch_masses(model: Model, mass: SX) -> None:
     correlation. The monitor is |C| |C^-1| / n in Frobenius norms, 1 where nothing is coupled.
     Speeds that never have inertia (a slender bar about its axis) are left out.
     """
-    inert = [i for i, entry in enumerate(ca.vertsplit(ca.diag(mass))) if not entry.is_zero()]
-    mass = mass[inert, inert]
+    kept = [i for i, entry in enumerate(ca.vertsplit(ca.diag(mass))) if not entry.is_zero()]
+    mass = mass[kept, kept]
     size = ca.sqrt(ca.diag(mass))
     coupling = ca.triu2symm(ca.triu(mass / (size @ size.T)))
     model.monitor(
         "mass_condition",
-        _or_infinite(ca.norm_fro(coupling) * ca.norm_fro(_inverse(coupling)) / len(inert)),
+        _or_infinite(ca.norm_fro(coupling) * ca.norm_fro(_inverse(coupling)) / len(kept)),
         "condition of the mass matrix scaled to a unit diagonal; 1 where no speeds are coupled",
     )
 
@@ -63,8 +63,8 @@ def watch_constraints(model: Model, jacobian: SX, mass: SX) -> None:
     are not unique.
     """
     m = jacobian.shape[0]
-    inert = [SX(1) if entry.is_zero() else entry for entry in ca.vertsplit(ca.diag(mass))]
-    scaled = jacobian @ ca.diag(1 / ca.sqrt(ca.vertcat(*inert)))
+    masses = [SX(1) if entry.is_zero() else entry for entry in ca.vertsplit(ca.diag(mass))]
+    scaled = jacobian @ ca.diag(1 / ca.sqrt(ca.vertcat(*masses)))
     scaled = ca.diag(1 / ca.sqrt(ca.sum2(scaled**2))) @ scaled
     gram = ca.triu2symm(ca.triu(scaled @ scaled.T))
     model.monitor(
@@ -87,7 +87,7 @@ def watch_singularity(model: Model, *margins: Any) -> None:
 
 
 def equal_energies(mass: SX) -> SX:
-    """Return speeds of equal kinetic energy: a projection in these sizes changes energy least."""
+    """Return speeds of equal kinetic energy: a projection in these sizes changes energy little."""
     return 1 / ca.sqrt(ca.diag(mass))
 
 
