@@ -7,7 +7,7 @@ from functools import partial
 from itertools import count
 from random import Random
 from statistics import median
-from time import perf_counter
+from time import perf_counter, process_time
 
 from entries import Evaluation, Run, Solver
 from problem import SEED, Problem
@@ -16,6 +16,7 @@ TARGETS = (1e-4, 1e-7, 1e-10)
 LOOSEST, PER_DECADE = 1e-3, 3  # tolerances
 TOO_LONG = 5.0  # s: a run that takes longer ends the search
 REPEATS = 31
+FEWEST, ENOUGH = 5, 1.0  # repeats, s: then a long run is left out of further turns
 CALLS = 2000  # right-hand sides in a turn
 
 
@@ -74,9 +75,10 @@ def choose(solver: Solver, problem: Problem) -> Choice:
     return Choice(found, preparation)
 
 
-def interleaved(runs: Sequence[Callable[[], object]], repeats: int = REPEATS) -> list[float]:
-    """Return the median time of each run, s.
+def interleaved(runs: Sequence[Callable[[], object]]) -> list[float]:
+    """Return the median time of each run on the processor, s.
 
+    On an idle machine that is the elapsed time; on a shared one it leaves out the work of others.
     In every turn the order is another one, and each is run twice, of which the second time counts:
     threads and caches that the one before has left busy are not its own.
     """
@@ -84,13 +86,14 @@ def interleaved(runs: Sequence[Callable[[], object]], repeats: int = REPEATS) ->
     pairs = list(zip(runs, times, strict=True))
     order = Random(SEED)
     gc.disable()
-    for _ in range(repeats):
+    for _ in range(REPEATS):
         order.shuffle(pairs)
         for run, kept in pairs:
-            run()
-            began = perf_counter()
-            run()
-            kept.append(perf_counter() - began)
+            if len(kept) < FEWEST or sum(kept) < ENOUGH:
+                run()
+                began = process_time()
+                run()
+                kept.append(process_time() - began)
     gc.enable()
     return [median(kept) for kept in times]
 

@@ -1,5 +1,7 @@
 """The product: parameters are symbols, so that nothing is compiled anew when they change."""
 
+import os
+import tempfile
 from collections.abc import Iterator
 
 import casadi as ca
@@ -13,10 +15,12 @@ from cosim.externals import cache_key, external
 from cosim.solvers import Tolerance
 
 PACKAGES = ("cosim-rigid", "casadi")
+EMPTY_CACHE = tempfile.TemporaryDirectory(prefix="cosim-peers-")
 
 
 def solvers(problem: Problem) -> Iterator[Solver]:
     dae, grid, start = problem.dae, problem.grid, problem.start
+    os.environ["COSIM_CACHE"] = EMPTY_CACHE.name  # so that preparing means compiling
     values = (start["x0"], start["z0"], start["p"], start["u"])
 
     def prepared(solver: str) -> Solver:
@@ -56,7 +60,7 @@ def _called(graph: ca.Function, arguments: list[Vector], name: str) -> Iterator[
     count = len(arguments[1])
     same = [i for i in range(len(arguments)) if i != 1]
     many = graph.map("many", "serial", count, same, [])
-    key = cache_key("benchmark", many)
+    key = cache_key("peers", many)
     results = np.empty_like(arguments[1])
     for function in external([graph, many], key, ["rhs", "many"]):
         buffer, evaluate = function.buffer()

@@ -9,6 +9,7 @@ from entries import Evaluation, Run, Solver
 from problem import Problem
 
 PACKAGES = ("heyoka",)
+hy.llvm_state.set_diskcache_enabled(False)  # so that preparing means compiling
 
 
 def solvers(problem: Problem) -> Iterator[Solver]:
