@@ -4,6 +4,7 @@
 2. A C loop over model exchange, against the bare compiled right-hand side.
 3. The columns of the state Jacobian by getDirectionalDerivative, against forward differences.
 4. Instantiating and freeing.
+5. A C loop over co-simulation, by solver.
 
 Interleaved repeats, medians; the ratios are what counts.
 """
@@ -123,7 +124,22 @@ void measure(int count, double results[5]) {
     free(arg), free(res), free(w);
     fmi2FreeInstance(fmu);
 }
+
+__attribute__((visibility("default")))
+double co_simulate(int count, double step) {
+    static const fmi2CallbackFunctions host = {ignore, calloc, free, NULL, NULL};
+    fmi2Component fmu = fmi2Instantiate("fmu", fmi2CoSimulation, MODEL_GUID, NULL, &host, 0, 0);
+    fmi2SetupExperiment(fmu, 0, 0, 0, 0, 0);
+    fmi2EnterInitializationMode(fmu);
+    fmi2ExitInitializationMode(fmu);
+    const double start = now();
+    for (int i = 0; i < count; i++) fmi2DoStep(fmu, i * step, step, 1);
+    const double taken = now() - start;
+    fmi2FreeInstance(fmu);
+    return taken / count;
+}
 """
+SOLVERS = ("dop853", "erk", "rosenbrock")
 
 
 def do_nothing(dae: Dae) -> Dae:
@@ -175,18 +191,28 @@ def main() -> None:
         print(f"fmpy, co-simulation, 2001 outputs: {busy * 1e3:.1f} ms, "
               f"doing nothing {idle * 1e3:.1f} ms, ratio {busy / idle:.2f}")  # fmt: skip
 
-        driver = c_loop(paths["bicycle"], place / "loop")
+        loops = {}
+        for solver in SOLVERS:
+            path = cosim.export_fmu(dae, place / f"{solver}.fmu", solver=solver)
+            loops[solver] = c_loop(path, place / solver)
+            loops[solver].co_simulate.restype = ctypes.c_double
+        steps: dict[str, list[float]] = {solver: [] for solver in SOLVERS}
+        driver = loops["dop853"]
         rows = []
         for _ in range(REPEATS):
             results = (ctypes.c_double * 5)()
             driver.measure(2001, results)
             rows.append(list(results))
+            for solver, loop in loops.items():
+                steps[solver].append(loop.co_simulate(2000, ctypes.c_double(0.01)))
     create, me, bare, column, difference = (statistics.median(c) for c in zip(*rows, strict=True))
     print(f"instantiate and free: {create * 1e6:.1f} us")
     print(f"model exchange, one evaluation: {me * 1e9:.0f} ns, bare {bare * 1e9:.0f} ns, "
           f"ratio {me / bare:.2f}")  # fmt: skip
     print(f"directional derivatives, a column: {column * 1e9:.0f} ns, forward difference "
           f"{difference * 1e9:.0f} ns, ratio {column / difference:.2f}")  # fmt: skip
+    told = ", ".join(f"{solver} {1e6 * statistics.median(t):.2f}" for solver, t in steps.items())
+    print(f"co-simulation from C, a step of 0.01 s, us: {told}")
 
 
 if __name__ == "__main__":

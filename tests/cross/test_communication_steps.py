@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 import cosim
-from cosim.errors import UnknownName, UsageError
 
 TIGHT = 1e-10
 SPAN = {"stop_time": 1.0, "relative_tolerance": TIGHT}
@@ -40,12 +39,3 @@ def test_every_solver_agrees_with_our_integrators_at_every_step(
     assert cosim.compare(reference, first).worst.scaled < 1e-7  # measured 3e-14 to 7e-9
     for other in others:
         assert cosim.compare(first, other).worst.scaled < spread  # measured 9e-16, 1e-11, 3e-14
-
-
-def test_a_solver_that_does_not_fit_is_refused_with_those_that_do(tmp_path):
-    ode, dae = (cosim.load(f"crank_shaft/{name}") for name in ("driven", "multipliers"))
-    with pytest.raises(UnknownName, match=r"solver 'dop583'.*dop853"):
-        cosim.export_fmu(ode, tmp_path / "model.fmu", solver="dop583")
-    with pytest.raises(UsageError, match=r"algebraic unknowns.*dop853 or rosenbrock"):
-        cosim.export_fmu(dae, tmp_path / "model.fmu", solver="erk")
-    assert not list(tmp_path.iterdir())

@@ -11,19 +11,10 @@ from casadi import MX, SX
 from casadi_models.dae import Dae
 from cosim.consistent import algebraic_function, start_function
 from cosim.export.sensitivities import sensitivity_functions
+from cosim.export.solvers import DOP853, uses_dop853
 from cosim.generated import differential_errors, run_time_tolerances
 
 _CALL = ["t", "x", "z", "u", "p"]
-
-
-# Solvers of co-simulation. `dop853` is hand-written, in the runtime; the others are CasADi's.
-DOP853 = "dop853"
-SOLVERS = (DOP853, "erk", "rosenbrock")
-
-
-def default_solver(dae: Dae) -> str:
-    """Return the solver that an FMU gets: one for DAEs where there are algebraic unknowns."""
-    return "rosenbrock" if dae.algebraics else DOP853
 
 
 def equations_code(dae: Dae, fmi: int, solver: str) -> str:
@@ -50,11 +41,6 @@ def equations_code(dae: Dae, fmi: int, solver: str) -> str:
         return code
     code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
     return differential_errors(code) if dae.algebraics else code
-
-
-def uses_dop853(dae: Dae, solver: str) -> bool:
-    """Tell whether the runtime's own solver is compiled; it needs something to integrate."""
-    return solver == DOP853 and bool(dae.states)
 
 
 def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:

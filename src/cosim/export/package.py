@@ -16,9 +16,9 @@ from cosim.export import description2, description3
 from cosim.export.build import binaries
 from cosim.export.check import check_fmu
 from cosim.export.documentation import documentation_page
-from cosim.export.equations import SOLVERS, default_solver, uses_dop853
 from cosim.export.identifier import model_identifier
 from cosim.export.platforms import NATIVE, targets
+from cosim.export.solvers import solver_for, uses_dop853
 from cosim.export.sources import equations, model_header, variable_table
 from cosim.export.structure import Identity
 from cosim.export.variables import dependencies, fmu_variables
@@ -54,9 +54,8 @@ def export_fmu(
         platforms: What it runs on: "native" (this machine), "linux64", "win64", "darwin64",
             "aarch64-linux" (FMI 3.0) or "all".
         tolerance: Relative tolerance that the FMU recommends.
-        solver: Of co-simulation: "dop853" (explicit, order 8; the default of ODEs), "rosenbrock"
-            (stiff; the default where there are algebraic unknowns) or "erk" (explicit, order 5,
-            ODEs only).
+        solver: Of co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock" (the
+            default of models that are stiff at their start) or "erk" (explicit, order 5, ODEs).
 
     Returns:
         Path of the FMU.
@@ -100,7 +99,7 @@ def source_files(
     dae: Dae, name: str, tolerance: float, fmi: int, solver: str | None = None
 ) -> dict[str, bytes]:
     """Return the content of the FMU by path, without binaries; see `export_fmu`."""
-    solver = _solver_for(dae, solver)
+    solver = solver_for(dae, solver)
     variables = fmu_variables(dae)
     others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
@@ -127,19 +126,6 @@ def source_files(
         "documentation/index.html": documentation_page(dae, variables).encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
     }
-
-
-def _solver_for(dae: Dae, solver: str | None) -> str:
-    if solver is None:
-        return default_solver(dae)
-    if solver not in SOLVERS:
-        raise UnknownName.among("cosim export", "solver", solver, SOLVERS)
-    if solver == "erk" and dae.algebraics:
-        raise UsageError(
-            f"{dae.full_name} has algebraic unknowns, which erk cannot solve for; take dop853 "
-            "or rosenbrock"
-        )
-    return solver
 
 
 def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:

@@ -7,6 +7,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
+from cosim.keeping import kept_per_thread
 
 
 def sensitivity_functions(dae: Dae, *, adjoint: bool) -> list[ca.Function]:
@@ -49,6 +50,7 @@ def directional_function(dae: Dae) -> ca.Function:
     return ca.Function("model_directional", arguments, [sens_ode, sens_z, sens_outputs])
 
 
+@kept_per_thread(4)
 def jacobian_function(dae: Dae) -> ca.Function:
     """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense."""
     call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)

@@ -4,8 +4,9 @@ import re
 from collections.abc import Sequence
 
 from casadi_models.dae import Dae
-from cosim.export.equations import equations_code, uses_dop853
+from cosim.export.equations import equations_code
 from cosim.export.folding import folded
+from cosim.export.solvers import uses_dop853
 from cosim.export.variables import FmuVariable
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
