@@ -5,6 +5,7 @@ missing, 130 interrupted.
 """
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -390,6 +391,17 @@ def test_reader_that_has_seen_enough_is_no_error():
     assert process.stderr.read() == ""
     process.stderr.close()
     assert process.wait(60) == 0
+
+
+def test_letter_that_the_terminal_does_not_have_ends_nothing(tmp_path):
+    model = tmp_path / "angle.py"
+    model.write_text(BLOW_UP.replace("goes to infinity at 1 s", "Winkel \u03b8"), encoding="utf-8")
+    script = "from cosim.cli import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", script, "info", f"{model}:build"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert run.returncode == 0, run.stderr
+    assert r"Winkel \u03b8" in run.stdout
 
 
 def test_help_needs_neither_casadi_nor_numpy():

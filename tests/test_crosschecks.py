@@ -91,6 +91,12 @@ def test_unknown_model_is_told():
         next(crosscheck(["crank_shift"]))
 
 
+def test_unknown_model_is_told_before_the_first_one_runs(monkeypatch):
+    monkeypatch.setattr("cosim.crosschecks.run_scene", lambda *_: pytest.fail("it ran"))
+    with pytest.raises(UnknownName, match="did you mean bicycle"):
+        next(crosscheck(["crank_shaft", "bicycle/multipliers", "bicylce"]))
+
+
 def command(*options: str) -> int:
     return cli.main(["crosscheck", "crank_shaft/driven", "--stop-time", "0.1", *options])
 

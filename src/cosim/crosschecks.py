@@ -110,6 +110,9 @@ def crosscheck(
         models = [models]
     if not isinstance(models, Collection | None):
         raise UsageError.of_type("crosscheck", models, "names of models, or scenes")
+    for item in models or ():
+        if isinstance(item, str) and ".py:" not in item:
+            formulations(item)  # refuses an unknown name before the first run
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
         first: Trajectory | None = None
         for scene in _members(item):
