@@ -66,6 +66,8 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle --stop-time 1,5", "--stop-time: invalid float value: '1,5'"),
         ("simulate bicycle --solver", "--solver: expected one argument"),
         ("simulate bicycle -p mA", "-p mA: write NAME=VALUE"),
+        ("tradeoff bicycle --repeats -1", "repeats = -1; give a whole number, 0 or more"),
+        ("tradeoff bicycle --repeats 1.5", "--repeats: invalid int value: '1.5'"),
         ("simulate bicycle -p phi=1 -p phi=2", "phi is given twice"),
         ("simulate bicycle -p phi=1 --start-values phi 2", "phi is given twice"),
         ("simulate bicycle --start-values phi", "'phi' has no value; give NAME VALUE pairs"),
@@ -241,6 +243,25 @@ def test_impossible_output_file_is_named_with_the_cause(verb, name, told, tmp_pa
     assert re.search(f"ExportError: cannot write .*: .*{told}", printed), printed
     assert len(printed.splitlines()) == 1
     assert sorted(path.name for path in tmp_path.rglob("*")) == [f"folder.{ending}"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "simulate bicycle --output-file none/a.csv",
+        "simulate bicycle --output-file=",
+        "export bicycle -o none/a.fmu",
+        "plot bicycle --output-file none/a.png",
+        "tradeoff bicycle --output-file none/a.csv",
+        "tradeoff bicycle --figure none/a.png",
+        "extremes --output-file none/a.csv",
+        "extremes --figure none/a.png",
+    ],
+)
+def test_impossible_output_file_is_told_before_anything_is_computed(line, refused):
+    code, message = refused(line)
+    assert code == 1
+    assert message.startswith("ExportError: cannot write ")
 
 
 def test_failed_command_leaves_the_old_file(tmp_path, capsys):

@@ -50,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with warnings.catch_warnings():
             if not args.debug:
                 warnings.showwarning = _warn
+            _refuse_unwritable(args)
             verb = getattr(
                 import_module(_HOMES.get(args.verb, "cosim.commands")), f"do_{args.verb}"
             )
@@ -81,6 +82,15 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
         told = f"cosim {args.verb}: cannot take '{unknown[0]}'"
         _Parser().exit(2, f"{told}; see: cosim {args.verb} --help\n")
     return args
+
+
+def _refuse_unwritable(args: argparse.Namespace) -> None:
+    """Refuse files that cannot be written before anything is computed for them."""
+    from cosim.files import refuse_unwritable
+
+    for target in (getattr(args, "output_file", None), getattr(args, "figure", None)):
+        if target is not None:
+            refuse_unwritable(target)
 
 
 def _warn(message: Warning | str, *_where: Any, **_more: Any) -> None:

@@ -66,6 +66,8 @@ def tradeoff(
         scene = Scene(scene, load(scene))
     if not isinstance(scene, Scene):
         raise UsageError.of_type("tradeoff", scene, "a Scene, or the name of a model")
+    if not isinstance(repeats, int) or repeats < 0:
+        raise UsageError(f"tradeoff: repeats = {repeats!r}; give a whole number, 0 or more")
     began, tell = perf_counter(), tell or (lambda _: None)
     selection = _possible(selection or Selection(), tell)
     if not scene.dae.states:
