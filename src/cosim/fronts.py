@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,9 @@ from cosim.tradeoffs.workshop import Workshop, span
 
 TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
 ROUNDS = 4  # of which the fastest counts: what else the machine does makes a run slower only
-SLOW = 0.5  # s; tighter tolerances of a solver that took longer are not measured
-_FORMAT = "front-1"
+SECONDS = 5.0  # after which no configuration is timed once more
+MOST_CALLS = 200_000  # of the equations; a solver that needs more is not tried any tighter
+_FORMAT = "front-2"
 
 
 @dataclass(frozen=True)
@@ -110,20 +112,22 @@ def _measured(scene: Scene, compiled: bool, place: Path) -> Front:
     )
     wanted = selection.configurations(dae, None, end - begin, dae.experiment.output_interval)
     events: dict[Configuration, Event] = {}
-    times: dict[str, float] = {}  # of each solver's last run; infinite once it failed
+    # Calls of each solver's last run, which repeat whatever else the machine does, as times do not
+    calls: dict[str, float] = {}
     for configuration in wanted:  # of each solver, the loosest tolerance first
         solver = configuration.solver
-        if times.get(solver, 0.0) > SLOW:
+        if calls.get(solver, 0) > MOST_CALLS:
             continue
         event = _event(workshop, configuration, best)
         if event is not None:
             events[configuration] = event
-            times[solver] = event.run_time
-        elif solver in times:  # too tight; the first ones may be too loose
-            times[solver] = float("inf")
+            calls[solver] = event.rhs_calls or 0
+        elif solver in calls:  # too tight; the first ones may be too loose
+            calls[solver] = float("inf")
+    began = perf_counter()
     for _ in range(ROUNDS - 1):
         for configuration, event in events.items():
-            if event.run_time < SLOW / 5:
+            if perf_counter() - began < SECONDS:
                 again = _event(workshop, configuration, best) or event
                 events[configuration] = min(event, again, key=lambda e: e.run_time)
     rounding = {
