@@ -158,6 +158,14 @@ def test_reference_of_one_output_serves_the_accuracy_of_another():
     assert simulate(cosim.reduce(dae, ["x", "v"]), accuracy=1e-6).stats["error_estimate"] <= 1e-6
 
 
+def test_solver_that_needs_too_many_calls_is_not_tried_any_tighter(monkeypatch):
+    monkeypatch.setattr("cosim.fronts.MOST_CALLS", 300)
+    events = measured_front(decay("calls"), compiled=True).events
+    calls = [e.rhs_calls for e in events if e.configuration.solver == "erk"]
+    assert len(calls) < len(TOLERANCES)
+    assert calls[-2] <= 300 < calls[-1]
+
+
 def test_without_a_cache_the_front_is_measured_all_the_same(monkeypatch, tmp_path):
     (tmp_path / "fronts").write_text("a file where the folder should be")
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
