@@ -13,7 +13,7 @@ from entries import Evaluation, Run, Solver
 from problem import SEED, Problem
 
 TARGETS = (1e-4, 1e-7, 1e-10)
-LOOSEST, PER_DECADE = 1e-3, 3  # tolerances
+LOOSEST, PER_DECADE = 1e-2, 3  # tolerances
 TOO_LONG = 5.0  # s: a run that takes longer ends the search
 REPEATS = 31
 FEWEST, ENOUGH = 5, 1.0  # repeats, s: then a long run is left out of further turns

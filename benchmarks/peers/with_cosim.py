@@ -15,12 +15,13 @@ from cosim.externals import cache_key, external
 from cosim.solvers import Tolerance
 
 PACKAGES = ("cosim-rigid", "casadi")
-EMPTY_CACHE = tempfile.TemporaryDirectory(prefix="cosim-peers-")
+EMPTY_CACHES: list[tempfile.TemporaryDirectory[str]] = []  # removed at exit
 
 
 def solvers(problem: Problem) -> Iterator[Solver]:
     dae, grid, start = problem.dae, problem.grid, problem.start
-    os.environ["COSIM_CACHE"] = EMPTY_CACHE.name  # so that preparing means compiling
+    EMPTY_CACHES.append(tempfile.TemporaryDirectory(prefix="cosim-peers-"))
+    os.environ["COSIM_CACHE"] = EMPTY_CACHES[-1].name  # so that preparing means compiling
     values = (start["x0"], start["z0"], start["p"], start["u"])
 
     def prepared(solver: str) -> Solver:
