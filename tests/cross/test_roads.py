@@ -28,6 +28,12 @@ def test_neither_fmpy_nor_our_own_checks_find_a_problem(name, exported):
 
 
 @EVERY
+def test_a_file_for_one_platform_is_small(name, exported):
+    reference_and_picture = 40_000  # what `cosim export` adds at most
+    assert exported(name).stat().st_size < 400_000 - reference_and_picture  # measured 56 to 302 kB
+
+
+@EVERY
 def test_nor_do_they_in_the_description_of_fmi_3(name, tmp_path):
     files = source_files(cosim.load(name), name.replace("/", "_"), 1e-9, 3)
     path = tmp_path / "model.fmu"
