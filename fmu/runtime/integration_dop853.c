@@ -66,9 +66,9 @@ typedef struct {
     Interpolant piece; /* where the last step ended beyond a communication point */
     double until;      /* end of the last step */
     double end[NX], slope[NX];
-    double next;                /* size of the step that follows; 0: there was none before */
-    double rested;              /* 1: the inputs did not move during the last step */
-    double inputs[ROOM(NU)];    /* as it began */
+    double next;             /* size of the step that follows; 0: there was none before */
+    double rested;           /* 1: the inputs did not move during the last step */
+    double inputs[ROOM(NU)]; /* as it began */
 } Memory;
 
 _Static_assert(sizeof(Memory) == SOLVER_MEMORY * sizeof(double), "SOLVER_MEMORY is wrong");

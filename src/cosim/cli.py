@@ -136,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
         "--solver",
         dest="fmu_solver",
         metavar="NAME",
-        help="of co-simulation: dop853, erk or rosenbrock; by the model's kind by default",
+        help="of co-simulation: dop853 (default), rosenbrock (default of stiff models), erk",
     )
     _accuracy_option(export)
 
