@@ -91,12 +91,6 @@ def equal_energies(mass: SX) -> SX:
     return 1 / ca.sqrt(ca.diag(mass))
 
 
-def closing_rate(model: Model, value: float) -> SX:
-    """Declare the double root with which gaps close and slip dies out (Baumgarte, 1972), 1/s."""
-    meaning = "rate at which drift from the constraints decays; 0 lets it grow"
-    return model.parameter("closing_rate", "1/s", value, meaning, minimum=0.0)
-
-
 def _inverse(matrix: SX) -> SX:
     """Return the inverse of a symmetric positive definite matrix."""
     return ca.ldl_solve(SX.eye(matrix.shape[0]), *ca.ldl(matrix))

@@ -28,10 +28,10 @@ cosim._fmu
 casadi_models
 cosim.errors
 cosim.files | cosim.inputs | cosim.keeping | cosim.loading cosim.dae_builder | cosim.resources
-  | cosim.toml_file | cosim.values cosim.goals | cosim.drift
+  | cosim.toml_file | cosim.values cosim.goals
 cosim.trajectory
-cosim.archive | cosim.buffers | cosim.compile | cosim.consistent | cosim.dop853 cosim.stage_sums
-  | cosim.generated | cosim.projection
+cosim.archive | cosim.buffers | cosim.compile | cosim.consistent | cosim.drift
+  | cosim.dop853 cosim.stage_sums | cosim.generated | cosim.projection
 cosim.reduction | cosim.scene cosim.scene_figures
 cosim.grids cosim.externals cosim.runge_kutta cosim.explicit cosim.solvers cosim.engines
   cosim.calling cosim.observation cosim.monitors cosim.integrate

@@ -65,7 +65,7 @@ def multipliers() -> Dae:
     path = declaration.states(model, "xP yP")
     u_dot, front = _unknowns(model)
     moving = motion(declaration.bicycle(model), declaration.torques(model), q, u)
-    rate = conditions.closing_rate(model, CLOSING_RATE)
+    rate = model.closing_rate(CLOSING_RATE)
 
     # In N, so that the multipliers are the components of the ground's force
     system = replace(moving.system, constraints=moving.C_to_N @ moving.W_to_C @ moving.slip)

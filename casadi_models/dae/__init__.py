@@ -7,9 +7,9 @@ meaning, start value, nominal value and bounds, which travel with it to XML, CSV
 """
 
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.invariants import Invariant
+from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.model import Model
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Start, Variable
 
-__all__ = ["Dae", "Experiment", "Invariant", "Model", "Start", "StartRule", "Variable"]
+__all__ = ["Closing", "Dae", "Experiment", "Invariant", "Model", "Start", "StartRule", "Variable"]

@@ -2,11 +2,12 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from math import inf
 
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.invariants import Invariant
+from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Variable
 
@@ -31,6 +32,7 @@ class Dae:
         report: What a reduction took away and why, a line each.
         limits: (scalar expression, meaning): the model holds only while each one is positive.
         invariants: What solvers let drift; a later one may move what an earlier one does not.
+        closing: How drift decays; None where no equation sees to that.
         monitors: (variable, scalar expression) of how well conditioned the equations are; no
             outputs until somebody asks for them.
 
@@ -63,6 +65,7 @@ class Dae:
     report: tuple[str, ...] = ()
     limits: tuple[tuple[SX, str], ...] = ()
     invariants: tuple[Invariant, ...] = ()
+    closing: Closing | None = None
     monitors: tuple[tuple[Variable, SX], ...] = ()
 
     def __post_init__(self) -> None:
@@ -101,6 +104,19 @@ class Dae:
             observed=self.observed + tuple(v.name for v, _ in wanted),
             monitors=tuple((v, e) for v, e in self.monitors if v.name not in names),
         )
+
+    def closing_at(self, rate: float) -> "Dae":
+        """Return the DAE whose drift decays at another rate, 1/s; at 0 it grows.
+
+        Raises:
+            ValueError: No equation lets it decay, or the rate is negative or not finite.
+        """
+        if self.closing is None:
+            raise ValueError(f"{self.full_name}: no equation makes drift decay")
+        if not 0 <= rate < inf:
+            raise ValueError(f"{self.full_name}: closing rate {rate} 1/s; give 0 or more")
+        alg = ca.substitute(self.closing.residual, self.closing.symbol, rate)
+        return replace(self, alg=ca.densify(alg), closing=replace(self.closing, rate=rate))
 
     def variable(self, name: str) -> Variable:
         """Return the variable of that name; `KeyError` when there is none."""

@@ -1,4 +1,4 @@
-"""What every exact solution keeps at zero, and a numerical one does not."""
+"""What every exact solution keeps at zero and a numerical one does not, and how it returns."""
 
 from dataclasses import dataclass
 
@@ -21,3 +21,18 @@ class Invariant:
     residual: SX
     sizes: SX
     meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """How algebraic equations make drift decay (Baumgarte, 1972).
+
+    Attributes:
+        rate: Double root of the decay, 1/s; 0 where nothing is done.
+        symbol: What stands for the rate.
+        residual: The algebraic equations as a function of it, too, (nz, 1).
+    """
+
+    rate: float
+    symbol: SX
+    residual: SX

@@ -16,7 +16,7 @@ from casadi_models.dae.expressions import (
     share,
 )
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.invariants import Invariant
+from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule, refuse_disorder
 from casadi_models.dae.variables import Experiment, Start, Variable, is_name, number
 from casadi_models.units import convert
@@ -81,6 +81,7 @@ class Model:
         self._inertias: list[tuple[str, SX]] = []
         self._limits: list[tuple[SX, str]] = []
         self._invariants: list[Invariant] = []
+        self._rate: tuple[SX, float] | None = None
 
     # -- declarations ---------------------------------------------------------------------------
 
@@ -213,6 +214,15 @@ class Model:
         self.monitor(name, ca.norm_inf(rows), f"largest drift (SI units) from: {meaning}")
         self._invariants.append(Invariant(positions, rows, weights, meaning))
 
+    def closing_rate(self, value: float) -> SX:
+        """Return what stands in equations for the rate at which drift decays.
+
+        Args:
+            value: Double root of the decay, 1/s; 0 does nothing.
+        """
+        self._rate = SX.sym("closing_rate"), float(value)
+        return self._rate[0]
+
     # -- the result -----------------------------------------------------------------------------
 
     def freeze(self) -> Dae:
@@ -226,9 +236,14 @@ class Model:
                 f"{len(self._residuals)} equations for {z.numel()} algebraic unknowns; "
                 "give each unknown one equation"
             )
+        equations, closing = self._residuals, None
+        if self._rate is not None:
+            symbol, rate = self._rate
+            closing = Closing(rate, symbol, column(self._residuals))
+            equations = ca.vertsplit(ca.substitute(closing.residual, symbol, rate))
         parts = (
             {f"derivative of '{n}'": self._derivatives[n] for n in self._symbols["x"]},
-            {f"equation {i}": residual for i, residual in enumerate(self._residuals, start=1)},
+            {f"equation {i}": residual for i, residual in enumerate(equations, start=1)},
             {f"output '{name}'": expression for name, expression in self._outputs.items()},
             {f"limit '{meaning}'": expression for expression, meaning in self._limits},
             {f"monitor '{name}'": expression for name, expression in self._monitors.items()},
@@ -279,6 +294,7 @@ class Model:
             x_start=tuple(v.start for v in self._of("x") if v.start is not None),
             limits=tuple((limits[i], meaning) for i, (_, meaning) in enumerate(self._limits)),
             invariants=tuple(self._invariants),
+            closing=closing,
             monitors=tuple(
                 (self._variables[name], monitors[i]) for i, name in enumerate(self._monitors)
             ),

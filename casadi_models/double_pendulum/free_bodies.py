@@ -59,7 +59,7 @@ def multipliers() -> Dae:
     )
     accelerations = ca.vertcat(v1_dot, v2_dot, w1_dot, w2_dot)
     residual = kane.multiplier_equations(system, accelerations, ca.vertcat(*forces))
-    rate = conditions.closing_rate(model, CLOSING_RATE)
+    rate = model.closing_rate(CLOSING_RATE)
     closing = 2 * rate * gap_rates + rate**2 * gaps
     residual += ca.vertcat(SX.zeros(accelerations.numel()), closing)
 

@@ -73,7 +73,7 @@ def simulate(
         on_invalid: What happens where a run leaves the model's limits, or a fixed step is too long
             for the motion: "warn" says so in `stats["invalid"]`, "stop" ends the run there,
             "ignore" looks at neither.
-        drift_control: "none", "baumgarte" (the model's `closing_rate`) or "projection" after every
+        drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
 
     Returns:
@@ -98,7 +98,7 @@ def simulate(
     refuse_contradiction(accuracy, budget, **fixed)
     if not isinstance(on_invalid, str) or on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
-    start, project = controlled(dae, drift_control, start)
+    dae, project = controlled(dae, drift_control)
     values = assign(dae, start)
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())

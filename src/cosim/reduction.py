@@ -100,6 +100,8 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         x_start=tuple(frozen.x_start[i] for i in states),
         monitors=(),
         invariants=tuple(_kept_invariants(frozen, states, parameters)),
+        closing=frozen.closing
+        and replace(frozen.closing, residual=frozen.closing.residual[equations]),
     )
     small = replace(small, limits=_kept_limits(small))
     return replace(small, report=tuple(_report(dae, small, freeze)))
@@ -132,6 +134,9 @@ def _freeze(dae: Dae, names: Collection[str]) -> Dae:
         replace(rule, expression=ca.substitute(rule.expression, dae.p, values))
         for rule in dae.start_rules
     )
+    closing = dae.closing and replace(
+        dae.closing, residual=ca.substitute(dae.closing.residual, dae.p, values)
+    )
     ode, alg, outputs, margins, *drifts = (ca.densify(column) for column in fixed)
     limits = tuple((margins[i], meaning) for i, (_, meaning) in enumerate(dae.limits))
     invariants = tuple(
@@ -148,6 +153,7 @@ def _freeze(dae: Dae, names: Collection[str]) -> Dae:
         start_rules=rules,
         limits=limits,
         invariants=invariants,
+        closing=closing,
     )
 
 

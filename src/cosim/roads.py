@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from casadi_models.dae import Dae
-from cosim.drift import CLOSING_RATE
 from cosim.errors import UnknownName, UsageError
 from cosim.export import export_fmu
 from cosim.fmpy_run import simulate_fmu
@@ -81,8 +80,6 @@ def run_scene(
         dae = scene_dae(replace(scene, values={}))
         known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
         start = {name: value for name, value in scene.values.items() if name in known}
-    elif drift_control and CLOSING_RATE in scene.values:
-        start = {CLOSING_RATE: scene.values[CLOSING_RATE]}  # which may contradict
     return simulate(
         dae,
         start_time=settings.start_time,

@@ -106,7 +106,6 @@ def test_every_formulation_has_the_variables_of_the_contract(pendulum):
     dae = pendulum.dae
     assert {name: dae.variable(name).unit for name in UNITS} == UNITS
     parameters = {v.name: v.start for v in dae.parameters}
-    assert parameters.pop("closing_rate", None) == (1.0 if dae.algebraics else None)
     assert list(parameters) == ["length", "m", "diameter", "g"] + [
         name
         for i in "12"
