@@ -3,6 +3,8 @@
 import os
 import re
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -13,7 +15,7 @@ from oscillators import INTERPRETED, WAYS, bad_output, blow_up, emptying, oscill
 
 import cosim
 from casadi_models.dae import Model
-from cosim.errors import InitialConditionError, SolverError
+from cosim.errors import InitialConditionError, Interrupted, SolverError
 from cosim.integrate import simulate
 from cosim.solvers import SOLVERS
 
@@ -172,7 +174,14 @@ def test_integrator_after_a_failure_equals_a_fresh_one(solver):
 
 @pytest.mark.parametrize(
     ("solver", "compiled"),
-    [("cvodes", False), ("cvodes", True), ("idas", True), ("erk", False), ("erk", True)],
+    [
+        ("cvodes", False),
+        ("cvodes", True),
+        ("idas", True),
+        ("erk", False),
+        ("erk", True),
+        ("dop853", True),
+    ],
 )
 def test_interrupt_reaches_a_run_within_a_second(solver, compiled):
     dae = oscillator().dae
@@ -185,16 +194,33 @@ def test_interrupt_reaches_a_run_within_a_second(solver, compiled):
     def run_for_long(stop_time):
         # 2e6 rad in steps of about 0.1 rad: some 1e7 steps
         options = {"start": {"k": 1e6}, "output_interval": stop_time / 4000}
-        simulate(dae, solver=solver, stop_time=stop_time, compiled=compiled, **options)
+        return simulate(dae, solver=solver, stop_time=stop_time, compiled=compiled, **options)
 
     run_for_long(0.01)  # so that nothing is left to compile
     timer = threading.Timer(0.7, interrupt)
     timer.start()
     try:
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(Interrupted) as caught:
             run_for_long(2e3)
     finally:
         timer.cancel()
     assert time.monotonic() - killed[0] < 1  # measured 0.01 to 0.1
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    run_for_long(0.01)  # the next one is not concerned
+    partial, short = caught.value.partial, run_for_long(0.01)  # the next one is not concerned
+    assert re.fullmatch(r"stopped after .* s: interrupted", partial.status)
+    assert 1 <= len(partial) < 4001
+    assert np.isfinite(partial.values).all()
+    np.testing.assert_array_equal(partial.values[0], short.values[0])
+
+
+def test_interrupted_command_writes_what_it_has(tmp_path):
+    file = tmp_path / "run.csv"
+    call = [sys.executable, "-m", "cosim", "simulate", "double_pendulum", "--interpreted"]
+    call += ["--stop-time", "20000", "--output-interval", "0.5", "--output-file", str(file)]
+    process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True)
+    time.sleep(3)  # a run takes some ten seconds, Python and CasADi one to start
+    process.send_signal(signal.SIGINT)
+    assert "interrupted" in process.communicate(timeout=30)[1]
+    assert process.returncode == 130
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    assert 1 < len(table) < 40001

@@ -18,6 +18,9 @@ from cosim.engines import Engine
 Vector = NDArray[np.float64]
 
 
+INTERRUPTED = "interrupted"
+
+
 @dataclass(frozen=True)
 class Reached:
     """What an engine computed.
@@ -25,7 +28,8 @@ class Reached:
     Attributes:
         states, algebraics: At the output times up to the last finite one, (nx, n) and (nz, n).
         stats: What it took.
-        reason: Why it stopped before the last output time; empty where it did not.
+        reason: Why it stopped before the last output time, `INTERRUPTED` after Ctrl-C; empty where
+            it did not.
     """
 
     states: Vector
@@ -47,7 +51,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     evaluate = on_arrays(engine.function, arguments, (states, algebraics))
     stats: dict[str, Any] = {}
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
-    with redirect_stderr(told), _interruptible(engine.library):
+    with redirect_stderr(told), _interruptible(engine.library) as interrupts:
         try:
             succeeded = evaluate()
         except RuntimeError as error:  # CasADi has no narrower type
@@ -56,11 +60,11 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
             stats = engine.stats()
             cause = stats.pop("cause", "step size too small, or too many steps")
             reason = "" if succeeded else cause
-    if "KeyboardInterrupt" in reason + told.getvalue():  # CasADi took Ctrl-C for a failure
-        raise KeyboardInterrupt
     finite = np.isfinite(states)
     reached = n if finite.all() else int(np.argmin(finite.all(axis=1)))
-    if reason:
+    if interrupts or "KeyboardInterrupt" in reason + told.getvalue():  # a failure, to CasADi
+        reason = INTERRUPTED
+    elif reason:
         last = told.getvalue().strip().rpartition("\n")[2].rstrip(". ")
         reason += f" ({last})" if last else ""
     elif reached < n:
@@ -75,20 +79,23 @@ def _flag(message: str) -> str:
 
 
 @contextmanager
-def _interruptible(library: ctypes.CDLL | None) -> Iterator[None]:
+def _interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
     """Let Ctrl-C end what happens in between, though it is one C function.
 
-    Raises:
-        KeyboardInterrupt: It did; or whatever the user's own handler of the signal does.
+    Yields:
+        A list that then holds the signal. A handler of the user's own is called, too.
     """
+    interrupts: list[int] = []
     handler = signal.getsignal(signal.SIGINT)
     if library is None or current_thread() is not main_thread() or not callable(handler):
-        yield
+        yield interrupts
         return
     library.cosim_watch()
     try:
-        yield
+        yield interrupts
     finally:
         signal.signal(signal.SIGINT, handler)
     if library.cosim_halted():
-        handler(signal.SIGINT, None)
+        interrupts.append(signal.SIGINT)
+        if handler is not signal.default_int_handler:
+            handler(signal.SIGINT, None)

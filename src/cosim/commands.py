@@ -9,7 +9,7 @@ from typing import Any
 import casadi_models
 from casadi_models.dae import Start, Variable
 from cosim.arguments import named_scene, names_in, scene_from, start_numbers
-from cosim.errors import SolverError, UnknownName, UsageError
+from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
 from cosim.goals import GOALS
 from cosim.inspection import inspect_start
 from cosim.loading import load
@@ -237,6 +237,11 @@ def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traj
             raise
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return error.partial, error.exit_code
+    except Interrupted as error:
+        if not len(error.partial):
+            raise
+        print(error, file=sys.stderr)
+        return error.partial, 130
 
 
 def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:

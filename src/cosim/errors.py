@@ -67,6 +67,14 @@ class SolverError(CosimError):
         self.partial = partial
 
 
+class Interrupted(KeyboardInterrupt):
+    """A run that Ctrl-C ended; `partial` holds every output up to there."""
+
+    def __init__(self, message: str, partial: Trajectory) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
 class ExportError(CosimError):
     """An FMU that could not be written."""
 

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from casadi_models.dae import Dae
 from cosim import engines
-from cosim.calling import call
+from cosim.calling import INTERRUPTED, call
 from cosim.compile import has_compiler
 from cosim.consistent import algebraic_values, start_values
 from cosim.drift import controlled
-from cosim.errors import SolverError, UnknownName, UsageError
+from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
 from cosim.goals import OVERRULED, refuse_contradiction
 from cosim.grids import checked_grid, time_grid
 from cosim.inputs import InputSeries
@@ -87,6 +87,7 @@ def simulate(
         InitialConditionError: The start values contradict the constraints.
         SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the run up
             to there. Or the run does not have the `accuracy`; `partial` is the best one.
+        Interrupted: Ctrl-C, a `KeyboardInterrupt` whose `partial` holds the run up to there.
         MissingTool: `compiled` is True and no compiler works.
 
     References:
@@ -146,7 +147,7 @@ def simulate(
     solution = first = task.solve(grid)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
-    while solution.reason and 0 < len(solution.table) < len(solution.grid):
+    while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
         solution = task.solve(grid[: len(solution.table)])
     time = grid[: len(solution.table)]
     status = "complete"
@@ -159,6 +160,8 @@ def simulate(
         stats["invalid"] = [breach.text for breach in first.invalid]
     every = Trajectory(dae.full_name, time, all_columns(dae), solution.table, stats, status)
     run = every.select(names)
+    if first.reason == INTERRUPTED:
+        raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
         raise SolverError(task.explain(every), run)
     return run
@@ -260,14 +263,15 @@ class _Task:
             engine = self.engine(grid, self.step_size)
             ready = perf_counter()
             reached = call(engine, x0, z0, values.p, values.u)
-            if self.solver == "idas" and reached.reason and not reached.states.shape[1]:
+            started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
+            if self.solver == "idas" and not started:
                 # IDACalcIC gave up on a start that is consistent already
                 slopes = self.slopes(grid[0], x0, z0, u[:, 0])
                 reached = call(self.engine(grid, None, slopes), x0, z0, values.p, values.u)
             stats = {"solve_time": perf_counter() - ready, **reached.stats}
             states, guesses, reason = reached.states, reached.algebraics, reached.reason
             if not SOLVERS[self.solver].adaptive and not reason and self.on_invalid != "ignore":
-                found = self.step_check(grid, states, z0)
+                found, reason = self.step_check(grid, states, z0)
         n = states.shape[1]
         table, margins = observe(dae, grid[:n], states, guesses, u[:, :n], values.p, self.compiled)
         bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
@@ -302,12 +306,18 @@ class _Task:
             slopes=slopes,
         )
 
-    def step_check(self, grid: Vector, states: Vector, z0: Vector) -> list[Breach]:
-        """Repeat a run of fixed steps with half of them; say where the states part."""
+    def step_check(self, grid: Vector, states: Vector, z0: Vector) -> tuple[list[Breach], str]:
+        """Repeat a run of fixed steps with half of them; say where the states part.
+
+        Returns:
+            What is found, and whether that was interrupted (then nothing is).
+        """
         step = float(np.diff(grid).max()) if self.step_size is None else self.step_size
         engine = self.engine(grid, step / 2)
-        finer = call(engine, states[:, 0], z0, self.values.p, self.values.u).states
-        return too_coarse(self.dae, grid, states, finer, step)
+        finer = call(engine, states[:, 0], z0, self.values.p, self.values.u)
+        if finer.reason == INTERRUPTED:
+            return [], INTERRUPTED
+        return too_coarse(self.dae, grid, states, finer.states, step), ""
 
     def explain(self, run: Trajectory) -> str:
         settings = "rtol {:g}, atol {:g}".format(*self.tolerance.pair)
