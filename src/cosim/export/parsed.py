@@ -87,7 +87,7 @@ def parse(content: bytes) -> Description:
         raise ValueError(f"fmiVersion is '{version}'; 2.0 and 3.0 can be checked")
     major = version[0]
     found = {name: root.find(name) for name in ("ModelExchange", "CoSimulation")}
-    listed = list(root.find("ModelVariables") or ())
+    listed = root.findall("ModelVariables/*")
     by_reference = {element.get("valueReference"): i for i, element in enumerate(listed)}
 
     def position(text: str | None) -> int:
