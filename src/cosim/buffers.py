@@ -1,6 +1,6 @@
 """Calls of CasADi functions straight on numpy's memory: no copies, no lists of Python floats."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 
 
-def on_arrays(
+def call_on_arrays(
     function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
-) -> Callable[[], bool]:
-    """Return what evaluates a function on arrays and tells whether it succeeded.
+) -> bool:
+    """Evaluate a function on arrays; tell whether it succeeded.
 
     Args:
         function: Dense in all arguments and results.
@@ -20,17 +20,12 @@ def on_arrays(
         results: One C-ordered array per result, likewise; overwritten.
     """
     buffer, evaluate = function.buffer()
-    held = [np.ascontiguousarray(array, dtype=float) for array in arguments]
+    held = [np.ascontiguousarray(array, dtype=float) for array in arguments]  # the buffer does not
     for i, array in enumerate(held):
         if array.size:
             buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # stub and binding differ
     for i, array in enumerate(results):
         if array.size:
             buffer.set_res(i, array.data)  # type: ignore[call-arg]
-
-    def run() -> bool:
-        assert len(held) == len(arguments)  # CasADi's buffer does not hold them
-        evaluate()
-        return not buffer.ret()
-
-    return run
+    evaluate()
+    return not buffer.ret()

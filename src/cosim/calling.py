@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.buffers import on_arrays
+from cosim.buffers import call_on_arrays
 from cosim.engines import Engine
 
 Vector = NDArray[np.float64]
@@ -45,15 +45,14 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
     if engine.parameters is not None:
         extended = np.empty(engine.parameters.numel_out(0))
-        on_arrays(engine.parameters, [p], [extended])()
+        call_on_arrays(engine.parameters, [p], [extended])
         p = extended
     arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
-    evaluate = on_arrays(engine.function, arguments, (states, algebraics))
     stats: dict[str, Any] = {}
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
     with redirect_stderr(told), _interruptible(engine.library) as interrupts:
         try:
-            succeeded = evaluate()
+            succeeded = call_on_arrays(engine.function, arguments, (states, algebraics))
         except RuntimeError as error:  # CasADi has no narrower type
             reason = _flag(str(error))
         else:

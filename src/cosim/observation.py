@@ -6,7 +6,7 @@ from casadi import MX
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
-from cosim.buffers import on_arrays
+from cosim.buffers import call_on_arrays
 from cosim.consistent import algebraic_function
 from cosim.errors import UsageError
 from cosim.externals import cache_key, external
@@ -37,7 +37,7 @@ def observe(
         return np.empty((0, known)), np.empty((0, len(dae.limits)))
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
-    on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))()
+    call_on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))
     table, margins = np.split(np.hstack((states.T, rows)), [known], axis=1)
     return table, margins
 
