@@ -26,8 +26,8 @@ FOLDERS = {
 TABLE = """
 cosim._fmu
 casadi_models
-cosim.errors
-cosim.files | cosim.inputs | cosim.keeping | cosim.loading cosim.dae_builder | cosim.resources
+cosim.errors | cosim.keeping
+cosim.files | cosim.inputs | cosim.loading cosim.dae_builder | cosim.resources
   | cosim.toml_file | cosim.values cosim.goals
 cosim.trajectory
 cosim.archive | cosim.buffers | cosim.compile | cosim.consistent | cosim.drift

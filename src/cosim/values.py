@@ -1,7 +1,7 @@
 """Numbers that users give: checked against what the model says of each variable."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite, pi
 from numbers import Real
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, convert
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+from cosim.keeping import kept_per_thread
 
 Vector = NDArray[np.float64]
 
@@ -172,14 +173,18 @@ def _unknown(dae: Dae, name: str, settable: Mapping[str, Variable]) -> UnknownNa
     return UnknownName.of_model(dae.full_name, "state, parameter or input", name, settable)
 
 
+@kept_per_thread(16)
+def _inertia_function(dae: Dae) -> ca.Function:
+    return ca.Function("inertias", [dae.p], [matrix for _, matrix in dae.inertias])
+
+
 def _check_inertias(dae: Dae, p: Vector) -> None:
     """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
     if not dae.inertias:
         return
-    matrices = ca.Function("inertias", [dae.p], [matrix for _, matrix in dae.inertias])(p)
-    blocks: Sequence[Any] = matrices if isinstance(matrices, list | tuple) else [matrices]
+    blocks = _inertia_function(dae).call([p])
     for (body, _), block in zip(dae.inertias, blocks, strict=True):
-        matrix = np.array(ca.DM(block))
+        matrix = np.array(block)
         if not np.isfinite(matrix).all():
             raise ParameterError(
                 f"{dae.full_name}: the inertia of {body} is not finite; give smaller parameters"
