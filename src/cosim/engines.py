@@ -301,9 +301,7 @@ def _fixed_step(
 ) -> Engine:
     """Steps of one size within each output interval, at most `step_size`."""
     intervals = np.diff(grid)
-    largest = float(intervals.max())
-    if step_size is not None:
-        largest = step_size
+    largest = float(intervals.max()) if step_size is None else step_size
     if float(grid[-1] - grid[0]) / largest > MOST_STEPS:
         raise ParameterError(
             f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; give a larger one"

@@ -13,7 +13,6 @@ from cosim.loading import no_such_output, observable
 from cosim.reduction import reduce, size
 from cosim.roads import DIFFERENT_BY_DESIGN, fitting_formulations
 from cosim.scene import Scene
-from cosim.solvers import Tolerance
 from cosim.tradeoffs.configuration import (
     CO_SIMULATION,
     COMPILED,
@@ -109,14 +108,13 @@ class Workshop:
         inputs = scene.inputs and scene.inputs.only({v.name for v in dae.inputs})
         if configuration.road in (COMPILED, INTERPRETED):
             step = configuration.step
-            tolerance = configuration.tolerance
             return simulate(
                 dae,
                 start_time=start,
                 stop_time=stop,
                 output_interval=max(step, interval) if step else interval,
                 solver=configuration.solver,
-                relative_tolerance=Tolerance().relative if tolerance is None else tolerance,
+                relative_tolerance=configuration.tolerance,
                 step_size=step,
                 inputs=inputs,
                 outputs=self.kept if configuration.reduced else None,
