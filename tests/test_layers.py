@@ -36,7 +36,7 @@ cosim.verify
 cosim.study
 cosim.api
 cosim.present
-cosim | cosim.cli
+cosim cosim.solvers | cosim.cli
 cosim.__main__
 """
 LAYERS = {

@@ -8,11 +8,12 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cosim import solvers
     from cosim.api import run_scene, simulate
     from cosim.errors import CosimError
     from cosim.fmi.export.package import export_fmu
     from cosim.fmi.run.simulate import simulate_fmu
-    from cosim.integrate.simulate import integrator, start_vectors
+    from cosim.integrate.integrator import integrator, start_vectors
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
     from cosim.model.inputs import InputSeries, read_inputs
@@ -37,7 +38,7 @@ _HOMES = {
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
     "from_dae_builder": "model.dae_builder",
-    "integrator": "integrate.simulate",
+    "integrator": "integrate.integrator",
     "load": "model.catalogue",
     "read_inputs": "model.inputs",
     "read_scene": "scene.scene_file",
@@ -46,7 +47,7 @@ _HOMES = {
     "run_scene": "api",
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
-    "start_vectors": "integrate.simulate",
+    "start_vectors": "integrate.integrator",
     "tradeoff": "study.tradeoff.study",
 }
 
@@ -70,6 +71,7 @@ __all__ = [
     "run_scene",
     "simulate",
     "simulate_fmu",
+    "solvers",
     "start_vectors",
     "tradeoff",
 ]
@@ -78,6 +80,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version("cosim-rigid")
+    if name == "solvers":
+        return import_module("cosim.solvers")
     if name not in _HOMES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'")
     value = getattr(import_module(f"cosim.{_HOMES[name]}"), name)
