@@ -20,7 +20,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.archive import content_of, opened
 from cosim.comparison import compare
-from cosim.crosschecks import BOUND, Check, default_tolerance
+from cosim.crosschecks import BOUND, Check
 from cosim.errors import FmuError
 from cosim.export import export_fmu
 from cosim.export.package import zipped
@@ -50,7 +50,7 @@ def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) 
         CosimError: See `export_fmu`, `simulate`, `simulate_fmu`.
     """
     refuse_unwritable(target)
-    tolerance = default_tolerance(dae)
+    tolerance = dae.experiment.reference_tolerance
     with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
         plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
         run = _reference(dae, tolerance)

@@ -11,7 +11,7 @@ from cosim.fmpy_run import simulate_fmu
 from cosim.integrate import simulate
 from cosim.loading import no_such_output, observable
 from cosim.reduction import reduce, size
-from cosim.roads import DIFFERENT_BY_DESIGN, fitting_formulations
+from cosim.roads import fitting_formulations
 from cosim.scene import Scene
 from cosim.tradeoffs.configuration import (
     CO_SIMULATION,
@@ -49,10 +49,10 @@ def kept_outputs(scenes: Sequence[Scene]) -> tuple[str, ...]:
     """
     if scenes[0].outputs:
         return scenes[0].outputs
-    shared = list(scenes[0].dae.observed)
+    own = scenes[0].dae.own_meanings if len(scenes) > 1 else {}
+    shared = [name for name in scenes[0].dae.observed if name not in own]
     for scene in scenes[1:]:
-        different = DIFFERENT_BY_DESIGN.get(scene.dae.full_name, frozenset())
-        known = set(observable(scene.dae)) - different
+        known = set(observable(scene.dae)) - scene.dae.own_meanings.keys()
         shared = [name for name in shared if name in known]
     if not shared:
         raise UsageError(f"{scenes[0].name}: the formulations have no output in common")
