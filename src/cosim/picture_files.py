@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
-from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from cosim.errors import UnknownName, UsageError
@@ -88,6 +87,8 @@ def picture(figure: Figure, kind: str, dpi: int = _DPI) -> bytes:
 
 
 def _pages(figures: Sequence[Figure]) -> bytes:
+    from matplotlib.backends.backend_pdf import PdfPages  # takes longer than a PNG to draw
+
     content = io.BytesIO()
     with PdfPages(content, metadata=_UNDATED["pdf"]) as pdf:
         for figure in figures:
