@@ -154,14 +154,20 @@ def _own_processor() -> tuple[tuple[str, ...], str]:
 
     Products and sums stay apart, so that results are those of any x86-64, bit for bit.
     """
+    abilities = processor_abilities()
+    if not abilities:
+        return (), ""
+    return ("-march=native", "-ffp-contract=off"), abilities
+
+
+def processor_abilities() -> str:
+    """Return what an x86-64 processor says of itself to Linux; empty elsewhere."""
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
         known = []
     abilities = next((line for line in known if line.startswith("flags")), "")
-    if platform.machine() != "x86_64" or not abilities:
-        return (), ""
-    return ("-march=native", "-ffp-contract=off"), abilities
+    return abilities if platform.machine() == "x86_64" else ""
 
 
 def _words(command: str) -> list[str]:
