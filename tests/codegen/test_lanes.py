@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from casadi import SX
 
+from cosim.codegen.c_sources import solver_source
+from cosim.codegen.compiler import cached_library
 from cosim.codegen.lane_library import processor_lanes
 from cosim.codegen.lanes import vector_text
-from cosim.compile import cached_library
 from cosim.errors import UsageError
-from cosim.resources import solver_source
 
 x, y = SX.sym("x"), SX.sym("y")
 OPERATIONS = {
@@ -73,9 +73,7 @@ def test_every_operation_agrees_with_casadi_in_every_lane(lanes):
             found = call(*(np.ascontiguousarray(column) for column in group.T))
             for lane, (a, b) in enumerate(group):
                 expected = np.array(function(a, b)).ravel()
-                for name, value, wanted in zip(
-                    OPERATIONS, found[:, lane], expected, strict=True
-                ):
+                for name, value, wanted in zip(OPERATIONS, found[:, lane], expected, strict=True):
                     np.testing.assert_allclose(
                         value, wanted, rtol=1e-14, atol=0, err_msg=f"{name} of {a}, {b}"
                     )

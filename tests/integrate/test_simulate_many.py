@@ -7,11 +7,11 @@ import time
 
 import numpy as np
 import pytest
+from helpers.oscillators import bad_output, blow_up, emptying, oscillator
 
 import cosim
 from casadi_models.dae import Model
 from cosim.codegen.lane_library import processor_lanes
-from cosim.ensemble import RunState
 from cosim.errors import (
     InitialConditionError,
     Interrupted,
@@ -19,8 +19,8 @@ from cosim.errors import (
     UnknownName,
     UsageError,
 )
-from cosim.simulate_many import simulate_many
-from tests.oscillators import bad_output, blow_up, emptying, oscillator
+from cosim.integrate.ensemble import RunState
+from cosim.integrate.simulate_many import simulate_many
 
 ROLLS = np.linspace(0.3, 0.5, 37)
 
@@ -153,10 +153,8 @@ def test_an_impossible_value_refuses_its_row_alone(bicycle):
 
 
 def test_a_start_without_solution_refuses_its_row_alone(bicycle):
-    many = simulate_many(bicycle, {"lambda": [0.3, 0.3], "w": [1.02, 50.0]}, times=[1.0])
+    many = simulate_many(bicycle, {"phi": [0, 1.5], "delta": [0, 1.5]}, times=[1.0])
     assert many.complete[0]
-    if many.complete[1]:
-        pytest.fail("a wheel base of 50 m has no pitch that closes the loop")
     assert many.states[1] is RunState.REFUSED
     assert "no start value of theta" in many.reasons[1]
 
@@ -198,7 +196,7 @@ def test_what_contradicts_itself_is_refused_at_once(bicycle):
         simulate_many(bicycle, {"phi_dott": [0.1]})
     with pytest.raises(InitialConditionError, match="calculated"):
         simulate_many(bicycle, {"theta": [0.1]})
-    with pytest.raises(ParameterError, match="has 3 values where others have 2|has 2 values"):
+    with pytest.raises(ParameterError, match="others have 3"):
         simulate_many(bicycle, {"phi": [0.1, 0.2], "delta": [0, 0, 0]})
     with pytest.raises(UsageError, match="not both"):
         simulate_many(bicycle, times=[1.0], stop_time=2.0)

@@ -1,1 +1,1 @@
-"""From a Dae and methods to CasADi functions, C code and compiled libraries."""
+"""From a `Dae` and a method to CasADi functions, C code and compiled libraries."""

@@ -10,14 +10,14 @@ from functools import cache
 import casadi as ca
 
 from casadi_models.dae import Dae
-from cosim import dop853
+from cosim.codegen import dop853
+from cosim.codegen.c_sources import solver_source
+from cosim.codegen.compiler import cached_library, processor_abilities
+from cosim.codegen.initialization import start_function
 from cosim.codegen.lanes import vector_sum, vector_sums, vector_text
-from cosim.compile import cached_library, processor_abilities
-from cosim.consistent import start_function
+from cosim.codegen.runge_kutta_c import numbers
 from cosim.errors import UsageError
-from cosim.keeping import kept_per_thread
-from cosim.resources import solver_source
-from cosim.stage_sums import numbers
+from cosim.memo import kept_per_thread
 
 REPORT = 8  # numbers in the report of a run
 SIZES = (1, 2, 4, 8)  # numbers of lanes
@@ -90,7 +90,8 @@ def _text(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     margins = ca.vertcat(ca.SX(0, 1), *(margin for margin, _ in dae.limits))
     observed = ca.vertcat(wanted, margins)
     sparsity = ca.jacobian_sparsity(observed, dae.x)
-    needed = sorted({i for i in range(sparsity.size2()) if sparsity.colind()[i + 1] > sparsity.colind()[i]})
+    _, columns = sparsity.get_triplet()
+    needed = sorted(set(columns))
     every, symbols, values = ca.extract_parametric(ca.vertcat(dae.ode, observed), dae.p)
     nx, ny = dae.x.numel(), wanted.numel()
     c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
@@ -132,9 +133,7 @@ def _start_text(dae: Dae) -> str:
     function = start_function(dae)
     generator = ca.CodeGenerator("start", {"with_header": False})
     generator.add(function)
-    arg, res, iw, w = (
-        getattr(function, f"sz_{size}")() + 1 for size in ("arg", "res", "iw", "w")
-    )
+    arg, res, iw, w = (getattr(function, f"sz_{size}")() + 1 for size in ("arg", "res", "iw", "w"))
     nx, np = dae.x.numel(), dae.p.numel()
     return f"""{generator.dump()}
 CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double *x, const double *p, double *defect) {{

@@ -37,16 +37,14 @@ _FORMS = {
     ca.OP_IF_ELSE_ZERO: "pick({0} != every(0), {1}, every(0))",
     ca.OP_LIFT: "{0}",
 }
-_ONE_BY_ONE = {
-    getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}})"
-    for name in "tan asin acos atan sinh cosh tanh asinh acosh atanh exp expm1 log log1p erf "
-    "floor ceil".split()
-}
-_TWO_BY_TWO = {
-    getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})"
-    for name in "pow fmod remainder atan2 hypot".split()
-}
-_FORMS |= _ONE_BY_ONE | _TWO_BY_TWO | {ca.OP_CONSTPOW: "each_pow({0}, {1})"}
+_ONE_BY_ONE = (
+    *("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+    *("exp", "expm1", "log", "log1p", "erf", "floor", "ceil"),
+)
+_TWO_BY_TWO = ("pow", "fmod", "remainder", "atan2", "hypot")
+_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}})" for name in _ONE_BY_ONE}
+_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})" for name in _TWO_BY_TWO}
+_FORMS[ca.OP_CONSTPOW] = _FORMS[ca.OP_POW]
 
 
 def vector_text(function: ca.Function, name: str) -> str:
@@ -87,9 +85,8 @@ def vector_text(function: ca.Function, name: str) -> str:
 def vector_sums(name: str, rows: Sequence[Sequence[tuple[int, float]]]) -> str:
     """Return `name(row, k, sum)`: of each row (stage, weight) the sum of slopes, stages from 1."""
     cases = "".join(f"    case {i}: {_loop(row)} break;\n" for i, row in enumerate(rows))
-    return (
-        f"static void {name}(int row, V (*k)[NX], V *sum) {{\n    switch (row) {{\n{cases}    }}\n}}"
-    )
+    head = f"static void {name}(int row, V (*k)[NX], V *sum) {{"
+    return f"{head}\n    switch (row) {{\n{cases}    }}\n}}"
 
 
 def vector_sum(name: str, row: Sequence[tuple[int, float]]) -> str:

@@ -1,1 +1,1 @@
-"""A name, a file of a user or an object of CasADi becomes a Dae and its numbers."""
+"""A name, a file or a CasADi object to a `Dae`, and the numbers that users give to it."""

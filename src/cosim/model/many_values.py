@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from warnings import catch_warnings
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae, Start
+from cosim.arrays import Truths, Vector
 from cosim.errors import CosimError, ParameterError, UsageError
-from cosim.values import assign, inertias, settable, unphysical
-
-Vector = NDArray[np.float64]
+from cosim.model.values import assign, inertias, settable, unphysical
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
     return ManyValues(given, x, p, u, refused)
 
 
-def _unphysical(dae: Dae, given: Mapping[str, Vector], p: Vector) -> NDArray[np.bool_]:
+def _unphysical(dae: Dae, given: Mapping[str, Vector], p: Vector) -> Truths:
     """Tell which runs have an inertia that no body has; only what is given can have made it."""
     names = {v.name for v in dae.parameters} & set(given)
     if not names or not dae.inertias:
