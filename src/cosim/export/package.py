@@ -23,12 +23,13 @@ from cosim.export.sources import equations, model_header, variable_table
 from cosim.export.structure import Identity
 from cosim.export.variables import dependencies, fmu_variables
 from cosim.files import refuse_unwritable, write_atomically
-from cosim.resources import cache_folder, runtime_sources
-from cosim.stage_sums import dop853_text
+from cosim.resources import cache_folder, runtime_sources, solver_sources
+from cosim.stage_sums import dop853_coefficients
 from cosim.values import A_DAE, listed, number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 VERSIONS = {2: description2, 3: description3}
+_DOP853 = ("dop853.h", "interpolant.h", "ode.h")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
 
@@ -108,7 +109,8 @@ def source_files(
         "equations.c": equations(dae, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
-        code["dop853.h"] = dop853_text().encode()
+        code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}
+        code["dop853_coefficients.h"] = dop853_coefficients().encode()
     compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
     draft = Identity(name, "", f"cosim-rigid {version('cosim-rigid')}", compiled, tolerance)
     depends = dependencies(dae)
