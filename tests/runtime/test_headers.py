@@ -6,7 +6,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler
+from harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
@@ -56,13 +56,14 @@ def test_a_circle_is_found(tmp_path):
         list(TopologicalSorter(includes(list(tmp_path.iterdir()))).static_order())
 
 
-def test_every_function_is_declared_in_a_header(model):
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("solver", ["step", "dop853"], indirect=True, scope="session")
+def test_every_function_is_declared_in_a_header(model, version):
     """So that the graph of includes is that of calls."""
-    sources = [str(path) for path in sorted(RUNTIME.glob("*.c"))]
     include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", f"-isystem{HEADERS}"]
-    for source in sources:
+    for source in sources(model, version):
         done = subprocess.run(
-            [compiler(), *STRICT, "-Wmissing-prototypes", *include, "-fsyntax-only", source],
+            [compiler(), *STRICT, "-Wmissing-prototypes", *include, "-fsyntax-only", str(source)],
             capture_output=True,
             text=True,
             check=False,
