@@ -6,7 +6,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
+from helpers.harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
