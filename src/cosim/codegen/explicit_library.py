@@ -6,29 +6,31 @@ are arguments, so that nothing is compiled anew when they change.
 """
 
 import ctypes
-from collections.abc import Sequence
 from threading import Lock
+from typing import NamedTuple
 
 import casadi as ca
 
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.runge_kutta_c import dop853_text, numbers, sums
+from cosim.codegen.runge_kutta_c import dop853_coefficients, numbers, sums
 from cosim.codegen.tableau import Tableau
 
 _sizing = Lock()
 
-_NO_PROJECTION = """\
-static int restore(const Problem *self, double *x) {
-    (void)self, (void)x;
-    return 0;
-}"""
 SETTINGS = 4  # number of output times, both tolerances, largest step
 
 
+class MethodText(NamedTuple):
+    """A method in C: which of fmu/solvers steps, "adaptive" or "fixed", and its coefficients."""
+
+    steps: str
+    coefficients: str
+
+
 def explicit_library(
-    rhs: ca.Function, name: str, method: Sequence[str], project: ca.Function | None = None
+    rhs: ca.Function, name: str, method: MethodText, project: ca.Function | None = None
 ) -> str:
     """Return the path of a compiled solver.
 
@@ -42,24 +44,17 @@ def explicit_library(
         MissingTool: There is no compiler, or it fails.
     """
     sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
-    own = (
-        *(f"#define {name} {size}" for name, size in sizes),
-        solver_source("interrupt.c"),
-        solver_source("problem.c"),
-        *_projection_text(project),
-        *method,
-        solver_source("external.c"),
-    )
-    around = "\n".join(own)
+    before = "".join(f"#define {macro} {size}\n" for macro, size in sizes)
+    after = _solver_text(method, project)
 
     def generate() -> str:
         generator = ca.CodeGenerator("equations", {"with_header": False})
         generator.add(rhs)
         if project is not None:
             generator.add(project)
-        return f"{generator.dump()}\n{around}"
+        return f"{before}{generator.dump()}\n{after}"
 
-    details = around if project is None else around + project.serialize()
+    details = before + after + ("" if project is None else project.serialize())
     return str(cached_library(cache_key(f"explicit {name}", rhs, details.encode()), generate))
 
 
@@ -77,30 +72,32 @@ def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]
         return ca.external("run", path), library
 
 
-def _projection_text(project: ca.Function | None) -> list[str]:
-    if project is None:
-        return [_NO_PROJECTION]
-    sizes = {"ARG": project.sz_arg(), "RES": project.sz_res()}
-    sizes |= {"IW": project.sz_iw() + 1, "W": project.sz_w() + 1}  # C has no empty arrays
-    defined = (f"#define PROJECT_{name} {size}" for name, size in sizes.items())
-    return [*defined, solver_source("projection.c")]
-
-
-def dop853_method() -> list[str]:
+def dop853_method() -> MethodText:
     """Return the C text of `dop853`."""
-    return [dop853_text(), solver_source("adaptive.c")]
+    return MethodText("adaptive", dop853_coefficients().replace('#include "dop853.h"\n', ""))
 
 
-def fixed_step_method(tableau: Tableau) -> list[str]:
+def fixed_step_method(tableau: Tableau) -> MethodText:
     """Return the C text of a method with fixed steps."""
     rows = [
         [(stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight]
         for row in (*tableau.a, tableau.b)
     ]
-    stages = len(tableau.b)
-    return [
-        f"enum {{ STAGES = {stages} }};",
+    parts = (
         numbers("node", tableau.c),
         sums("stage_sum", rows),
-        solver_source("fixed.c"),
-    ]
+        f"static const Method method = {{{len(tableau.b)}, node, stage_sum}};",
+    )
+    return MethodText("fixed", "\n".join(parts))
+
+
+def _solver_text(method: MethodText, project: ca.Function | None = None) -> str:
+    """Return the code around the generated functions `rhs` and, where it is given, `project`."""
+    own, work = ("NULL", "NULL") if project is None else ("project", "project_work")
+    calls = f"rhs, {own}, rhs_work, {work}, integrate_{method.steps}"
+    parts = (
+        solver_source(f"{method.steps}.h", "external.h"),
+        method.coefficients,
+        f"static const Solver solver = {{{calls}}};\n",
+    )
+    return "\n".join(parts)

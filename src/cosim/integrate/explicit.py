@@ -1,13 +1,17 @@
 """Explicit methods in C around generated equations: the engine of all, and `dop853`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from casadi import MX
 
-from cosim.codegen.explicit_library import dop853_method, explicit_function, explicit_library
+from cosim.codegen.explicit_library import (
+    MethodText,
+    dop853_method,
+    explicit_function,
+    explicit_library,
+)
 from cosim.codegen.functions import driven, equations, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.projection import projection_step
@@ -33,7 +37,7 @@ class Dop853(AdaptiveSolver):
 
 
 def explicit_engine(
-    problem: Problem, name: str, method: Sequence[str], settings: tuple[float, float, float]
+    problem: Problem, name: str, method: MethodText, settings: tuple[float, float, float]
 ) -> Engine:
     """Return the engine of an explicit method in C.
 
