@@ -11,7 +11,8 @@ from cosim.integrate.solver import Tolerance
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, no_such_output, observable
 from cosim.model.inputs import InputSeries, read_inputs
-from cosim.model.values import checked, number, quantity
+from cosim.model.quantities import quantity
+from cosim.model.values import checked, number
 from cosim.scene.goals import GOALS
 from cosim.scene.library import shipped_scenes
 from cosim.scene.scene import Scene, Settings
