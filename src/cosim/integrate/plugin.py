@@ -9,6 +9,7 @@ import numpy as np
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.functions import CALL, driven, equations, symbols_of
 from cosim.integrate.engine import Counts, Engine, Problem
+from cosim.integrate.solver import AdaptiveSolver
 
 # of every plugin; the number of steps is per output interval
 COMMON = {"show_eval_warnings": False, "max_num_steps": 100_000}
@@ -27,7 +28,8 @@ def plugin_engine(
     """
     dae, grid, inputs = problem.dae, problem.grid, problem.inputs
     if problem.compiled or inputs is not None:
-        function = equations(dae, sensitivities=problem.sensitivities)
+        complete = problem.sensitivities or not problem.compiled
+        function = equations(dae, sensitivities=complete)
         if problem.compiled:
             functions = [function, function.jacobian()]
             (function,) = external(functions, cache_key("sundials", function), ["dae"])
@@ -47,3 +49,9 @@ def plugin_engine(
         return Counts(steps, rhs, jacobians)
 
     return Engine(run, None, "control_group_size" not in options, counts, problem.compiled)
+
+
+def tolerances(solver: AdaptiveSolver) -> dict[str, Any]:
+    """Return the tolerances as CasADi's integrators take them."""
+    relative, absolute = solver.tolerance.pair
+    return {"reltol": relative, "abstol": absolute}

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from cosim.arrays import Vector
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.plugin import COMMON, plugin_engine
+from cosim.integrate.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
 _NAMES = ("nsteps", "nfevals", "nlinsetups")
@@ -66,9 +66,3 @@ class Idas(AdaptiveSolver):
 
     def _engine(self, problem: Problem, start: Mapping[str, Any]) -> Engine:
         return plugin_engine(problem, "idas", COMMON | tolerances(self) | dict(start), _NAMES)
-
-
-def tolerances(solver: AdaptiveSolver) -> dict[str, Any]:
-    """Return the tolerances as CasADi's integrators take them."""
-    relative, absolute = solver.tolerance.pair
-    return {"reltol": relative, "abstol": absolute}
