@@ -76,7 +76,7 @@ def integrator(
         )
     jacobian = jacobian_of_run(problem, chosen)
     options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
-    options |= {"enable_forward": False, "enable_reverse": False}
+    options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
     return _function(dae, built, len(times), options)
 
 
