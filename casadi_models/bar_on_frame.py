@@ -19,6 +19,7 @@ import casadi as ca
 from casadi import SX, cos, sin
 
 from casadi_models import kane, rotations
+from casadi_models.bar_on_frame_shapes import draw
 from casadi_models.dae import Dae, Model
 from casadi_models.joints import free_joint, watch_joints
 from casadi_models.units import DEGREE, FOOT, FOOT_POUND, INCH, SLUG
@@ -189,13 +190,15 @@ def two_body() -> Dae:
 
 
 def _model(formulation: str, description: str) -> Model:
-    return Model(
-        "bar_on_frame",
-        formulation,
-        description=f"bar pinned to a turning frame: {description}",
-        source="Unit 7, Example 2",
-        display=DISPLAY,
-        stop_time=10.0,
+    return draw(
+        Model(
+            "bar_on_frame",
+            formulation,
+            description=f"bar pinned to a turning frame: {description}",
+            source="Unit 7, Example 2",
+            display=DISPLAY,
+            stop_time=10.0,
+        )
     )
 
 

@@ -16,6 +16,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models import kane, rotations
+from casadi_models.crank_shaft_shapes import draw
 from casadi_models.dae import Dae, Model
 from casadi_models.joints import free_joint, watch_joints
 from casadi_models.units import FOOT, INCH, POUND
@@ -108,13 +109,16 @@ def multipliers() -> Dae:
 
 
 def _model(formulation: str, description: str) -> Model:
-    return Model(
-        "crank_shaft",
-        formulation,
-        description=f"crank shaft in two bearings: {description}",
-        source="Unit 7, Example 1",
-        display=DISPLAY,
-        stop_time=4.0,
+    return draw(
+        Model(
+            "crank_shaft",
+            formulation,
+            description=f"crank shaft in two bearings: {description}",
+            source="Unit 7, Example 1",
+            display=DISPLAY,
+            stop_time=4.0,
+        ),
+        PATH,
     )
 
 

@@ -21,6 +21,7 @@ from casadi import SX
 
 from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Dae, Model
+from casadi_models.disk_two_bars_shapes import draw
 from casadi_models.joints import free_joint, watch_joints
 from casadi_models.units import FOOT, FOOT_POUND, SLUG
 
@@ -181,13 +182,15 @@ def _terms(motion: _Motion, data: _Data, bar1: _Bar, bar2: _Bar) -> _Terms:
 
 
 def _model(formulation: str, description: str) -> Model:
-    return Model(
-        "disk_two_bars",
-        formulation,
-        description=f"two hinged bars below a turning disk: {description}",
-        source="Unit 7, Exercise 7.1",
-        display=DISPLAY,
-        stop_time=20.0,
+    return draw(
+        Model(
+            "disk_two_bars",
+            formulation,
+            description=f"two hinged bars below a turning disk: {description}",
+            source="Unit 7, Exercise 7.1",
+            display=DISPLAY,
+            stop_time=20.0,
+        )
     )
 
 

@@ -12,6 +12,7 @@ import casadi as ca
 from casadi import SX, cos
 
 from casadi_models import conditions
+from casadi_models.bicycle.shapes import draw
 from casadi_models.dae import Model
 
 # Unit, value, meaning; the benchmark bicycle. A `+` marks what must be positive.
@@ -115,13 +116,15 @@ class Torques(NamedTuple):
 
 def new_model(formulation: str, description: str) -> Model:
     """Begin a formulation of the bicycle."""
-    return Model(
-        "bicycle",
-        formulation,
-        description=f"upright bicycle: {description}",
-        source="Unit 7, Example 3; Meijaard et al., Proc. R. Soc. A 463, 2007",
-        display={"rad": "deg"},
-        stop_time=20.0,
+    return draw(
+        Model(
+            "bicycle",
+            formulation,
+            description=f"upright bicycle: {description}",
+            source="Unit 7, Example 3; Meijaard et al., Proc. R. Soc. A 463, 2007",
+            display={"rad": "deg"},
+            stop_time=20.0,
+        )
     )
 
 

@@ -8,6 +8,7 @@ from casadi import SX
 from casadi_models import rotations
 from casadi_models.dae import Model
 from casadi_models.double_pendulum import orientation
+from casadi_models.double_pendulum.shapes import draw
 from casadi_models.units import DEGREE
 
 UP = rotations.unit(3)
@@ -65,13 +66,15 @@ class Link(NamedTuple):
 
 def pendulum(formulation: str, description: str) -> Model:
     """Return the builder of a formulation."""
-    return Model(
-        "double_pendulum",
-        formulation,
-        description=f"3-D double pendulum on ball joints: {description}",
-        source="Unit 7, Exercises 7.2 to 7.4",
-        display={"rad": "deg"},
-        stop_time=10.0,
+    return draw(
+        Model(
+            "double_pendulum",
+            formulation,
+            description=f"3-D double pendulum on ball joints: {description}",
+            source="Unit 7, Exercises 7.2 to 7.4",
+            display={"rad": "deg"},
+            stop_time=10.0,
+        )
     )
 
 

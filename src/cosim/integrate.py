@@ -25,7 +25,7 @@ from cosim.monitors import ON_INVALID, Breach, breaches, too_coarse
 from cosim.observation import all_columns, observe, wanted_names, watching
 from cosim.solvers import SOLVERS, Tolerance, method
 from cosim.trajectory import Trajectory
-from cosim.values import Values, assign, listed, number
+from cosim.values import Values, assign, listed, number, numbers_of
 
 __all__ = ["SOLVERS", "integrator", "simulate", "start_vectors", "time_grid"]
 
@@ -158,7 +158,10 @@ def simulate(
     stats |= {"compiled": task.compiled, "wall_time": perf_counter() - began}
     if first.invalid:
         stats["invalid"] = [breach.text for breach in first.invalid]
-    every = Trajectory(dae.full_name, time, all_columns(dae), solution.table, stats, status)
+        stats["invalid_from"] = float(grid[first.invalid[0].position])
+    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
+    columns = all_columns(dae)
+    every = Trajectory(dae.full_name, time, columns, solution.table, stats, status, drawing)
     run = every.select(names)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)

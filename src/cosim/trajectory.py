@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+    from casadi_models.dae import Drawing
+
 Vector = NDArray[np.float64]
 
 
@@ -44,6 +46,7 @@ class Trajectory:
         values: One column per variable, (n, len(columns)).
         stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
+        drawing: What the model looks like, with the run's parameters; None where nobody knows.
 
     Raises:
         UsageError: The shapes do not fit, or a variable occurs twice.
@@ -55,6 +58,7 @@ class Trajectory:
     values: Vector
     stats: Mapping[str, Any] = field(default_factory=dict)
     status: str = "complete"
+    drawing: Drawing | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):

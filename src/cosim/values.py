@@ -35,6 +35,12 @@ class Values:
     u: Vector
 
 
+def numbers_of(dae: Dae, values: Values) -> dict[str, float]:
+    """Return the parameters and constant inputs of a run by name."""
+    pairs = ((dae.parameters, values.p), (dae.inputs, values.u))
+    return {v.name: float(n) for group, row in pairs for v, n in zip(group, row, strict=True)}
+
+
 def quantity(name: str, text: str, unit: str) -> float:
     """Read `VALUE[UNIT]`, e.g. "60deg", as a number in a variable's own unit.
 
