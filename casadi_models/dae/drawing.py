@@ -146,5 +146,5 @@ def _restored(
     items = iter(
         [kind(*(next(expressions) if v is None else v for v in values)) for kind, values in plain]
     )
-    groups: Any = [tuple(next(items) for _ in range(count)) for count in counts]
-    return Drawing(*groups, world=world, numbers=numbers)
+    bodies, shapes, arrows, traces = (tuple(next(items) for _ in range(n)) for n in counts)
+    return Drawing(bodies, shapes, arrows, traces, world, numbers)
