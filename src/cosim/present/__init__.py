@@ -1,1 +1,1 @@
-"""Pictures of runs: figures, playback, reports."""
+"""Pictures of runs and studies: figures, playback, reports."""

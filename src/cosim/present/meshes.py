@@ -1,7 +1,7 @@
 """Shapes as triangles: vertices (n, 3), m, in the shape's own axes, and faces (m, 3)."""
 
 from collections.abc import Callable
-from itertools import product
+from itertools import pairwise, product
 from math import pi
 from typing import NamedTuple
 
@@ -102,7 +102,7 @@ def line(points: tuple[float, ...]) -> Mesh:
     corners = np.array(points).reshape(-1, 3)
     gaps = np.diff(corners, axis=0)
     radius = _THIN * float(np.linalg.norm(gaps, axis=1).sum())
-    return joined([_between(a, b, radius) for a, b in zip(corners, corners[1:], strict=False)])
+    return joined([_between(a, b, radius) for a, b in pairwise(corners)])
 
 
 def axes(size: tuple[float, ...]) -> Mesh:
