@@ -56,8 +56,8 @@ def draw(model: Model) -> Model:
 def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
     """Draw frame and rider; points from the rear axle, in B, as parts of the wheelbase."""
 
-    def point(forward: float, up: float, right: float = 0.0) -> SX:
-        return ca.vertcat(forward * w, right, rR - up * w)
+    def point(forward: float, up: float) -> SX:
+        return ca.vertcat(forward * w, 0, rR - up * w)
 
     axle, crank, saddle = SX.zeros(3), point(0.42, 0.28), point(0.2, 0.82)
     head = to_S - 0.16 * w * (about(2, tilt) @ unit(3))
@@ -65,9 +65,12 @@ def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
     tubes = ((axle, crank), (axle, saddle), (crank, saddle), (crank, head), (saddle, head))
     for i, ends in enumerate(tubes, start=1):
         model.rod(f"tube {i}", ends, _TUBE, body="rear frame", colour=BLUE)
-    model.rod("trunk of the rider", (hip, neck), 0.11, body="rear frame", colour=SKY)
-    model.rod("arm of the rider", (neck, hand), 0.035, body="rear frame", colour=SKY)
-    model.rod("leg of the rider", (hip, crank), 0.05, body="rear frame", colour=SKY)
+    model.rod("trunk of the rider", (hip, neck), 0.1, body="rear frame", colour=SKY)
+    for side, right in (("left", -1), ("right", 1)):
+        aside = 0.1 * right * unit(2)
+        arm, leg = (neck + 1.4 * aside, hand + 2 * aside), (hip + aside, crank + aside)
+        model.rod(f"{side} arm of the rider", arm, 0.035, body="rear frame", colour=SKY)
+        model.rod(f"{side} leg of the rider", leg, 0.05, body="rear frame", colour=SKY)
     model.shape("head of the rider", "sphere", SX(0.1), body="rear frame",
                 at=point(0.5, 1.55), colour=SKY)  # fmt: skip
 

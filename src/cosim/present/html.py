@@ -71,7 +71,7 @@ class _Scene:
             _Actor(scene, run, "" if i == 0 else f"ghost {i}", self.scale)
             for i, run in enumerate(runs)
         ]
-        size = self.scale.size
+        size = self.scale.pose
         if first.world.ground:
             _ground(scene, first, self.scale)
         world = scene.add_frame("/scene/frames/world", axes_length=0.25 * size,
@@ -114,8 +114,8 @@ class _Actor:
                 self.meshes.append(handle)
             moving = [body]
             if not ghost and i:
-                axes = scene.add_frame(f"{prefix}/frames/{name}", axes_length=0.15 * scale.size,
-                                       axes_radius=0.004 * scale.size, visible=False)  # fmt: skip
+                axes = scene.add_frame(f"{prefix}/frames/{name}", axes_length=0.3 * scale.pose,
+                                       axes_radius=0.008 * scale.pose, visible=False)  # fmt: skip
                 moving.append(axes)
             self.frames.append(moving)
         self.loads = [] if ghost else [self._arrow(scene, prefix, load) for load in run.loads]
@@ -143,7 +143,7 @@ class _Actor:
             self.meshes = []  # once is enough
 
     def _arrow(self, scene: Any, prefix: str, load: Load) -> Any:
-        size = self.scale.size
+        size = self.scale.pose
         return scene.add_arrows(
             f"{prefix}/forces/{load.name}",
             self._ends(load, 0),
@@ -172,8 +172,8 @@ def thinned(points: Array, most: int = 1000) -> Array:
 def _ground(scene: Any, run: Playback, scale: Scale) -> None:
     up = np.array(run.world.up)
     plane = {0: "yz", 1: "xz", 2: "xy"}[int(np.argmax(np.abs(up)))]
-    scene.add_grid("/scene/ground", plane=plane, cell_size=scale.cell, section_size=5 * scale.cell,
-                   infinite_grid=True, fade_distance=40 * scale.size)  # fmt: skip
+    scene.add_grid("/scene/ground", plane=plane, cell_size=scale.cell, section_size=4 * scale.cell,
+                   infinite_grid=True, fade_distance=40 * scale.pose)  # fmt: skip
 
 
 @contextmanager

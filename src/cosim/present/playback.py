@@ -123,7 +123,8 @@ class Playback:
         place = self.places[:, self.bodies.index(name)]
         up = np.array(self.world.up)
         start = place - place[0]
-        return start - np.outer(start @ up, up)  # along the ground only
+        along: Array = start - np.outer(start @ up, up)  # the ground keeps its height
+        return along
 
 
 def playback(
@@ -162,8 +163,9 @@ def playback(
             "record; run it with these among the outputs, or with all"
         )
     if times is None:
-        times = frame_times(run.time, _turn_rate(known, motion), frames_per_second / speed)
-    frames = np.asarray(times, dtype=float)
+        frames = frame_times(run.time, _turn_rate(known, motion), frames_per_second / speed)
+    else:
+        frames = np.asarray(times, dtype=float)
     outside = (frames < run.time[0] - 1e-9) | (frames > run.time[-1] + 1e-9)
     if outside.any():
         raise UsageError(
@@ -258,11 +260,14 @@ class _Known:
             else:
                 rows[i] = self.numbers[name]
         function = ca.Function("drawn", [ca.vertcat(SX(0, 1), *symbols)], [ca.vec(expression)])
-        return np.array(function(rows)).reshape(expression.numel(), len(times)).T
+        columns: Array = np.array(function(rows), dtype=float)
+        result: Array = columns.reshape(expression.numel(), len(times)).T
+        return result
 
     def constant(self, expression: SX) -> Array:
         """Return the values of an expression of parameters."""
-        return self.evaluate(expression, np.array([self.run.time[0]]))[0]
+        first: Array = self.evaluate(expression, np.array([self.run.time[0]]))[0]
+        return first
 
 
 def _poses(known: _Known, motion: SX, times: Array) -> tuple[Array, Array]:

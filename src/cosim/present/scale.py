@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import isfinite
 
 import numpy as np
@@ -24,14 +25,18 @@ class Scale:
     """Sizes, m.
 
     Attributes:
-        size: Half the largest extent of what is seen.
-        centre: Its middle, (3,), where the followed body is at its start.
+        corners: Of a box around everything that is seen, (8, 3), as the camera follows.
+        size: Half the largest extent of that.
+        pose: Half the largest extent of a single pose; arrows are measured by it.
+        centre: The middle of the box, (3,), where the followed body is at its start.
         label_at: Where text stands, (3,): above it all.
         per_unit: Length of an arrow per SI unit of its load, by unit: m/N, m/(N.m).
         cell: Of the grid on the ground.
     """
 
+    corners: Array
     size: float
+    pose: float
     centre: Array
     label_at: Array
     per_unit: dict[str, float]
@@ -46,28 +51,35 @@ class Scale:
 def scale_of(runs: Sequence[Playback], follow: str | None) -> Scale:
     """Return the sizes of a scene of some runs."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    pose = 0.0
+    shift = runs[0].followed(follow)
+    stations = np.unique(np.linspace(0, len(shift) - 1, 60).astype(int))
     for run in runs:
-        shift = runs[0].followed(follow)
-        stations = np.unique(np.linspace(0, len(run.time) - 1, 60).astype(int))
+        least, most = np.full((len(stations), 3), np.inf), np.full((len(stations), 3), -np.inf)
         for prop in run.props:
             vertices = mesh_of(prop).vertices
             corners = vertices[np.unique(np.vstack([vertices.argmin(0), vertices.argmax(0)]))]
             turns = to_matrices(run.quaternions[stations, prop.body])
             places = corners @ turns.swapaxes(1, 2) + run.places[stations, prop.body, None]
-            seen = (places - shift[stations, None]).reshape(-1, 3)
-            low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
+            seen = places - shift[stations, None]
+            least, most = np.minimum(least, seen.min(axis=1)), np.maximum(most, seen.max(axis=1))
+        low, high = np.minimum(low, least.min(axis=0)), np.maximum(high, most.max(axis=0))
+        pose = max(pose, float((most - least).max()) / 2)
     up = np.array(runs[0].world.up)
     up = up / np.linalg.norm(up)
     centre, size = (low + high) / 2, float((high - low).max()) / 2 or 1.0
     largest: dict[str, float] = {}
     for load in (load for run in runs for load in run.loads):
         largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest)
+    longest = _LONGEST * (pose or 1.0)
     return Scale(
+        corners=np.array([*product(*zip(low, high, strict=True))]),
         size=size,
+        pose=pose or 1.0,
         centre=centre,
-        label_at=centre + up * (np.abs(up) @ (high - low) / 2 + 0.25 * size),
-        per_unit={unit: _LONGEST * size / most if most else 0.0 for unit, most in largest.items()},
-        cell=float(10.0 ** np.floor(np.log10(size))),
+        label_at=centre + up * (np.abs(up) @ (high - low) / 2 + 0.35 * size),
+        per_unit={u: longest / most if most else 0.0 for u, most in largest.items()},
+        cell=0.5 * float(10.0 ** np.round(np.log10(pose or 1.0))),
     )
 
 
