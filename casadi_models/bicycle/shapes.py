@@ -5,12 +5,12 @@ from casadi import SX, cos, sin
 
 from casadi_models.dae import Model
 from casadi_models.dae.scenery import BLUE, DARK, GREEN, GREY, ORANGE, PINK, SKY
-from casadi_models.rotations import about, unit
+from casadi_models.mechanics.rotations import about, unit
 
 _TUBE, _TYRE = 0.016, 0.022  # m, radii
 
 
-def draw(model: Model) -> Model:
+def draw(model: Model) -> None:
     """Declare wheels, frame with rider, fork, the ground's forces and the paths of P and Q."""
     phi, delta, psi, theta = map(model.named, ("phi", "delta", "psi", "theta"))
     rR, rF, w, c, tilt = map(model.named, ("rR", "rF", "w", "c", "lambda"))
@@ -50,7 +50,6 @@ def draw(model: Model) -> Model:
         model.arrow(f"force at {point}", place, force, meaning, colour=ORANGE)
     model.trace("path of P", P, colour=BLUE)
     model.trace("path of Q", Q, colour=PINK)
-    return model
 
 
 def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:

@@ -7,6 +7,7 @@ meaning, start value, nominal value and bounds, which travel with it to XML, CSV
 """
 
 from casadi_models.dae.drawing import Drawing
+from casadi_models.dae.family import Family
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.model import Model
@@ -18,6 +19,7 @@ __all__ = [
     "Dae",
     "Drawing",
     "Experiment",
+    "Family",
     "Invariant",
     "Model",
     "Start",

@@ -5,10 +5,10 @@ from casadi import SX
 
 from casadi_models.dae import Model
 from casadi_models.dae.scenery import BLUE, DARK, GREEN, ORANGE, PINK, SKY
-from casadi_models.rotations import from_quaternion, unit
+from casadi_models.mechanics.rotations import from_quaternion, unit
 
 
-def draw(model: Model) -> Model:
+def draw(model: Model) -> None:
     """Declare two links, the joint forces and the path of the tip."""
     length, radius = model.named("length"), model.named("diameter") / 2
     model.world(up=(0, 0, 1), forward=(1, 0, 0))
@@ -33,4 +33,3 @@ def draw(model: Model) -> Model:
             model.trace("path of A", place, colour=GREEN)
     model.shape("tip", "sphere", 1.8 * radius, body="link 2", at=-length * unit(3), colour=PINK)
     model.trace("path of the tip", place, colour=PINK)
-    return model

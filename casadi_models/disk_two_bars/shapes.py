@@ -5,10 +5,10 @@ from casadi import SX
 
 from casadi_models.dae import Model
 from casadi_models.dae.scenery import BLUE, DARK, GREEN, GREY, ORANGE, PINK, SKY
-from casadi_models.rotations import about, unit
+from casadi_models.mechanics.rotations import about, unit
 
 
-def draw(model: Model) -> Model:
+def draw(model: Model) -> None:
     """Declare disk and bars, hinge forces, drive torque and the path of the lower end."""
     reach, drop = model.named("hinge_radius"), model.named("hinge_drop")
     length, radius = model.named("bar_length"), model.named("bar_radius")
@@ -38,4 +38,3 @@ def draw(model: Model) -> Model:
     model.arrow("drive torque", 0.9 * size * unit(3), drive, "torque of the drive on the disk",
                 unit="N.m", colour=PINK)  # fmt: skip
     model.trace("path of the lower end", place, colour=PINK)
-    return model

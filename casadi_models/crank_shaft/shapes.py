@@ -7,12 +7,12 @@ from casadi import SX
 
 from casadi_models.dae import Model
 from casadi_models.dae.scenery import BLUE, DARK, GREEN, GREY, ORANGE, PINK
-from casadi_models.rotations import about, unit
+from casadi_models.mechanics.rotations import about, unit
 
 Points = tuple[tuple[int, int, int], ...]
 
 
-def draw(model: Model, path: Points) -> Model:
+def draw(model: Model, path: Points) -> None:
     """Declare the bars of the shaft along a path in units of the segment length, and its loads."""
     length, radius = model.named("segment_length"), model.named("diameter") / 2
     turn = about(3, model.named("phi"))
@@ -38,4 +38,3 @@ def draw(model: Model, path: Points) -> Model:
                 colour=PINK)  # fmt: skip
     model.shape("axes", "axes", length / 2, body=shaft, colour=DARK)
     model.trace("path of a corner", turn @ corners[2], colour=GREEN)
-    return model

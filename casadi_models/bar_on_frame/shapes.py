@@ -5,10 +5,10 @@ from casadi import SX
 
 from casadi_models.dae import Model
 from casadi_models.dae.scenery import BLUE, DARK, GREEN, GREY, ORANGE, PINK, SKY
-from casadi_models.rotations import about, unit
+from casadi_models.mechanics.rotations import about, unit
 
 
-def draw(model: Model) -> Model:
+def draw(model: Model) -> None:
     """Declare frame and bar, the loads of pin, bearings, drive, and the bar's path."""
     d, height, column = map(model.named, ("d", "weld_height", "column_length"))
     length, radius = model.named("length"), model.named("column_radius")
@@ -41,4 +41,3 @@ def draw(model: Model) -> Model:
     model.arrow("drive torque", SX.zeros(3), drive, "torque of the drive on the frame",
                 unit="N.m", colour=DARK)  # fmt: skip
     model.trace("path of the bar's end", G + turn @ half, colour=SKY)
-    return model
