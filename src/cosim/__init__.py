@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cosim.model.dae_builder import from_dae_builder
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
+    from cosim.present.animate import animate
     from cosim.present.figures import draw_figures
     from cosim.scene.scene import Scene
     from cosim.scene.scene_file import read_scene
@@ -32,6 +33,7 @@ _HOMES = {
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
     "Trajectory": "trajectory",
+    "animate": "present.animate",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
@@ -56,6 +58,7 @@ __all__ = [
     "InputSeries",
     "Scene",
     "Trajectory",
+    "animate",
     "compare",
     "crosscheck",
     "draw_figures",

@@ -212,6 +212,12 @@ class Trajectory:
         suffix = "" if self.complete else f" ({self.status})"
         return draw_panels(f"{self.model}{suffix}", self.time, panels)
 
+    def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
+        """Show the run in three dimensions; see `cosim.animate`."""
+        from cosim.present.animate import animate  # the one import of an upper room
+
+        return animate(self, target, **options)
+
     def _index(self, name: str) -> int:
         try:
             return self.names.index(name)

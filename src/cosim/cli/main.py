@@ -16,7 +16,13 @@ from typing import Any
 from cosim.cli.parser import Parser, command_line
 from cosim.errors import CosimError
 
-_OWN_MODULE = ("extremes", "tradeoff")  # of their name; the other verbs stand in `verbs`
+_OWN_MODULE = (
+    "animate",
+    "extremes",
+    "plot",
+    "report",
+    "tradeoff",
+)  # of their name; the other verbs stand in `verbs`
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

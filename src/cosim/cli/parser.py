@@ -106,7 +106,47 @@ def command_line() -> argparse.ArgumentParser:
     )
     plot.add_argument("--output-file", metavar="FILE", help="PNG, SVG or PDF; a window by default")
     _timeout_option(plot)
+
+    animate = verbs.add_parser(
+        "animate", parents=[common, run, values], help="runs in three dimensions, to a file"
+    )
+    animate.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
+    _solver_options(animate)
+    _timeout_option(animate)
+    _animation_options(animate)
     return parser
+
+
+def _animation_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-o",
+        "--output-file",
+        required=True,
+        metavar="FILE",
+        help=".html, .glb, .mp4, .gif; or a picture: .png, .svg, .pdf",
+    )
+    parser.add_argument(
+        "--compare", metavar="A,B", help="more runs as ghosts: fmu-me, fmu-cs, solver, formulation"
+    )
+    parser.add_argument("--at", metavar="T1,T2", help="times of the poses of a picture, s")
+    parser.add_argument("--labels", metavar="A,B", help="variables to write beside the bodies")
+    parser.add_argument("--view", default="iso", metavar="NAME", help="iso, front, side or top")
+    parser.add_argument(
+        "--follow", metavar="BODY", help="body in the middle; the model's own; '' for none"
+    )
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of playback; 1")
+    parser.add_argument(
+        "--model",
+        dest="shown_model",
+        metavar="MODEL",
+        help="whose shapes are drawn, for a result or an FMU of a user's own model",
+    )
+    _picture_options(parser)
+
+
+def _picture_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--size", default="6.4x4.8", metavar="WxH", help="inches; 6.4x4.8")
+    parser.add_argument("--dpi", type=int, default=120, metavar="N", help="dots per inch; 120")
 
 
 def _timeout_option(parser: argparse.ArgumentParser) -> None:

@@ -8,17 +8,14 @@ from typing import Any
 
 import casadi_models
 from casadi_models.dae import Start, Variable
-from cosim.api import run_scene
-from cosim.cli.arguments import named_scene, names_in, scene_from, start_numbers
+from cosim.cli.arguments import named_scene, names_in, scene_from
+from cosim.cli.runs import refuse_timeout, run_or_partial, scene_of
 from cosim.cli.tables import show_table, write_text
-from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
+from cosim.errors import UnknownName
 from cosim.integrate.inspection import inspect_start
 from cosim.model.catalogue import load
-from cosim.scene.goals import GOALS
-from cosim.scene.roads import scene_dae, variant
-from cosim.scene.scene import Scene
+from cosim.scene.roads import scene_dae
 from cosim.scene.scene_file import scene_summaries
-from cosim.trajectory import Trajectory
 
 
 def do_list(args: argparse.Namespace) -> int:
@@ -93,8 +90,8 @@ def do_info(args: argparse.Namespace) -> int:
 
 def do_simulate(args: argparse.Namespace) -> int:
     """Run a model or an FMU: `cosim simulate MODEL|FILE.fmu`."""
-    scene = _scene(args)
-    run, code = _run_or_partial(args, scene)
+    scene = scene_of(args)
+    run, code = run_or_partial(args, scene)
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
@@ -153,7 +150,7 @@ def do_crosscheck(args: argparse.Namespace) -> int:
     )
     files = [name for name in args.models if name.endswith(".fmu")]
     if not files:
-        _refuse_timeout(args)
+        refuse_timeout(args)
     items = [
         named_scene(name) if name.endswith(".toml") else name
         for name in args.models
@@ -185,112 +182,6 @@ def do_crosscheck(args: argparse.Namespace) -> int:
         show_table(rows, as_json=args.json)
     verdicts = {row["verdict"] for row in rows}
     return 1 if "FAILED" in verdicts else 4 if "DIFFERS" in verdicts else 0
-
-
-def do_plot(args: argparse.Namespace) -> int:
-    """Draw a run, or two and their difference: `cosim plot MODEL|SCENE.toml|FILE.fmu`."""
-    from cosim.present.figures import default_specs, draw_figures
-    from cosim.present.picture_files import picture_format, require_screen, save, show
-
-    if args.output_file is None:
-        require_screen()
-    else:
-        picture_format(args.output_file)  # refuses before anything has been computed
-    scene = _scene(args)
-    second = None if args.compare is None else _second(args, scene)
-    run, code = _run_or_partial(args, scene)
-    if second:
-        other = run_scene(*second, compiled=False if args.interpreted else None)
-        specs = (scene and scene.figures) or default_specs(run, other)
-        figures = draw_figures(specs, run, other)
-    else:
-        figures = draw_figures(scene.figures, run) if scene and scene.figures else [run.plot()]
-    if args.output_file is None:
-        show(figures)
-        return code
-    for path in save(figures, args.output_file):
-        if not args.quiet:
-            print(path, file=sys.stderr)
-    return code
-
-
-def _scene(args: argparse.Namespace) -> Scene | None:
-    """Return the scene that a command line asks for; None for an FMU."""
-    if args.model.endswith(".fmu"):
-        return None
-    _refuse_timeout(args)
-    return scene_from(args)
-
-
-def _refuse_timeout(args: argparse.Namespace) -> None:
-    if args.timeout is not None:
-        raise UsageError("--timeout is for FMU files; a model's run ends at its step limit")
-
-
-def _run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
-    """Return a run and its exit code; of a failed run, what was computed."""
-    try:
-        run = _run(args, scene)
-        for text in run.stats.get("invalid", ()):
-            print(f"warning: {run.model}: {text}", file=sys.stderr)
-        if "error_estimate" in run.stats and not args.quiet:
-            from cosim.study.accuracy.solver_selection import promise_kept
-
-            print(promise_kept(run), file=sys.stderr)
-        return run, 0
-    except SolverError as error:
-        if not isinstance(error.partial, Trajectory) or not len(error.partial):
-            raise
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return error.partial, error.exit_code
-    except Interrupted as error:
-        if not isinstance(error.partial, Trajectory) or not len(error.partial):
-            raise
-        print(error, file=sys.stderr)
-        return error.partial, 130
-
-
-def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
-    if scene is not None:
-        if args.interface_type is not None:
-            raise UsageError("--interface-type is for FMUs; a model takes --solver")
-        return run_scene(
-            scene,
-            compiled=False if args.interpreted else None,
-            on_invalid=args.on_invalid or "warn",
-            drift_control=args.drift_control,
-        )
-    from cosim.fmi.run.isolated import simulate_apart
-
-    own = (
-        "solver",
-        "absolute_tolerance",
-        "step_size",
-        "on_invalid",
-        "drift_control",
-        "interpreted",
-    )
-    for option in (*own, *GOALS):
-        if getattr(args, option) not in (None, False):
-            raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
-    return simulate_apart(
-        args.model,
-        timeout=args.timeout,
-        interface=args.interface_type,
-        start_time=args.start_time,
-        stop_time=args.stop_time,
-        output_interval=args.output_interval,
-        relative_tolerance=args.relative_tolerance,
-        start=start_numbers(args, None),
-        outputs=None if args.outputs is None else names_in(args.outputs),
-    )
-
-
-def _second(args: argparse.Namespace, scene: Scene | None) -> tuple[Scene, str | None]:
-    """Return scene and road of the run that `--compare` asks for."""
-    if scene is None:
-        raise UsageError("--compare is for models and scenes; an FMU has one road only")
-    return variant(scene, args.compare)
 
 
 def _facts(variable: Variable) -> dict[str, Any]:

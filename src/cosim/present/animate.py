@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 from warnings import warn
 
+import casadi as ca
+
 import casadi_models
 from casadi_models.dae import Dae, Drawing
 from cosim.errors import UnknownName, UsageError
@@ -157,6 +159,32 @@ def drawing_of(
     dae = load(model) if isinstance(model, str) else model
     numbers = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.inputs)}
     return dae.drawing.with_numbers({**numbers, **(values or {})})
+
+
+def guessed_model(paths: Sequence[str]) -> str:
+    """Return the model of the catalogue whose bodies can be placed from results in CSV files.
+
+    Raises:
+        UsageError: There is none, or more than one.
+    """
+    names = set()
+    for path in paths:
+        try:
+            with Path(path).open(encoding="utf-8") as stream:
+                names |= set(stream.readline().strip().split(","))
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{path} is no result of a run: {error}") from error
+    fitting = []
+    for model in dict.fromkeys(entry.partition("/")[0] for entry in casadi_models.CATALOG):
+        dae = load(model)
+        known = names | {v.name for v in (*dae.parameters, *dae.inputs)}
+        placed = ca.vertcat(*(ca.vertcat(b.place, ca.vec(b.rotation)) for b in dae.drawing.bodies))
+        if {symbol.name() for symbol in ca.symvar(placed)} <= known:
+            fitting.append(model)
+    if len(fitting) != 1:
+        found = " and ".join(fitting) or "no model"
+        raise UsageError(f"{', '.join(paths)}: {found} could be drawn so; give --model MODEL")
+    return fitting[0]
 
 
 def still_times(run: Trajectory, at: Sequence[float] | None) -> list[float]:

@@ -190,9 +190,9 @@ def playback(
         drawn_paths.append(Path(trace.name, known.evaluate(trace.at, run.time), trace.colour))
     names = [body.name for body in drawing.bodies]
     start, reasons = _validity(run)
-    solver = str(run.stats.get("solver", ""))
+    facts = (run.model, run.stats.get("solver"), run.stats.get("variation"))
     return Playback(
-        title=f"{run.model}, {solver}" if solver else run.model,
+        title=", ".join(str(fact) for fact in facts if fact),
         time=frames,
         bodies=tuple(names),
         places=places,
