@@ -67,8 +67,7 @@ def animate(
         model: Whose shapes are drawn, for a run that does not know its model (of an FMU, or read
             from a file): a Dae or a name that `load` takes.
         values: Parameters of that run where they differ from the model's own, SI.
-        at: Times of the poses of a still picture, s; the start, a third, two thirds and the end
-            when None.
+        at: Times of the poses of a still picture, s; the start when None. Earlier ones are pale.
         labels: Variables to write beside the picture, in display units.
         view: Where the camera is at first: "iso", "front", "side" or "top".
         follow: Body that stays in the middle; the model's own when None, "" for a camera at rest.
@@ -162,7 +161,7 @@ def drawing_of(
 
 
 def guessed_model(paths: Sequence[str]) -> str:
-    """Return the model of the catalogue whose bodies can be placed from results in CSV files.
+    """Return the model of the catalogue whose bodies and loads CSV results describe.
 
     Raises:
         UsageError: There is none, or more than one.
@@ -178,8 +177,10 @@ def guessed_model(paths: Sequence[str]) -> str:
     for model in dict.fromkeys(entry.partition("/")[0] for entry in casadi_models.CATALOG):
         dae = load(model)
         known = names | {v.name for v in (*dae.parameters, *dae.inputs)}
-        placed = ca.vertcat(*(ca.vertcat(b.place, ca.vec(b.rotation)) for b in dae.drawing.bodies))
-        if {symbol.name() for symbol in ca.symvar(placed)} <= known:
+        drawing = dae.drawing
+        used = [expression for b in drawing.bodies for expression in (b.place, ca.vec(b.rotation))]
+        used += [expression for a in drawing.arrows for expression in (a.at, a.vector)]
+        if {symbol.name() for symbol in ca.symvar(ca.vertcat(*used))} <= known:
             fitting.append(model)
     if len(fitting) != 1:
         found = " and ".join(fitting) or "no model"
@@ -191,8 +192,7 @@ def still_times(run: Trajectory, at: Sequence[float] | None) -> list[float]:
     """Return the times of the poses of a still picture, s."""
     if at is not None:
         return [float(time) for time in at]
-    start, end = float(run.time[0]), float(run.time[-1])
-    return [start + part * (end - start) / 3 for part in range(4)] if end > start else [start]
+    return [float(run.time[0])] if len(run) else []
 
 
 def _models() -> set[str]:

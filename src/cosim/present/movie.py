@@ -42,7 +42,7 @@ def movie(
         MissingTool: imageio-ffmpeg is not installed; only MP4 needs it.
     """
     figure, axis = canvas(size)
-    stage = Stage(runs, view, follow, size[0] / size[1])
+    stage = Stage(runs, view, follow, size)
     per_second = _rate(runs[0]) * speed
     writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
     settings: Any = {}

@@ -252,6 +252,14 @@ class _Known:
     def evaluate(self, expression: SX, times: Array) -> Array:
         """Return a column's values, (times, rows); between outputs those of a straight line."""
         symbols = ca.symvar(expression)
+        rows = self.rows(symbols, times)
+        function = ca.Function("drawn", [ca.vertcat(SX(0, 1), *symbols)], [ca.vec(expression)])
+        columns: Array = np.array(function(rows), dtype=float)
+        result: Array = columns.reshape(expression.numel(), len(times)).T
+        return result
+
+    def rows(self, symbols: Sequence[SX], times: Array) -> Array:
+        """Return the values of symbols, (symbols, times)."""
         rows = np.empty((len(symbols), len(times)))
         for i, symbol in enumerate(symbols):
             name = symbol.name()
@@ -259,10 +267,7 @@ class _Known:
                 rows[i] = np.interp(times, self.run.time, self.run[name])
             else:
                 rows[i] = self.numbers[name]
-        function = ca.Function("drawn", [ca.vertcat(SX(0, 1), *symbols)], [ca.vec(expression)])
-        columns: Array = np.array(function(rows), dtype=float)
-        result: Array = columns.reshape(expression.numel(), len(times)).T
-        return result
+        return rows
 
     def constant(self, expression: SX) -> Array:
         """Return the values of an expression of parameters."""
@@ -279,20 +284,24 @@ def _poses(known: _Known, motion: SX, times: Array) -> tuple[Array, Array]:
 def _turn_rate(known: _Known, motion: SX) -> float:
     """Return how fast the fastest body turns, rad/s.
 
-    Between two outputs a wheel may make most of a turn, or several, and seem to stand still: the
-    grid is refined until the angles add up to the same sum.
+    From the rates of the variables, not from poses: between two outputs a wheel may make several
+    turns and seem to stand still.
     """
-    time, before = known.run.time, 0.0
-    for parts in (1, 2, 4, 8, 16, 32, 64):
-        fine = np.interp(np.arange((len(time) - 1) * parts + 1) / parts, np.arange(len(time)), time)
-        angles = turning.angles_between(_poses(known, motion, fine)[1])
-        sums = np.add.reduceat(angles, np.arange(0, len(angles), parts)) if len(angles) else angles
-        rates = sums / np.diff(time)[:, None]
-        now = float(rates.max(initial=0.0))
-        if now <= 1.02 * before or parts * len(time) > 200_000:
-            break
-        before = now
-    return now
+    time = known.run.time
+    if len(time) < 2:
+        return 0.0
+    symbols = ca.symvar(motion)
+    rates = [SX.sym(f"{symbol.name()} rate") for symbol in symbols]
+    moving = ca.jtimes(motion, ca.vertcat(SX(0, 1), *symbols), ca.vertcat(SX(0, 1), *rates))
+    function = ca.Function("rates", [ca.vertcat(SX(0, 1), *symbols, *rates)], [ca.vec(moving)])
+    values = known.rows(symbols, time)
+    slopes = np.diff(values, axis=1) / np.diff(time)
+    fastest = 0.0
+    for ends in (values[:, :-1], values[:, 1:], (values[:, :-1] + values[:, 1:]) / 2):
+        columns = np.array(function(np.vstack([ends, slopes])), dtype=float)
+        turns = columns.reshape(-1, 12, len(slopes[0]) if len(slopes) else 1)[:, 3:]
+        fastest = max(fastest, float(np.sqrt((turns**2).sum(axis=1) / 2).max(initial=0.0)))
+    return fastest
 
 
 def _prop(shape: Any, bodies: Sequence[str], known: _Known) -> Prop:

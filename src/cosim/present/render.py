@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from math import tan
 from textwrap import fill
 from typing import Any
@@ -62,18 +63,18 @@ class Stage:
         runs: The first in full colour, the others as pale ghosts.
         view: See `view_from`.
         follow: The body that stays in the middle; see `Playback.followed`.
-        width: Of the picture, in heights.
+        size: Of the picture, inches.
     """
 
     def __init__(
-        self, runs: Sequence[Playback], view: str, follow: str | None, width: float
+        self, runs: Sequence[Playback], view: str, follow: str | None, size: tuple[float, float]
     ) -> None:
         self.runs, self.scale = runs, scale_of(runs, follow)
         self.shift = runs[0].followed(follow)
         world = runs[0].world
         self.up = np.array(world.up) / np.linalg.norm(world.up)
         self.eye, self.centre = view_from(world, view, self.scale)
-        self.width = width
+        self.width, self.inches = size[0] / size[1], size[0]
         self._fit()
         self.parts = [_parts(run) for run in runs]
 
@@ -110,22 +111,27 @@ class Stage:
     def _bodies(self, axis: Axes, camera: Camera, frames: Sequence[int]) -> None:
         triangles: list[Array] = []
         colours: list[Array] = []
+        tops: list[tuple[float, float, str]] = []
         for i, (run, parts) in enumerate(zip(self.runs, self.parts, strict=True)):
-            for frame in frames:
+            for k, frame in enumerate(frames):
                 begin = len(triangles)
+                pale = _PALE if i else _PALE * (1 - k / (len(frames) - 1)) if len(frames) > 1 else 0
                 grey = run.time[frame] >= run.invalid_from
                 for body, mesh, colour in parts:
                     turn = to_matrices(run.quaternions[frame, body])
                     placed = mesh.moved(run.places[frame, body], turn)
-                    _add(triangles, colours, placed, _GREY if grey else colour, pale=i > 0)
+                    _add(triangles, colours, placed, _GREY if grey else colour, pale)
                 for load in run.loads if i == 0 else ():
                     ends = self.scale.arrow(load, frame)
                     tip = arrow(*ends, _SHAFT * self.scale.pose)
-                    _add(triangles, colours, tip, _parts_of(load.colour), pale=False)
+                    _add(triangles, colours, tip, _parts_of(load.colour), pale)
                 if len(frames) > 1 and i == 0:
                     flat = camera.seen(np.vstack(triangles[begin:]).reshape(-1, 3))
-                    place = (flat[:, 0].min() + flat[:, 0].max()) / 2, flat[:, 1].max() + 0.02
-                    axis.text(*place, f"{run.time[frame]:g} s", fontsize=8, ha="center", zorder=6)
+                    middle = (flat[:, 0].min() + flat[:, 0].max()) / 2
+                    tops.append((middle, flat[:, 1].max() + 0.02, f"{run.time[frame]:.4g} s"))
+        if all(abs(a[0] - b[0]) > 0.3 or abs(a[1] - b[1]) > 0.1 for a, b in combinations(tops, 2)):
+            for x, y, text in tops:  # where they would overlap, the title has to do
+                axis.text(x, y, text, fontsize=8, ha="center", zorder=6)
         corners, paint = np.vstack(triangles), np.vstack(colours)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
@@ -179,7 +185,7 @@ class Stage:
 
     def _axes(self, axis: Axes, camera: Camera, width: float) -> None:
         """Draw the world's directions in the lower left corner."""
-        corner = np.array([-width + 0.22, -0.78])
+        corner = np.array([-width + 0.22, -0.66])
         for name, tip in zip(self.runs[0].world.axes, np.eye(3), strict=True):
             end = 0.13 * (camera.axes @ tip)[:2]
             style = {"arrowstyle": "->", "color": "0.25", "linewidth": 1.0}
@@ -195,17 +201,18 @@ class Stage:
         if len(frames) == 1:
             lines.append(label_text(first, frames[0]))
         else:
-            shown = ", ".join(f"{first.time[frame]:g}" for frame in frames)
+            shown = ", ".join(f"{first.time[frame]:.4g}" for frame in frames)
             lines.append(f"t = {shown} s")
         lines += [f"pale: {run.title}" for run in self.runs[1:]]
-        chars = int(width * 58)
+        chars = max(20, int((self.inches - 0.25) * 15))  # at 8 points
         text = "\n".join(fill(line, chars) for line in lines)
         axis.text(left, place, text, fontsize=8, va="top", ha="left", zorder=6)
         worst = max(frames, key=lambda frame: first.time[frame])
         if wrong := invalid_text(self.runs, worst):
-            axis.text(left, -0.97, fill(wrong.strip(" |"), chars), fontsize=8, va="bottom",
-                      color="white", zorder=7,
-                      bbox={"facecolor": "#A02020", "edgecolor": "none", "pad": 3})  # fmt: skip
+            warning = fill(wrong.strip(" |"), chars, max_lines=8, placeholder=" ...")
+            box = {"facecolor": "#A02020", "edgecolor": "none", "pad": 3}
+            axis.text(left, -0.97, warning, fontsize=8, va="bottom", color="white", zorder=7,
+                      bbox=box)  # fmt: skip
         elif told := arrow_text(self.scale, self.runs):
             axis.text(width - 0.06, -0.97, told, fontsize=7, va="bottom", ha="right", color="0.35")
 
@@ -228,7 +235,7 @@ def draw_pose(
         size: Of the picture, inches.
     """
     figure, axis = canvas(size)
-    Stage(runs, view, follow, size[0] / size[1]).draw(axis, frames)
+    Stage(runs, view, follow, size).draw(axis, frames)
     return figure
 
 
@@ -247,12 +254,12 @@ def _parts(run: Playback) -> list[tuple[int, Mesh, Array]]:
 
 
 def _add(
-    triangles: list[Array], colours: list[Array], mesh: Mesh, colour: Array, *, pale: bool
+    triangles: list[Array], colours: list[Array], mesh: Mesh, colour: Array, pale: float
 ) -> None:
     if not len(mesh.faces):
         return
     triangles.append(mesh.vertices[mesh.faces])
-    paint = colour + _PALE * (1 - colour) if pale else colour
+    paint = colour + pale * (1 - colour)
     colours.append(np.tile(paint, (len(mesh.faces), 1)))
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,13 +71,17 @@ def scale_of(runs: Sequence[Playback], follow: str | None) -> Scale:
     for load in (load for run in runs for load in run.loads):
         largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest)
     longest = _LONGEST * (pose or 1.0)
+    per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
+    for load in runs[0].loads:
+        tips = (load.at + per_unit[load.unit] * load.vector - shift)[stations]
+        low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
     return Scale(
         corners=np.array([*product(*zip(low, high, strict=True))]),
         size=size,
         pose=pose or 1.0,
         centre=centre,
         label_at=centre + up * (np.abs(up) @ (high - low) / 2 + 0.35 * size),
-        per_unit={u: longest / most if most else 0.0 for u, most in largest.items()},
+        per_unit=per_unit,
         cell=0.5 * float(10.0 ** np.round(np.log10(pose or 1.0))),
     )
 
@@ -112,11 +115,13 @@ def label_text(run: Playback, frame: int) -> str:
 
 def invalid_text(runs: Sequence[Playback], frame: int) -> str:
     """Return what is wrong at a frame, by run; empty while all are valid."""
-    found = [
-        f" | {run.title}: INVALID since {run.invalid_from:g} s: {run.reasons[0]}"
-        for run in runs
-        if isfinite(run.invalid_from) and run.time[frame] >= run.invalid_from and run.reasons
-    ]
+    found = []
+    for run in runs:
+        if run.reasons and run.time[frame] >= run.invalid_from:
+            reason = run.reasons[0].removeprefix(f"from {run.invalid_from:g} s on ")
+            since = f"INVALID from {run.invalid_from:g} s on"
+            whose = f"{run.title}: " if len(runs) > 1 else ""
+            found.append(f" | {whose}{since}: {reason}")
     return "".join(found)
 
 
@@ -124,9 +129,8 @@ def arrow_text(scale: Scale, runs: Sequence[Playback]) -> str:
     """Return how long the arrows are, in display units."""
     parts = []
     for unit, per_unit in scale.per_unit.items():
-        load = next(load for load in runs[0].loads if load.unit == unit)
         if per_unit:
-            parts.append(
-                f"{_LONGEST * scale.size:.2g} m for {load.shown(_LONGEST * scale.size / per_unit)}"
-            )
+            load = next(load for run in runs for load in run.loads if load.unit == unit)
+            length = _LONGEST * scale.pose
+            parts.append(f"{length:.2g} m for {load.shown(length / per_unit)}")
     return f"arrows: {', '.join(parts)}" if parts else ""
