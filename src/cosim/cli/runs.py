@@ -2,7 +2,6 @@
 
 import argparse
 import csv
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -12,10 +11,10 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.api import run_scene
-from cosim.cli.arguments import names_in, scene_from, start_numbers
-from cosim.errors import Interrupted, SolverError, UsageError
+from cosim.cli.arguments import names_in
+from cosim.cli.running import run_or_partial, scene_or_none
+from cosim.errors import ParameterError, UsageError
 from cosim.model.catalogue import load
-from cosim.scene.goals import GOALS
 from cosim.scene.roads import variant
 from cosim.scene.scene import Scene
 from cosim.trajectory import Column, Trajectory
@@ -45,10 +44,10 @@ def runs_of(
             scenes.append(None)
             continue
         for one in _single(args, source):
-            scene = scene_of(one)
+            scene = scene_or_none(one)
             if everything and scene is not None:
                 scene = replace(scene, outputs=(), figures=())
-            seconds = [second_of(one, scene, name) for name in names_in(one.compare or "") if name]
+            seconds = [second_of(scene, name) for name in names_in(one.compare or "") if name]
             run, code = run_or_partial(one, scene)
             runs.append(_named(run, one.variation))
             scenes.append(scene)
@@ -104,83 +103,29 @@ def _named(run: Trajectory, variation: str) -> Trajectory:
     return replace(run, stats={**run.stats, "variation": variation}) if variation else run
 
 
-def scene_of(args: argparse.Namespace) -> Scene | None:
-    """Return the scene that a command line asks for; None for an FMU."""
-    if args.model.endswith(".fmu"):
-        return None
-    refuse_timeout(args)
-    return scene_from(args)
+def second_of(scene: Scene | None, name: str) -> tuple[Scene, str | None]:
+    """Return scene and road of a run that `--compare` asks for.
 
-
-def refuse_timeout(args: argparse.Namespace) -> None:
-    """Refuse a time limit for what has none."""
-    if args.timeout is not None:
-        raise UsageError("--timeout is for FMU files; a model's run ends at its step limit")
-
-
-def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
-    """Return a run and its exit code; of a failed run, what was computed."""
-    try:
-        run = _run(args, scene)
-        for text in run.stats.get("invalid", ()):
-            print(f"warning: {run.model}: {text}", file=sys.stderr)
-        if "error_estimate" in run.stats and not args.quiet:
-            from cosim.study.accuracy.solver_selection import promise_kept
-
-            print(promise_kept(run), file=sys.stderr)
-        return run, 0
-    except SolverError as error:
-        if not isinstance(error.partial, Trajectory) or not len(error.partial):
-            raise
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return error.partial, error.exit_code
-    except Interrupted as error:
-        if not isinstance(error.partial, Trajectory) or not len(error.partial):
-            raise
-        print(error, file=sys.stderr)
-        return error.partial, 130
-
-
-def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
-    if scene is not None:
-        if args.interface_type is not None:
-            raise UsageError("--interface-type is for FMUs; a model takes --solver")
-        return run_scene(
-            scene,
-            compiled=False if args.interpreted else None,
-            on_invalid=args.on_invalid or "warn",
-            drift_control=args.drift_control,
-        )
-    from cosim.fmi.run.isolated import simulate_apart
-
-    own = (
-        "solver",
-        "absolute_tolerance",
-        "step_size",
-        "on_invalid",
-        "drift_control",
-        "interpreted",
-    )
-    for option in (*own, *GOALS):
-        if getattr(args, option) not in (None, False):
-            raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
-    return simulate_apart(
-        args.model,
-        timeout=args.timeout,
-        interface=args.interface_type,
-        start_time=args.start_time,
-        stop_time=args.stop_time,
-        output_interval=args.output_interval,
-        relative_tolerance=args.relative_tolerance,
-        start=start_numbers(args, None),
-        outputs=None if args.outputs is None else names_in(args.outputs),
-    )
-
-
-def second_of(
-    args: argparse.Namespace, scene: Scene | None, name: str | None = None
-) -> tuple[Scene, str | None]:
-    """Return scene and road of the run that `--compare` asks for."""
+    Raises:
+        UsageError: The first one is that of an FMU.
+        UnknownName: There is no such road, solver or formulation.
+    """
     if scene is None:
         raise UsageError("--compare is for models and scenes; an FMU has one road only")
-    return variant(scene, name or args.compare)
+    return variant(scene, name)
+
+
+def size_of(args: argparse.Namespace) -> tuple[float, float]:
+    """Return width and height of a picture, inches, from `--size WxH`."""
+    width, cross, height = args.size.partition("x")
+    if not cross:
+        raise ParameterError(f"--size {args.size}: write WIDTHxHEIGHT in inches, e.g. 6.4x4.8")
+    return number_in("--size", width), number_in("--size", height)
+
+
+def number_in(option: str, text: str) -> float:
+    """Read a number of a list of an option."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(f"{option}: '{text}' is not a number") from None

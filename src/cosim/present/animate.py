@@ -145,7 +145,7 @@ def drawing_of(
     Raises:
         UsageError: Nobody knows the model.
     """
-    if model is None and run.drawing is not None:
+    if run.drawing is not None:
         return run.drawing
     if model is None:
         model = next((n for n in casadi_models.CATALOG if n.replace("/", "_") == run.model), None)
