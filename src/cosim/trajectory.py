@@ -7,6 +7,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from casadi_models.dae import Drawing
-
-MOST_PANELS = 24
 
 
 @dataclass(frozen=True)
@@ -103,6 +102,17 @@ class Trajectory:
     def complete(self) -> bool:
         """Whether the run reached its stop time."""
         return self.status == "complete"
+
+    @property
+    def validity(self) -> tuple[float, tuple[str, ...]]:
+        """From when on the run is not what it seems, s (infinite when never), and why."""
+        reasons = tuple(str(text) for text in self.stats.get("invalid", ()))
+        if not len(self):
+            return inf, reasons
+        start = float(self.stats.get("invalid_from", self.time[0] if reasons else inf))
+        if self.complete:
+            return start, reasons
+        return min(start, float(self.time[-1])), (*reasons, self.status)
 
     def column(self, name: str) -> Column:
         """Return what is known of a variable.
@@ -191,15 +201,17 @@ class Trajectory:
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """Draw variables over time in their display units, a panel each.
 
+        The span in which the run is outside its model is shaded and named.
+
         Args:
-            names: Which variables; the first 24 when None.
+            names: Which variables; all when None.
 
         Raises:
             UnknownName: A variable was not recorded.
         """
         from cosim.plotting import Panel, draw_panels  # matplotlib takes its time
 
-        shown = self.select(names if names is not None else self.names[:MOST_PANELS])
+        shown = self.select(names if names is not None else self.names)
         panels = [
             Panel(
                 column.meaning or column.name,
@@ -209,8 +221,10 @@ class Trajectory:
             )
             for column in shown.columns
         ]
+        start, reasons = self.validity
         suffix = "" if self.complete else f" ({self.status})"
-        return draw_panels(f"{self.model}{suffix}", self.time, panels)
+        title = f"{self.model}{suffix}"
+        return draw_panels(title, self.time, panels, invalid_from=start, reasons=reasons)
 
     def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
         """Show the run in three dimensions; see `cosim.animate`."""

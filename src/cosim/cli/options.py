@@ -106,5 +106,7 @@ def add_output_file(parser: Parser, metavar: str, text: str) -> None:
 
 def add_picture(parser: Parser, size: str) -> None:
     """Let a verb choose how large its pictures are."""
-    parser.add_argument("--size", default=size, metavar="WxH", help=f"inches; {size}")
+    parser.add_argument(
+        "--size", default=size, metavar="WxH", help=f"inches; {size or 'by what is drawn'}"
+    )
     parser.add_argument("--dpi", type=int, default=120, metavar="N", help="dots per inch; 120")

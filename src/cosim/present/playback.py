@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, inf, radians
+from math import ceil, radians
 from typing import Any
 
 import casadi as ca
@@ -189,7 +189,7 @@ def playback(
             continue
         drawn_paths.append(Path(trace.name, known.evaluate(trace.at, run.time), trace.colour))
     names = [body.name for body in drawing.bodies]
-    start, reasons = _validity(run)
+    start, reasons = run.validity
     facts = (run.model, run.stats.get("solver"), run.stats.get("variation"))
     return Playback(
         title=", ".join(str(fact) for fact in facts if fact),
@@ -323,13 +323,3 @@ def _label(run: Trajectory, name: str, times: Array) -> tuple[str, str, Array]:
     if column.unit in UNITS and shown in UNITS:
         factor = UNITS[column.unit].factor / UNITS[shown].factor
     return name, shown, factor * np.interp(times, run.time, run[name])
-
-
-def _validity(run: Trajectory) -> tuple[float, tuple[str, ...]]:
-    """Return from when on a run is not what it seems, and why."""
-    reasons = [str(text) for text in run.stats.get("invalid", ())]
-    start = float(run.stats.get("invalid_from", inf if not reasons else run.time[0]))
-    if not run.complete:
-        reasons.append(run.status)
-        start = min(start, float(run.time[-1]))
-    return start, tuple(reasons)
