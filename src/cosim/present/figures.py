@@ -108,7 +108,9 @@ def _panel(
         if other is not None:
             axis.plot(_shown(other, spec.x), _shown(other, column.name), **_SECOND)
     label = spec.labels[index] if spec.labels else ", ".join(names)
-    axis.set_ylabel(f"{label} [{_unit(columns[0])}]")
+    axis.set_ylabel(
+        _beside(label, _unit(columns[0]), 34 if spec.equal or len(spec.panels) == 1 else 19)
+    )
     if len(names) > 1:
         axis.legend()
     if spec.x != "time":
@@ -130,7 +132,7 @@ def _difference(
         colour = COLOURS[i % len(COLOURS)]
         axis.plot(run.time, gap, color=colour, linestyle=line, linewidth=0.9, label=legend)
         zero = zero and not gap.any()
-    axis.set_ylabel(f"difference [{_unit(run.column(names[0]))}]")
+    axis.set_ylabel(_beside("difference", _unit(run.column(names[0])), 16))
     if zero:
         axis.set_ylim(-1, 1)
         axis.set_yticks([0.0])
@@ -158,6 +160,12 @@ def _name_invalid(
     if told:
         lines = (fill(text, 95, max_lines=4, placeholder=" ...") for text in told)
         figure.supxlabel("\n".join(lines), fontsize=7, color=INVALID)
+
+
+def _beside(label: str, unit: str, room: int) -> str:
+    """Return the text of a vertical axis, in lines of so many letters that it keeps its panel."""
+    text = f"{label} [{unit}]"
+    return text if len(text) <= room else f"{fill(label, room)}\n[{unit}]"
 
 
 def _share_time(rows: Sequence[Axes]) -> None:

@@ -85,4 +85,8 @@ def overview(run: Trajectory) -> list[Figure]:
     """Return pages of every variable that a run recorded."""
     names = run.names
     pages = [names[i : i + PANELS] for i in range(0, len(names), PANELS)]
-    return [run.plot(page) for page in pages]
+    figures = [run.plot(page) for page in pages]
+    for number, figure in enumerate(figures, start=1):
+        if len(figures) > 1:
+            figure.suptitle(f"{figure.get_suptitle()}, page {number} of {len(figures)}")
+    return figures
