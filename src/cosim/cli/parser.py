@@ -17,6 +17,7 @@ VERBS = (
     "extremes",
     "plot",
     "animate",
+    "report",
 )
 
 _DESCRIPTION = (
