@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cosim.integrate.simulate import integrator, start_vectors
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
+    from cosim.model.from_casadi import from_casadi
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
     from cosim.present.figures import draw_figures
@@ -36,6 +37,7 @@ _HOMES = {
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
+    "from_casadi": "model.from_casadi",
     "from_dae_builder": "model.dae_builder",
     "integrator": "integrate.simulate",
     "load": "model.catalogue",
@@ -60,6 +62,7 @@ __all__ = [
     "crosscheck",
     "draw_figures",
     "export_fmu",
+    "from_casadi",
     "from_dae_builder",
     "integrator",
     "load",
