@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
+    from cosim.model.from_casadi import from_casadi
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
     from cosim.present.figures import draw_figures
@@ -40,6 +41,7 @@ _HOMES = {
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
+    "from_casadi": "model.from_casadi",
     "from_dae_builder": "model.dae_builder",
     "integrator": "integrate.integrator",
     "load": "model.catalogue",
@@ -66,6 +68,7 @@ __all__ = [
     "crosscheck",
     "draw_figures",
     "export_fmu",
+    "from_casadi",
     "from_dae_builder",
     "integrator",
     "load",
