@@ -13,7 +13,7 @@ from pathlib import Path
 
 import casadi_models
 import cosim
-from cosim.crosschecks import default_tolerance
+from cosim.verify.crosscheck import default_tolerance
 
 STEPS = (1e-3, 1e-2, 1e-1)  # s
 INTERVAL = 0.1  # s, of what is compared

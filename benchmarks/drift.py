@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.picture_files import save
+from cosim.present.picture_files import save
 from cosim.trajectory import Trajectory
 
 REPEATS = 25

@@ -19,7 +19,7 @@ from time import perf_counter
 import fmpy
 
 import casadi_models
-from cosim.archive import unpacked
+from cosim.fmi.archive import unpacked
 
 ONE = """import cosim, sys
 model, target, fmi, platform, name = sys.argv[1:]

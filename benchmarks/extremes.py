@@ -18,13 +18,13 @@ import fmpy
 import numpy as np
 
 from cosim.errors import SolverError, UsageError
-from cosim.export import export_fmu
-from cosim.extremes import explore, select_cases, serve
-from cosim.integrate import start_vectors
-from cosim.limit_cases import Case
-from cosim.limit_oracles import OUTCOMES
-from cosim.loading import load
-from cosim.observation import all_columns
+from cosim.fmi.export.package import export_fmu
+from cosim.integrate.outputs import all_columns
+from cosim.integrate.simulate import start_vectors
+from cosim.model.catalogue import load
+from cosim.study.extremes.campaign import explore, select_cases, serve
+from cosim.study.extremes.cases import Case
+from cosim.study.extremes.oracles import OUTCOMES
 from cosim.trajectory import Trajectory
 
 PLUGINS = {"cvodes_adams": "cvodes", "ode8": "rk", "rk4": "rk"}

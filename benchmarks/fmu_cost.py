@@ -19,9 +19,9 @@ from time import perf_counter
 
 import cosim
 from casadi_models.dae import Dae, Model
-from cosim.compile import FLAGS, find_compiler
-from cosim.export.build import fmi_headers
-from cosim.export.platforms import native_target
+from cosim.codegen.compiler import FLAGS, find_compiler
+from cosim.fmi.export.build import fmi_headers
+from cosim.fmi.platforms import native_target
 
 REPEATS = 15
 SHORT_REPEATS = 60  # of loops in C, short enough that others seldom interrupt them

@@ -30,9 +30,9 @@ import numpy as np
 
 import cosim
 from casadi_models.dae import Dae, Start
+from cosim.cli.tables import show_table
 from cosim.errors import CosimError, SolverError
-from cosim.scene import Scene
-from cosim.tables import show_table
+from cosim.scene.scene import Scene
 
 MODELS = (
     *("crank_shaft", "bar_on_frame", "bicycle", "disk_two_bars", "double_pendulum"),

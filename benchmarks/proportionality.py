@@ -9,8 +9,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import cosim
-from cosim.scene import Scene
-from cosim.tradeoffs import Selection, tradeoff
+from cosim.scene.scene import Scene
+from cosim.study.tradeoff.configuration import Selection
+from cosim.study.tradeoff.study import tradeoff
 
 FOOT_POUND = 1.3558179483314004  # N.m
 CASES = (

@@ -12,9 +12,9 @@ import numpy as np
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.externals import cache_key, external
-from cosim.integrate import start_vectors
-from cosim.reduction import size
+from cosim.codegen.casadi_library import cache_key, external
+from cosim.integrate.simulate import start_vectors
+from cosim.model.reduction.reduce import size
 
 CASES = (
     ("crank_shaft/driven", ("T",)),

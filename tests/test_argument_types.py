@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from small_models import decay
+from helpers.small_models import decay
 
 import cosim
 from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
-from cosim.scene import Settings
+from cosim.scene.scene import Settings
 
 DAE = decay()
 RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
@@ -16,6 +16,11 @@ NO_NAMES = ["x", 3, True, np.array(1.0), object(), [], {}]
 NO_MAPPING = ["x", 3, ["x"], [("x", 1.0)], np.ones(2)]
 NO_NUMBER = ["1", True, 1j, [1.0], np.ones(3), np.ones(1), np.array(1.0), {}, object()]
 NOT_FINITE = [float("nan"), float("inf"), -float("inf"), np.float64("nan"), 10**400]
+
+
+def short(value):
+    """Return the name of a case: the same in every process."""
+    return repr(value)[:20]
 
 
 def refusal(kind, call):
@@ -28,7 +33,7 @@ def refusal(kind, call):
     return message
 
 
-@pytest.mark.parametrize("wrong", NO_MODEL, ids=repr)
+@pytest.mark.parametrize("wrong", NO_MODEL, ids=short)
 @pytest.mark.parametrize(
     "call",
     [
@@ -47,14 +52,14 @@ def test_what_is_no_model_is_refused_with_how_to_get_one(call, wrong):
     assert told.endswith("give a Dae, as cosim.load('bicycle') returns")
 
 
-@pytest.mark.parametrize("wrong", NO_RUN, ids=repr)
+@pytest.mark.parametrize("wrong", NO_RUN, ids=short)
 def test_what_is_no_run_is_neither_compared_nor_drawn(wrong):
     for pair in ((RUN, wrong), (wrong, RUN)):
         assert "compare was given" in refusal(UsageError, lambda pair=pair: cosim.compare(*pair))
     assert "draw_figures was given" in refusal(UsageError, lambda: cosim.draw_figures([], wrong))
 
 
-@pytest.mark.parametrize("wrong", [None, 3, RUN, DAE], ids=repr)
+@pytest.mark.parametrize("wrong", [None, 3, RUN, DAE], ids=short)
 @pytest.mark.parametrize(
     ("call", "name"),
     [
@@ -72,20 +77,20 @@ def test_what_is_no_file_and_no_scene_is_refused(call, name, wrong):
     assert refusal(UsageError, lambda: call(wrong)).startswith(f"{name} was given ")
 
 
-@pytest.mark.parametrize("wrong", NO_NUMBER, ids=repr)
+@pytest.mark.parametrize("wrong", NO_NUMBER, ids=short)
 @pytest.mark.parametrize("setting", ["start_time", "relative_tolerance", "output_interval"])
 def test_what_is_no_number_is_refused_in_a_call(setting, wrong):
     told = refusal(ParameterError, lambda: cosim.simulate(DAE, **{setting: wrong}))
     assert f"{setting} = " in told
 
 
-@pytest.mark.parametrize("wrong", [*NO_NUMBER, *NOT_FINITE], ids=lambda value: repr(value)[:20])
+@pytest.mark.parametrize("wrong", [*NO_NUMBER, *NOT_FINITE], ids=short)
 @pytest.mark.parametrize("setting", ["start_time", "stop_time", "output_interval", "step_size"])
 def test_what_is_no_finite_number_is_refused_in_a_scene(setting, wrong):
     assert f"{setting} = " in refusal(ParameterError, lambda: Settings(**{setting: wrong}))
 
 
-@pytest.mark.parametrize("wrong", NO_NAMES, ids=repr)
+@pytest.mark.parametrize("wrong", NO_NAMES, ids=short)
 def test_what_is_no_list_of_names_is_refused(wrong):
     def export(dae, outputs):
         cosim.export_fmu(dae, "x.fmu", outputs=outputs)
@@ -96,26 +101,36 @@ def test_what_is_no_list_of_names_is_refused(wrong):
         assert told.endswith("; give a list of names")
 
 
-@pytest.mark.parametrize("names", [("x",), {"x"}, np.array(["x"]), (n for n in "x")], ids=repr)
+@pytest.mark.parametrize(
+    "names", [("x",), {"x"}, np.array(["x"]), (n for n in "x")], ids=lambda value: repr(value)[:20]
+)
 def test_any_list_of_names_will_do(names):
     run = cosim.simulate(DAE, stop_time=0.1, outputs=names, compiled=False)
     assert run.names == ("x",)
 
 
-@pytest.mark.parametrize("wrong", NO_MAPPING, ids=repr)
+@pytest.mark.parametrize("wrong", NO_MAPPING, ids=short)
 def test_values_that_have_no_names_are_refused(wrong):
     told = refusal(UsageError, lambda: cosim.simulate(DAE, start=wrong))
     assert "give values by name" in told
 
 
-@pytest.mark.parametrize("wrong", [None, "1", True, np.ones(2), np.ones(1), 1j, [1.0]], ids=repr)
+@pytest.mark.parametrize(
+    "wrong",
+    [None, "1", True, np.ones(2), np.ones(1), 1j, [1.0]],
+    ids=lambda value: repr(value)[:20],
+)
 def test_value_of_a_variable_must_be_a_number(wrong):
     assert "decay: x [m] = " in refusal(
         ParameterError, lambda: cosim.simulate(DAE, start={"x": wrong})
     )
 
 
-@pytest.mark.parametrize("wrong", ["", "CVODE", 3, ["cvodes"], {}, np.array("cvodes")], ids=repr)
+@pytest.mark.parametrize(
+    "wrong",
+    ["", "CVODE", 3, ["cvodes"], {}, np.array("cvodes")],
+    ids=lambda value: repr(value)[:20],
+)
 def test_what_is_no_solver_is_refused(wrong):
     for call in (cosim.simulate, lambda dae, solver: cosim.integrator(dae, [0, 1], solver=solver)):
         told = refusal(UnknownName, lambda call=call: call(DAE, solver=wrong))
@@ -138,7 +153,7 @@ def test_other_arguments_of_a_run_are_checked_too(arguments, told):
     assert told in refusal(CosimError, lambda: cosim.simulate(DAE, **arguments))
 
 
-@pytest.mark.parametrize("wrong", ["rate", 3, True], ids=repr)
+@pytest.mark.parametrize("wrong", ["rate", 3, True], ids=short)
 def test_what_is_no_list_of_parameters_is_not_frozen(wrong):
     told = refusal(UsageError, lambda: cosim.reduce(DAE, ["x"], freeze=wrong))
     assert told.startswith("decay: freeze was given ")
@@ -151,7 +166,9 @@ def test_grid_of_an_integrator_must_be_times(wrong):
     assert refusal(ParameterError, lambda: cosim.integrator(DAE, wrong)).startswith("grid: ")
 
 
-@pytest.mark.parametrize("version", [2.0, "2", "3.0", None, True, 4], ids=repr)
+@pytest.mark.parametrize(
+    "version", [2.0, "2", "3.0", None, True, 4], ids=lambda value: repr(value)[:20]
+)
 def test_version_of_fmi_is_2_or_3(version, tmp_path):
     told = refusal(UnknownName, lambda: cosim.export_fmu(DAE, tmp_path / "a.fmu", fmi=version))
     assert f"cosim has no FMI version '{version}'" in told

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from casadi import SX, cos, sin
-from support import value
+from helpers.support import value
 
 from casadi_models import kane, rotations
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from casadi import SX
-from support import value
+from helpers.support import value
 from sympy.physics.mechanics import (
     KanesMethod,
     Point,

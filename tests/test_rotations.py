@@ -2,8 +2,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from casadi import SX
+from helpers.support import value
 from scipy.spatial.transform import Rotation
-from support import value
 
 from casadi_models import rotations as ro
 

@@ -62,10 +62,10 @@ def test_installed_wheel_brings_two_import_names(tree, wheel, tmp_path):
         "cosim",
     }
     question = (
-        "import sys, casadi_models.dae, cosim.resources\n"
+        "import sys, casadi_models.dae, cosim.codegen.c_sources\n"
         "from importlib.util import find_spec\n"
         "assert not find_spec('fmu') and not find_spec('tests')\n"
-        "print(*(source.name for source in cosim.resources.runtime_sources()))\n"
+        "print(*(source.name for source in cosim.codegen.c_sources.runtime_sources()))\n"
         "ours = [m for n, m in sys.modules.items() if n.startswith(('casadi_models', 'cosim'))]\n"
         "print(*(module.__file__ for module in ours), sep='\\n')"
     )

@@ -12,7 +12,7 @@ from entries import Vector
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.references import Reference, reference
+from cosim.verify.reference import Reference, reference
 
 STATES = 2000  # at which a right-hand side is evaluated
 SEED = 20

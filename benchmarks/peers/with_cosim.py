@@ -10,9 +10,9 @@ from entries import Evaluation, Run, Solver, Vector
 from problem import Problem
 
 import cosim
-from cosim import calling, engines
-from cosim.externals import cache_key, external
-from cosim.solvers import Tolerance
+from cosim.codegen.casadi_library import cache_key, external
+from cosim.integrate import call, engine
+from cosim.integrate.solvers import Tolerance
 
 PACKAGES = ("cosim-rigid", "casadi")
 EMPTY_CACHES: list[tempfile.TemporaryDirectory[str]] = []  # removed at exit
@@ -26,8 +26,8 @@ def solvers(problem: Problem) -> Iterator[Solver]:
 
     def prepared(solver: str) -> Solver:
         def prepare(tolerance: float) -> Run:
-            engine = engines.build(dae, grid, solver, Tolerance(tolerance), compiled=True)
-            return lambda: calling.call(engine, *values).states.T
+            built = engine.build(dae, grid, solver, Tolerance(tolerance), compiled=True)
+            return lambda: call.call(built, *values).states.T
 
         return Solver(f"cosim {solver}", prepare)
 

@@ -14,7 +14,7 @@ from chain import chain
 from entries import Evaluation
 from problem import Problem
 
-from cosim.compile import compile_library
+from cosim.codegen.compiler import compile_library
 
 PACKAGES = ("mujoco",)
 LOOP = """

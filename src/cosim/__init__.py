@@ -8,46 +8,46 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.comparison import Comparison, compare
-    from cosim.crosschecks import crosscheck
-    from cosim.dae_builder import from_dae_builder
+    from cosim.api import run_scene, simulate
     from cosim.errors import CosimError
-    from cosim.export import export_fmu
-    from cosim.figures import draw_figures
-    from cosim.fmpy_run import simulate_fmu
-    from cosim.inputs import InputSeries, read_inputs
-    from cosim.integrate import integrator, simulate, start_vectors
-    from cosim.loading import load
-    from cosim.reduction import reduce
-    from cosim.references import reference
-    from cosim.roads import run_scene
-    from cosim.scene import Scene
-    from cosim.scene_file import read_scene
-    from cosim.tradeoffs import tradeoff
+    from cosim.fmi.export.package import export_fmu
+    from cosim.fmi.run.simulate import simulate_fmu
+    from cosim.integrate.simulate import integrator, start_vectors
+    from cosim.model.catalogue import load
+    from cosim.model.dae_builder import from_dae_builder
+    from cosim.model.inputs import InputSeries, read_inputs
+    from cosim.model.reduction.reduce import reduce
+    from cosim.present.figures import draw_figures
+    from cosim.scene.scene import Scene
+    from cosim.scene.scene_file import read_scene
+    from cosim.study.tradeoff.study import tradeoff
     from cosim.trajectory import Trajectory
+    from cosim.verify.comparison import Comparison, compare
+    from cosim.verify.crosscheck import crosscheck
+    from cosim.verify.reference import reference
 
 _HOMES = {
-    "Comparison": "comparison",
+    "Comparison": "verify.comparison",
     "CosimError": "errors",
-    "InputSeries": "inputs",
-    "Scene": "scene",
+    "InputSeries": "model.inputs",
+    "Scene": "scene.scene",
     "Trajectory": "trajectory",
-    "compare": "comparison",
-    "crosscheck": "crosschecks",
-    "draw_figures": "figures",
-    "export_fmu": "export",
-    "from_dae_builder": "dae_builder",
-    "integrator": "integrate",
-    "load": "loading",
-    "read_inputs": "inputs",
-    "read_scene": "scene_file",
-    "reduce": "reduction",
-    "reference": "references",
-    "run_scene": "roads",
-    "simulate": "integrate",
-    "simulate_fmu": "fmpy_run",
-    "start_vectors": "integrate",
-    "tradeoff": "tradeoffs",
+    "compare": "verify.comparison",
+    "crosscheck": "verify.crosscheck",
+    "draw_figures": "present.figures",
+    "export_fmu": "fmi.export.package",
+    "from_dae_builder": "model.dae_builder",
+    "integrator": "integrate.simulate",
+    "load": "model.catalogue",
+    "read_inputs": "model.inputs",
+    "read_scene": "scene.scene_file",
+    "reduce": "model.reduction.reduce",
+    "reference": "verify.reference",
+    "run_scene": "api",
+    "simulate": "api",
+    "simulate_fmu": "fmi.run.simulate",
+    "start_vectors": "integrate.simulate",
+    "tradeoff": "study.tradeoff.study",
 }
 
 __all__ = [

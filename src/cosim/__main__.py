@@ -2,6 +2,6 @@
 
 import sys
 
-from cosim.cli import main
+from cosim.cli.main import main
 
 sys.exit(main())

@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 from casadi_models import CATALOG
 
-if TYPE_CHECKING:
-    from cosim.trajectory import Trajectory
+
+class PartialRun(Protocol):
+    """What a failed run leaves behind; in this package always a `cosim.Trajectory`."""
+
+    @property
+    def time(self) -> Any:
+        """Output times, s, (n,)."""
+
+    @property
+    def stats(self) -> Mapping[str, Any]:
+        """What it took."""
+
+    @property
+    def status(self) -> str:
+        """Where and why the run stopped."""
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the values of a variable, (n,)."""
 
 
 class CosimError(Exception):
@@ -62,7 +78,7 @@ class InitialConditionError(CosimError):
 class SolverError(CosimError):
     """A run that ended early; `partial` holds every output up to there."""
 
-    def __init__(self, message: str, partial: Trajectory | None = None) -> None:
+    def __init__(self, message: str, partial: PartialRun | None = None) -> None:
         super().__init__(message)
         self.partial = partial
 
@@ -70,7 +86,7 @@ class SolverError(CosimError):
 class Interrupted(KeyboardInterrupt):
     """A run that Ctrl-C ended; `partial` holds every output up to there."""
 
-    def __init__(self, message: str, partial: Trajectory) -> None:
+    def __init__(self, message: str, partial: PartialRun) -> None:
         super().__init__(message)
         self.partial = partial
 

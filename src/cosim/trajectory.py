@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_models.units import UNITS
+from cosim.arrays import Vector
 from cosim.errors import MissingTool, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-Vector = NDArray[np.float64]
+MOST_PANELS = 24
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,18 @@ class Column:
     display_unit: str | None = None
     nominal: float = 1.0
     meaning: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which people read it."""
+        return self.display_unit or self.unit
+
+    def shown(self, values: Vector) -> Vector:
+        """Convert SI values of this variable to `shown_unit`."""
+        if self.display_unit is None or self.unit not in UNITS:
+            return values
+        shown: Vector = values * UNITS[self.unit].factor / UNITS[self.display_unit].factor
+        return shown
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
@@ -171,11 +185,28 @@ class Trajectory:
         return dataset
 
     def plot(self, names: Sequence[str] | None = None) -> Figure:
-        """Draw variables over time in their display units, one axis per unit."""
-        from importlib import import_module
+        """Draw variables over time in their display units, a panel each.
 
-        figure: Figure = import_module("cosim.plots").plot_trajectory(self, names)
-        return figure
+        Args:
+            names: Which variables; the first 24 when None.
+
+        Raises:
+            UnknownName: A variable was not recorded.
+        """
+        from cosim.plotting import Panel, draw_panels  # matplotlib takes its time
+
+        shown = self.select(names if names is not None else self.names[:MOST_PANELS])
+        panels = [
+            Panel(
+                column.meaning or column.name,
+                f"{column.name} [{column.shown_unit}]",
+                column.shown(shown[column.name]),
+                float(column.shown(np.array(column.nominal))),
+            )
+            for column in shown.columns
+        ]
+        suffix = "" if self.complete else f" ({self.status})"
+        return draw_panels(f"{self.model}{suffix}", self.time, panels)
 
     def _index(self, name: str) -> int:
         try:

@@ -1,5 +1,5 @@
 """Fixtures of the tests with other importers."""
 
-from riding import pair
+from helpers.riding import pair
 
 __all__ = ["pair"]

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from riding import SEEN, SPAN, STARTS, TORQUES, Pair
+from helpers.riding import SEEN, SPAN, STARTS, TORQUES, Pair
 
-import cosim.ssp
+import cosim.fmi.ssp
 
 try:
     import ecospy
@@ -37,7 +37,7 @@ def test_rider_keeps_the_bicycle_up_in_ecos(pair):
 
 
 def test_ecos_runs_the_pair_from_one_ssp_file(pair, tmp_path):
-    path = cosim.ssp.write_ssp(
+    path = cosim.fmi.ssp.write_ssp(
         tmp_path / "ride.ssp",
         {"bicycle": pair.bicycle, "rider": pair.rider},
         CONNECTIONS,

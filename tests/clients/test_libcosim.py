@@ -2,7 +2,7 @@ import sys
 
 import numpy as np
 import pytest
-from riding import SEEN, SPAN, STARTS, TORQUES, Pair
+from helpers.riding import SEEN, SPAN, STARTS, TORQUES, Pair
 
 pytest.importorskip("libcosimpy", reason="libcosimpy has no wheel for this platform")
 

@@ -7,11 +7,11 @@ import platform
 from functools import cache
 
 import pytest
-from instructions import fused, needs_objdump
+from helpers.instructions import fused, needs_objdump
 
 import casadi_models
 import cosim
-from cosim import compile as compiling
+from cosim.codegen import compiler as compiling
 
 pytestmark = [
     needs_objdump,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import casadi_models
-from cosim.archive import DESCRIPTION, unpacked
-from cosim.export.parsed import Description, parse
+from cosim.fmi.archive import DESCRIPTION, unpacked
+from cosim.fmi.check.parsed import Description, parse
 
 EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
 TIME = 0  # position of time, in every FMU of ours

@@ -10,9 +10,9 @@ from fmpy.validation import validate_fmu
 
 import casadi_models
 import cosim
-from cosim.crosschecks import default_tolerance
-from cosim.export.check import check_fmu
-from cosim.export.package import source_files, zipped
+from cosim.fmi.check.check import check_fmu
+from cosim.fmi.export.package import source_files, zipped
+from cosim.verify.crosscheck import default_tolerance
 
 EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
 INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.cli import main
-from cosim.crosschecks import crosscheck
-from cosim.resources import shipped_scenes
-from cosim.roads import run_scene, scene_dae
-from cosim.scene import Settings
+from cosim.cli.main import main
+from cosim.scene.library import shipped_scenes
+from cosim.scene.roads import run_scene, scene_dae
+from cosim.scene.scene import Settings
+from cosim.verify.crosscheck import crosscheck
 
 NAMES = [path.name for path in shipped_scenes()]
 BOOK = [

@@ -6,11 +6,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from instructions import beyond_baseline, needs_objdump
+from helpers.instructions import beyond_baseline, needs_objdump
 
 import cosim
-from cosim.compile import compile_library, find_compiler
-from cosim.export.platforms import native_target
+from cosim.codegen.compiler import compile_library, find_compiler
+from cosim.fmi.platforms import native_target
 
 needs_zig = pytest.mark.skipif(
     find_spec("ziglang") is None, reason="needs the bundled compiler: pip install ziglang"
@@ -45,7 +45,7 @@ def test_exported_binary_asks_for_no_more_than_every_x86_64_has(
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
     if compiler == "no others":
         monkeypatch.delenv("CC", raising=False)
-        monkeypatch.setattr("cosim.compile.shutil.which", lambda name: None)
+        monkeypatch.setattr("cosim.codegen.compiler.shutil.which", lambda name: None)
         assert find_compiler()[-2:] == ("ziglang", "cc")
     elif compiler:
         monkeypatch.setenv("CC", compiler)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from equations import Equations
+from helpers.equations import Equations
 
 import casadi_models
 from casadi_models.units import FOOT, FOOT_POUND, INCH, SLUG, convert

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bicycle_oracles import (
+from helpers.bicycle_oracles import (
     ACCELERATIONS,
     ANGLES,
     BENCHMARK,
@@ -12,7 +12,7 @@ from bicycle_oracles import (
     admissible_state,
     newton_euler,
 )
-from equations import Equations
+from helpers.equations import Equations
 from scipy.linalg import null_space
 from scipy.optimize import brentq
 

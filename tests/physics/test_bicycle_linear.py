@@ -7,7 +7,7 @@ with q = (lean, steer) and f = (roll torque, steer torque); both sides by automa
 import casadi as ca
 import numpy as np
 import pytest
-from bicycle_oracles import (
+from helpers.bicycle_oracles import (
     BENCHMARK,
     C1,
     CAPSIZE_SPEED,
@@ -19,7 +19,7 @@ from bicycle_oracles import (
     M,
     published,
 )
-from equations import Equations
+from helpers.equations import Equations
 from scipy.optimize import brentq
 
 import casadi_models

@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from bicycle_oracles import BENCHMARK, M
-from equations import Equations
+from helpers.bicycle_oracles import BENCHMARK, M
+from helpers.equations import Equations
 
 import casadi_models
 

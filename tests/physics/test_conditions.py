@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from bicycle_oracles import ANGLES, BENCHMARK, RATES
-from equations import Equations
+from helpers.bicycle_oracles import ANGLES, BENCHMARK, RATES
+from helpers.equations import Equations
 from scipy.optimize import brentq
 
 import casadi_models

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from equations import Equations
+from helpers.equations import Equations
 
 import casadi_models
 from casadi_models.units import convert

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import sympy as sp
-from equations import Equations
+from helpers.equations import Equations
 from scipy.integrate import cumulative_simpson
 from scipy.optimize import fsolve
 

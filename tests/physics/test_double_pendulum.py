@@ -4,14 +4,14 @@ from functools import cache
 
 import casadi as ca
 import numpy as np
-import pendulum_oracles as oracles
 import pytest
-from equations import Equations
+from helpers import pendulum_oracles as oracles
+from helpers.equations import Equations
 from scipy.spatial.transform import Rotation
 
 import casadi_models
 import cosim
-from cosim.consistent import start_function
+from cosim.codegen.initialization import start_function
 from cosim.errors import InitialConditionError, SolverError
 
 FORMULATIONS = ("quaternion", "euler_313", "euler_313_axial", "multipliers")

@@ -5,9 +5,8 @@ from ctypes import CDLL
 from pathlib import Path
 from typing import Any
 
-import harness
 import pytest
-import toy
+from helpers import harness, toy
 
 
 @pytest.fixture(scope="session", params=["step"])

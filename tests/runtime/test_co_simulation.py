@@ -4,7 +4,7 @@ from ctypes import byref, c_double, c_int
 
 import numpy as np
 import pytest
-from harness import DISCARD, ERROR, INF, NAN, OK, reals, references
+from helpers.harness import DISCARD, ERROR, INF, NAN, OK, reals, references
 from scipy.integrate import solve_ivp
 
 ONE = (c_int * 1)(1)

@@ -5,7 +5,7 @@ from ctypes import byref, c_bool, c_char_p, c_double, c_int32, c_size_t
 
 import numpy as np
 import pytest
-from harness import DISCARD, ERROR, HEADERS, NAN, OK, WARNING, reals, references
+from helpers.harness import DISCARD, ERROR, HEADERS, NAN, OK, WARNING, reals, references
 
 
 def run(fmu, function, unknowns, knowns, seed, count):

@@ -3,7 +3,7 @@
 from ctypes import byref, c_char, c_size_t, c_void_p
 
 import pytest
-from harness import ERROR, OK
+from helpers.harness import ERROR, OK
 
 pytestmark = pytest.mark.parametrize("solver", ["step", "dop853"], scope="session")
 

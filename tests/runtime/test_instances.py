@@ -4,7 +4,7 @@ import ctypes
 from ctypes import c_char_p
 
 import pytest
-from harness import ERROR, NAN, OK, WARNING, Callbacks
+from helpers.harness import ERROR, NAN, OK, WARNING, Callbacks
 
 CATEGORIES = ["logStatusWarning", "logStatusDiscard", "logStatusError"]
 
@@ -138,7 +138,7 @@ def test_unknown_categories_are_an_error_and_change_nothing(me):
 
 
 def test_the_categories_have_the_names_of_the_standard():
-    from harness import RUNTIME
+    from helpers.harness import RUNTIME
 
     text = (RUNTIME / "logging.c").read_text()
     assert all(f'"{category}"' in text for category in CATEGORIES)

@@ -4,7 +4,7 @@ from math import isclose, sqrt
 
 import numpy as np
 import pytest
-from harness import (
+from helpers.harness import (
     DISCARD,
     ERROR,
     INF,
@@ -17,7 +17,7 @@ from harness import (
     reals,
     references,
 )
-from toy import TABLE
+from helpers.toy import TABLE
 
 
 def continuous(fmu):

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-import toy
-from harness import program, run
+from helpers import toy
+from helpers.harness import program, run
 
 THREADED = ["-g", "-O1", "-fsanitize=thread"]
 SOLVERS = ["step", "dop853"]

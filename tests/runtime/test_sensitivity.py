@@ -4,7 +4,7 @@ from ctypes import byref
 
 import numpy as np
 import pytest
-from harness import DISCARD, ERROR, OK, reals
+from helpers.harness import DISCARD, ERROR, OK, reals
 
 UNKNOWNS = ("q_dot", "v_dot", "w_dot", "s_dot", "a", "r", "energy", "wave", "log")
 KNOWNS = {"q": 0.8, "v": -0.4, "w": 0.9, "s": 1.1, "force": 0.3, "push": 0.2}

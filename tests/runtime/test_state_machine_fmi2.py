@@ -7,7 +7,7 @@ the states of asynchronous steps. Arguments are such that only the state can be 
 from ctypes import byref, c_double, c_int, c_size_t, c_void_p
 
 import pytest
-from harness import DISCARD, ERROR, OK, EventInfo, reals, references
+from helpers.harness import DISCARD, ERROR, OK, EventInfo, reals, references
 
 FORCE, ENERGY = 11, 18
 MODEL_EXCHANGE = """

@@ -8,7 +8,7 @@ updates and of scheduled execution, which the models here do not have. After an 
 from ctypes import byref, c_bool, c_char, c_double, c_int32, c_size_t, c_void_p
 
 import pytest
-from harness import ERROR, OK, reals, references
+from helpers.harness import ERROR, OK, reals, references
 
 FORCE, ENERGY = 11, 18
 SIZES = (8, 16, 32, 64)

@@ -1,0 +1,6 @@
+"""Types of arrays."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]  # of any number of dimensions; docstrings give the shape

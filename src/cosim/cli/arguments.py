@@ -1,0 +1,105 @@
+"""From the words on the command line to a `Scene`: a model or a scene, and what overrides it."""
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+from casadi_models.dae import Dae
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.model.catalogue import load
+from cosim.model.values import quantity
+from cosim.scene.goals import GOALS, OVERRULED
+from cosim.scene.roads import with_solver, without_goal
+from cosim.scene.scene import Scene
+from cosim.scene.scene_file import read_scene
+
+_SETTINGS = (
+    "start_time",
+    "stop_time",
+    "output_interval",
+    "relative_tolerance",
+    "absolute_tolerance",
+    "step_size",
+    "accuracy",
+)
+
+
+def scene_from(args: argparse.Namespace) -> Scene:
+    """Return the scene that a command line asks for; its options override the scene's file.
+
+    Raises:
+        CosimError: The model, the scene or an option is wrong; see `read_scene` and `load`.
+    """
+    scene = named_scene(args.model)
+    given = {key: getattr(args, key, None) for key in _SETTINGS}
+    changes = {key: value for key, value in given.items() if value is not None}
+    if getattr(args, "budget", None) is not None:
+        changes["budget"] = 1e-3 * args.budget
+    if changes.keys() & set(GOALS):
+        overruled: dict[str, Any] = dict.fromkeys((*OVERRULED, *GOALS))
+        scene = replace(scene, settings=replace(scene.settings, **overruled))
+    elif changes.keys() & set(OVERRULED):
+        scene = without_goal(scene)
+    if getattr(args, "solver", None) is not None:
+        scene = with_solver(scene, args.solver)
+    scene = replace(scene, settings=replace(scene.settings, **changes))
+    if args.outputs is not None:
+        scene = replace(scene, outputs=names_in(args.outputs), figures=())
+    numbers = start_numbers(args, scene.dae) if "values" in args else {}
+    varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
+    inputs = scene.inputs and scene.inputs.only(varying)
+    return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Return the names of a list with commas."""
+    return tuple(name.strip() for name in text.split(","))
+
+
+def named_scene(name: str) -> Scene:
+    """Return the scene of a file `NAME.toml`, or a model as a scene without settings."""
+    return read_scene(name) if name.endswith(".toml") else Scene(name, load(name))
+
+
+def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
+    """Read `-p NAME=VALUE[UNIT]` and `--start-values NAME VALUE ...`; no units without a model.
+
+    Raises:
+        UsageError, ParameterError: Something is not written like that, or is given twice.
+        UnknownName: The model has no such variable.
+    """
+    words = args.start_values
+    if len(words) % 2:
+        raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
+    pairs = [*zip(words[::2], words[1::2], strict=True)]
+    for item in args.values:
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise UsageError(f"-p {item}: write NAME=VALUE[UNIT]")
+        pairs.append((name, text))
+    numbers: dict[str, float] = {}
+    for name, text in pairs:
+        if name in numbers:
+            raise UsageError(f"{name} is given twice; give it once")
+        numbers[name] = (
+            _plain(name, text) if dae is None else quantity(name, text, _unit(dae, name))
+        )
+    return numbers
+
+
+def _plain(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(
+            f"{name} = {text}: give a number in the FMU's own unit, and no unit"
+        ) from None
+
+
+def _unit(dae: Dae, name: str) -> str:
+    try:
+        return dae.variable(name).unit
+    except KeyError:
+        known = [v.name for v in (*dae.states, *dae.parameters, *dae.inputs)]
+        kind = "state, parameter or input"
+        raise UnknownName.of_model(dae.full_name, kind, name, known) from None

@@ -1,0 +1,58 @@
+"""The verb `cosim extremes`: every model at its limits as a table, a file and a map."""
+
+import argparse
+import csv
+import io
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from cosim.cli.tables import show_table, write_text
+from cosim.study.extremes.campaign import WRONG, Finding, explore, select_cases, summary
+
+
+def do_extremes(args: argparse.Namespace) -> int:
+    """Run the limit cases: `cosim extremes [MODEL...]`."""
+    if args.figure:
+        from cosim.present.picture_files import picture_format
+
+        picture_format(args.figure)  # refuses before anything has been computed
+    cases = select_cases(args.models, long=args.long)
+    findings = []
+    for finding in explore(cases, timeout=args.timeout):
+        findings.append(finding)
+        if not args.quiet:
+            _tell(finding, f"{len(findings)}/{len(cases)}", every=args.verbose)
+    _deliver(args, findings)
+    return 4 if any(finding.verdict.outcome in WRONG for finding in findings) else 0
+
+
+def _tell(finding: Finding, count: str, *, every: bool) -> None:
+    row = finding.row()
+    wrong = row["outcome"] in WRONG
+    if every or wrong:
+        error = "" if row["error"] is None else f" {row['error']:.1e} (bound {row['bound']:g})"
+        told = f"{row['family']}: {row['model']}, {row['case']}: {row['outcome']}{error}"
+        print(f"{count} {told} {row['reason']}".rstrip(), file=sys.stderr, flush=True)
+    elif sys.stderr.isatty():
+        print(f"\r{count}", end="", file=sys.stderr, flush=True)
+
+
+def _deliver(args: argparse.Namespace, findings: Sequence[Finding]) -> None:
+    rows = [finding.row() for finding in findings]
+    if args.output_file:
+        write_text(args.output_file, _csv(rows))
+    if args.figure:
+        from cosim.present.extremes_map import draw_map
+        from cosim.present.picture_files import save
+
+        save([draw_map(findings)], args.figure)
+    show_table(rows if args.json else summary(findings), as_json=args.json)
+
+
+def _csv(rows: Sequence[dict[str, Any]]) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,75 @@
+"""The command line: arguments to library calls to text.
+
+Only `argparse` is imported before the arguments are understood; CasADi and the others follow
+with the verb that needs them.
+"""
+
+import argparse
+import io
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from cosim.cli.parser import Parser, command_line
+from cosim.errors import CosimError
+
+_OWN_MODULE = ("extremes", "tradeoff")  # of their name; the other verbs stand in `verbs`
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `cosim VERB ...`; return the exit code."""
+    args = _arguments(arguments)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name that a terminal cannot show ends no run
+        sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        with warnings.catch_warnings():
+            if not args.debug:
+                warnings.showwarning = _warn
+            _refuse_unwritable(args)
+            module = args.verb if args.verb in _OWN_MODULE else "verbs"
+            verb = getattr(import_module(f"cosim.cli.{module}"), f"do_{args.verb}")
+            code: int = verb(args)
+        sys.stdout.flush()
+        return code
+    except CosimError as error:
+        if args.debug:
+            raise
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if args.debug:
+            raise
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        print(f"cosim {args.verb} failed with {told}; show where with: --debug", file=sys.stderr)
+        return 1
+
+
+def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
+    args, unknown = command_line().parse_known_args(arguments)
+    if unknown:  # argparse itself would point to the help of all verbs
+        told = f"cosim {args.verb}: cannot take '{unknown[0]}'"
+        Parser().exit(2, f"{told}; see: cosim {args.verb} --help\n")
+    return args
+
+
+def _refuse_unwritable(args: argparse.Namespace) -> None:
+    """Refuse files that cannot be written before anything is computed for them."""
+    from cosim.files import refuse_unwritable
+
+    for target in (getattr(args, "output_file", None), getattr(args, "figure", None)):
+        if target is not None:
+            refuse_unwritable(target)
+
+
+def _warn(message: Warning | str, *_where: Any, **_more: Any) -> None:
+    """Print a warning for a user: what it says, without a line of our code."""
+    print(f"warning: {message}", file=sys.stderr)

@@ -1,0 +1,107 @@
+"""The verb `cosim tradeoff`: error against cost as a table, a file and a figure."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from cosim.cli.arguments import scene_from
+from cosim.cli.tables import show_table, write_text
+from cosim.errors import UnknownName
+from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
+from cosim.study.tradeoff.measurement import COSTS
+from cosim.study.tradeoff.result import Tradeoff
+from cosim.study.tradeoff.study import tradeoff
+
+_SHOWN = (
+    *("model", "reduced", "road", "solver", "tolerance", "step", "error", "worst", "rhs_calls"),
+    *("solver_ms", "solver_ms_low", "solver_ms_high", "total_ms", "drift", "front"),
+)
+
+
+def do_tradeoff(args: argparse.Namespace) -> int:
+    """Measure error against cost: `cosim tradeoff MODEL|SCENE.toml`."""
+    ending = Path(args.output_file).suffix if args.output_file else ".csv"
+    if ending not in (".csv", ".json"):
+        raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
+    if args.figure:
+        from cosim.present.picture_files import picture_format
+
+        picture_format(args.figure)
+    selection = Selection(
+        parse_list(args.solvers),
+        parse_numbers("--tolerances", args.tolerances),
+        parse_numbers("--steps", args.steps),
+        parse_list(args.roads),
+        parse_list(args.drift_controls),
+    )
+    scene = scene_from(args)
+    named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
+
+    shown = not args.quiet and (args.verbose or sys.stderr.isatty())
+
+    def tell(line: str) -> None:
+        if shown:
+            print(line, file=sys.stderr, flush=True)
+
+    try:
+        study = tradeoff(
+            scene,
+            selection=selection,
+            every_formulation=not named,
+            repeats=args.repeats,
+            resume=args.resume,
+            tell=tell,
+        )
+    except KeyboardInterrupt:
+        print("what has run is kept; go on with: --resume", file=sys.stderr)
+        raise
+    _deliver(args, study)
+    return 0
+
+
+def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
+    if args.output_file:
+        text = study.to_csv() if args.output_file.endswith(".csv") else study.to_json()
+        write_text(args.output_file, text)
+    if args.figure:
+        from cosim.present.picture_files import save
+        from cosim.present.work_precision import draw_tradeoff
+
+        save([draw_tradeoff(study)], args.figure)
+    if args.json:
+        write_text(None, study.to_json())
+    else:
+        _print(study)
+
+
+def _print(study: Tradeoff) -> None:
+    done = [row for row in study.rows() if row["status"] == "complete"]
+    control = ("drift_control",) if any(row["drift_control"] for row in done) else ()
+    show_table([{key: row[key] for key in (*control, *_SHOWN)} for row in done], as_json=False)
+    if missing := study.missing():
+        print("\nwithout a result")
+        show_table(missing, as_json=False)
+        print()
+    for key, value in study.provenance.items():
+        print(f"{key}: {value}")
+    for cost in COSTS:
+        print(f"\nPareto front, error against {cost} ({'s' if cost == 'solver_time' else '1'})")
+        show_table([_point(study, m, cost) for m in study.front(cost)], as_json=False)
+    print("\nerror = constant * tolerance ** slope")
+    show_table([fit.row() for fit in study.proportionality()], as_json=False)
+    if study.orders:
+        print("\nobserved order of the fixed-step methods")
+        show_table([order.row() for order in study.orders], as_json=False)
+        print("\nlargest stable step at the end of the run, from eigenvalues and measured")
+        show_table([limit.row() for limit in study.stability], as_json=False)
+        if not study.stability:
+            print("none: no mode decays, or the motion has not become steady")
+
+
+def _point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:
+    return {
+        "configuration": str(measurement.configuration),
+        "error": max(measurement.error, study.floor),
+        cost: measurement.cost(cost),
+    }

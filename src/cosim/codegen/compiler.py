@@ -1,0 +1,215 @@
+"""C code to a shared library, through whatever compiler the machine has, kept in a cache.
+
+The compiler is $CC, else cc, gcc, clang, else the one in the package `ziglang`.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from cosim.codegen.c_sources import cache_folder
+from cosim.errors import MissingTool
+
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
+TIMEOUT = 600  # s, for one compiler call
+
+# Of generated code; hidden symbols can be inlined. In one long function, a Jacobian, -O2 takes
+# five times as long to compile as -O1 and gains nothing.
+_SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
+_HIDDEN = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
+
+# Products and sums stay apart, so that a processor with fused instructions computes the numbers of
+# one without. GCC fuses alternating sums and differences of products (vfmaddsub) in straight-line
+# code whatever -ffp-contract says; its vectorizer of such code is what has to be switched off.
+_APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
+
+_HOW = "install gcc or clang, or the bundled one: pip install 'cosim-rigid[zig]'"
+
+
+def find_compiler() -> tuple[str, ...]:
+    """Return the command of a C compiler.
+
+    Raises:
+        MissingTool: There is none, or $CC names none.
+    """
+    if chosen := os.environ.get("CC"):
+        try:
+            command = _words(chosen)
+        except ValueError as error:
+            raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
+        if not command or shutil.which(command[0]) is None:
+            raise MissingTool(f"CC names '{chosen}', which is not there; unset CC, or {_HOW}")
+        return tuple(command)
+    for name in ("cc", "gcc", "clang"):
+        if found := shutil.which(name):
+            return (found,)
+    if find_spec("ziglang"):
+        return (sys.executable, "-m", "ziglang", "cc")
+    raise MissingTool(f"no C compiler found (tried $CC, cc, gcc, clang, ziglang); {_HOW}")
+
+
+def has_compiler() -> bool:
+    """Tell whether code can be compiled here.
+
+    Raises:
+        MissingTool: $CC names a compiler that is not there.
+    """
+    try:
+        find_compiler()
+    except MissingTool:
+        if os.environ.get("CC"):
+            raise
+        return False
+    return True
+
+
+def compile_library(
+    sources: Sequence[Path],
+    target: Path,
+    *,
+    include: Sequence[Path] = (),
+    options: Sequence[str] = (),
+    command: Sequence[str] | None = None,
+) -> Path:
+    """Compile C sources to a shared library.
+
+    Args:
+        sources: C files.
+        target: The library, replaced when the compiler succeeds.
+        include: Folders of headers.
+        options: Further compiler options.
+        command: The compiler; `find_compiler()` when None.
+
+    Raises:
+        MissingTool: There is no compiler, or it fails; the last lines it printed are quoted.
+    """
+    compiler = tuple(command or find_compiler())
+    flags, libraries = FLAGS, ("-lm",)
+    if sys.platform == "win32" and "ziglang" not in compiler:  # Clang refuses both there
+        flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
+    arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
+    call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
+    try:
+        failed, output = _call(call)
+    except subprocess.TimeoutExpired as error:
+        raise MissingTool(
+            f"{compiler[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"
+        ) from error
+    except OSError as error:
+        raise MissingTool(f"{compiler[0]} could not be run: {error}; {_HOW}") from error
+    if failed or not target.exists():
+        tail = "\n".join(output.splitlines()[-20:])
+        raise MissingTool(
+            f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
+        )
+    return target
+
+
+def cached_library(key: str, generate: Callable[[], str]) -> Path:
+    """Return the shared library of some C code from the cache, made first where it is missing.
+
+    Args:
+        key: What the code depends on; the same key must always mean the same code.
+        generate: Returns the C code; called only where the library is missing.
+
+    Raises:
+        MissingTool: There is no compiler, or it fails, or the cache cannot be written.
+    """
+    command = find_compiler()
+    own, processor = _own_processor()
+    settings = (*command, *FLAGS, *_HIDDEN, *own, processor, _SHORT, _LONG, str(_LENGTH))
+    digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
+    folder = cache_folder()
+    target = folder / f"{digest}{SUFFIX}"
+    if _loads(target):
+        return target
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build:
+            source, library = Path(build) / "code.c", Path(build) / f"code{SUFFIX}"
+            code = generate()
+            source.write_text(code, encoding="utf-8")
+            options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
+            compile_library([source], library, options=options, command=command)
+            _keep(library, target)
+    except MissingTool as error:
+        raise MissingTool(f"{error}, or do not compile (--interpreted)") from error
+    except OSError as error:
+        raise MissingTool(
+            f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
+        ) from error
+    return target
+
+
+@cache
+def _own_processor() -> tuple[tuple[str, ...], str]:
+    """Return compiler options for this processor alone, and by what it is told from others."""
+    try:
+        known = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        known = []
+    abilities = next((line for line in known if line.startswith("flags")), "")
+    if platform.machine() != "x86_64" or not abilities:
+        return _APART, ""
+    return ("-march=native", *_APART), abilities
+
+
+def _words(command: str) -> list[str]:
+    """Split a command as the machine's shell does; Windows writes paths with backslashes."""
+    if sys.platform == "win32":
+        return [word.strip('"') for word in shlex.split(command, posix=False)]
+    return shlex.split(command)
+
+
+def _keep(library: Path, target: Path) -> None:
+    try:
+        library.replace(target)
+    except PermissionError:  # of Windows, where another process has made and loaded it meanwhile
+        if not _loads(target):
+            raise
+
+
+def _loads(library: Path) -> bool:
+    """Tell whether a library is there, whole, and made for this machine."""
+    if not library.exists():
+        return False
+    try:
+        ctypes.CDLL(str(library))
+    except OSError:
+        return False
+    return True
+
+
+def _call(command: Sequence[str]) -> tuple[int, str]:
+    """Run a compiler; return its exit code and what it printed. Its children end with it."""
+    with tempfile.TemporaryFile() as output:  # a pipe would stay open as long as a child holds it
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            process.wait(TIMEOUT)
+        except BaseException:  # too late, or interrupted
+            if sys.platform == "win32":
+                process.kill()
+            else:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            raise
+        output.seek(0)
+        return process.returncode, output.read().decode(errors="replace")

@@ -1,0 +1,88 @@
+"""Start values and algebraic unknowns: the two solutions that both roads need.
+
+Both come as CasADi functions that can be called, and of which C code can be generated.
+"""
+
+from typing import Any
+
+import casadi as ca
+from casadi import MX, SX
+
+from casadi_models.dae import Dae, StartRule
+from cosim.memo import kept_per_thread
+
+DEFECT_LIMIT = 1e-9  # of an implicit start equation, as a Newton step relative to the states' size
+
+
+@kept_per_thread(16)
+def start_function(dae: Dae) -> ca.Function:
+    """Return `model_start(x, p) -> (x, defect)`: exact starts kept, calculated ones solved.
+
+    `defect` is the largest Newton step left in an implicit start rule; not a number where its
+    solution does not exist.
+    """
+    x, p = MX.sym("x", dae.x.numel()), MX.sym("p", dae.p.numel())
+    rows, defect = ca.vertsplit(x), MX(0)
+    for i, rule in enumerate(dae.start_rules):
+        current = ca.vertcat(*rows)
+        if rule.implicit:
+            solution, left = _solve_rule(dae, rule, f"start_{i}", current, p)
+            defect += left  # a sum keeps what is not a number
+        else:
+            law = ca.Function(f"start_{i}", [dae.x, dae.p], [rule.expression], {"cse": True})
+            solution = law(current, p)
+        for row, value in zip(rule.states, ca.vertsplit(solution), strict=True):
+            rows[row] = value
+    result = ca.vertcat(MX(0, 1), *rows)
+    return ca.Function("model_start", [x, p], [result, defect], ["x", "p"], ["x_start", "defect"])
+
+
+@kept_per_thread(16)
+def algebraic_function(dae: Dae) -> ca.Function:
+    """Return `model_algebraic(t, x, z, u, p) -> z`, the consistent unknowns; `z` is a guess.
+
+    Equations that are linear in z (every mechanical system here) are solved at once; others by
+    Newton's method from the guess. Where there is no solution, the result is not a number.
+    """
+    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    names = ["t", "x", "z", "u", "p"]
+    if not dae.algebraics:
+        return ca.Function("model_algebraic", symbols, [SX(0, 1)], names, ["z_solved"])
+    matrix = ca.jacobian(dae.alg, dae.z)
+    t, x, z, u, p = (
+        MX.sym(name, symbol.numel()) for name, symbol in zip(names, symbols, strict=True)
+    )
+    if not ca.depends_on(matrix, dae.z):
+        offset = ca.substitute(dae.alg, dae.z, SX.zeros(dae.z.numel()))
+        linear = ca.Function(
+            "linear_alg", [dae.t, dae.x, dae.u, dae.p], [matrix, -offset], {"cse": True}
+        )
+        slope, negated = linear(t, x, u, p)
+        solution = ca.solve(slope, negated, "qr")
+    else:
+        known = [dae.t, dae.x, dae.u, dae.p]
+        root, left = _root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
+        solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
+    return ca.Function("model_algebraic", [t, x, z, u, p], [solution], names, ["z_solved"])
+
+
+def _solve_rule(dae: Dae, rule: StartRule, name: str, x: MX, p: MX) -> tuple[MX, MX]:
+    unknown = SX.sym("unknown", len(rule.states))
+    filled = dae.x + 0
+    for i, row in enumerate(rule.states):
+        filled[row] = unknown[i]
+    expression = ca.substitute(rule.expression, dae.x, filled)
+    guess = ca.vertcat(*(x[i] for i in rule.states))
+    return _root(name, unknown, expression, [dae.x, dae.p], guess, [x, p])
+
+
+def _root(
+    name: str, unknown: SX, expression: SX, known: list[SX], guess: MX, arguments: list[MX]
+) -> tuple[MX, MX]:
+    """Return the root of an expression, and the Newton step left before the last one."""
+    residual = ca.Function(name, [unknown, *known], [expression], {"cse": True})
+    slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
+    options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
+    root = ca.rootfinder(f"{name}_root", "fast_newton", residual, options)(guess, *arguments)
+    step = ca.solve(slope(root, *arguments), residual(root, *arguments), "qr")
+    return root - step, ca.norm_inf(step / (1 + ca.fabs(root)))

@@ -1,0 +1,1 @@
+"""Road two: models as FMUs, and FMUs from anywhere."""

@@ -1,0 +1,82 @@
+"""Value references and model structure: complete, in order, and made of what may stand there."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from cosim.fmi.check.parsed import Description, Unknown
+
+
+def structure_problems(described: Description) -> Iterator[str]:
+    """Tell what is wrong with value references and model structure, one sentence each."""
+    yield from _references(described)
+    variables = described.variables
+    states = {v.derivative_of for v in variables if v.derivative_of is not None}
+    moving = {i for i, v in enumerate(variables) if v.causality in ("input", "independent")}
+    given = moving | {i for i, v in enumerate(variables) if v.initial == "exact"}
+    for name, wanted, known in (
+        ("Outputs", _outputs(described), moving | states),
+        ("Derivatives", _derivatives(described), moving | states),
+        ("InitialUnknowns", _initial_unknowns(described), given),
+    ):
+        listed = described.sections[name]
+        for problem in (*_entries(described, listed, wanted), *_needs(described, listed, known)):
+            yield f"{name}: {problem}"
+
+
+def _references(described: Description) -> Iterator[str]:
+    """Value references number the variables of a type (FMI 3: all variables) without gaps."""
+    for kind in sorted({v.kind for v in described.variables} if described.version == "2" else {""}):
+        texts = [v.reference for v in described.variables if kind in ("", v.kind)]
+        for text, count in Counter(texts).items():
+            if count > 1:
+                yield f"{count} variables share value reference {text}"
+        unused = sorted(set(map(str, range(len(texts)))) - set(texts), key=int)
+        if unused:
+            yield f"value references are not consecutive from 0: {', '.join(unused[:5])} is unused"
+
+
+def _outputs(described: Description) -> list[int]:
+    return [i for i, v in enumerate(described.variables) if v.causality == "output"]
+
+
+def _derivatives(described: Description) -> list[int]:
+    return [i for i, v in enumerate(described.variables) if v.derivative_of is not None]
+
+
+def _initial_unknowns(described: Description) -> list[int]:
+    """FMI 2.0.4, 2.2.8: what initialization computes of outputs, states and derivatives."""
+    variables = described.variables
+    derivatives = _derivatives(described)
+    states = [place for i in derivatives if (place := variables[i].derivative_of) is not None]
+    members = {*_outputs(described), *derivatives, *states} - {-1}
+    members |= {i for i, v in enumerate(variables) if v.causality == "calculatedParameter"}
+    return [i for i in sorted(members) if variables[i].initial in ("approx", "calculated")]
+
+
+def _entries(
+    described: Description, listed: Sequence[Unknown], wanted: Sequence[int]
+) -> Iterator[str]:
+    places = [unknown.position for unknown in listed]
+    if -1 in places:
+        yield "an entry refers to no variable"
+    for place, count in Counter(places).items():
+        if count > 1 and place >= 0:
+            yield f"'{described.variables[place].name}' is listed {count} times"
+    for place in sorted(set(wanted) - set(places)):
+        yield f"'{described.variables[place].name}' is missing"
+    for place in sorted(set(places) - set(wanted) - {-1}):
+        yield f"'{described.variables[place].name}' does not belong there"
+    if places != sorted(places):
+        yield "the entries are not in ascending order"
+
+
+def _needs(described: Description, listed: Sequence[Unknown], known: set[int]) -> Iterator[str]:
+    for unknown in listed:
+        needs = unknown.needs or ()
+        name = "?" if unknown.position < 0 else described.variables[unknown.position].name
+        if -1 in needs:
+            yield f"'{name}' depends on what does not exist"
+        for place in sorted(set(needs) - known - {-1}):
+            yield f"'{name}' depends on '{described.variables[place].name}', which is not a known"
+        if list(needs) != sorted(set(needs)):
+            yield f"dependencies of '{name}' are not ascending"

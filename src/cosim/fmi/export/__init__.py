@@ -1,0 +1,1 @@
+"""From a `Dae` to an FMU."""

@@ -1,0 +1,105 @@
+"""The binaries of an FMU: compiled for each platform, kept in the cache."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.compiler import FLAGS, compile_library, find_compiler
+from cosim.errors import ExportError
+from cosim.fmi.platforms import Target
+from cosim.fmi.shared_library import fat_library
+
+
+def binaries(
+    sources: Mapping[str, bytes], name: str, chosen: Mapping[str, tuple[Target, ...]]
+) -> dict[str, bytes]:
+    """Return the content of an FMU's `binaries/` by path.
+
+    Args:
+        sources: C files and headers by name.
+        name: Of the libraries, without suffix.
+        chosen: What to compile by folder, see `targets`.
+
+    Raises:
+        MissingTool: A compiler is missing or fails.
+        ExportError: The cache folder cannot be written.
+    """
+    every = [target for members in chosen.values() for target in members]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the threads wait for compilers
+        compiled = dict(
+            zip(every, pool.map(lambda t: compiled_library(sources, name, t), every), strict=True)
+        )
+    return {
+        f"binaries/{folder}/{name}{members[0].suffix}": compiled[members[0]]
+        if len(members) == 1
+        else fat_library([compiled[target] for target in members])
+        for folder, members in chosen.items()
+    }
+
+
+def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) -> bytes:
+    """Return a shared library for one target, compiled unless the cache has it.
+
+    Raises:
+        MissingTool, ExportError: See `binaries`.
+    """
+    library = f"{name}{target.suffix}"
+    given = target.command()
+    command = given or find_compiler()
+    options = target.options(library, command)
+    maker = version("ziglang") if given else ""
+    digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
+    for file in sorted(sources):
+        digest.update(b"\0".join((file.encode(), str(len(sources[file])).encode(), sources[file])))
+    folder = cache_folder()
+    cached = folder / f"{digest.hexdigest()[:32]}{target.suffix}"
+    try:
+        if cached.exists():
+            return cached.read_bytes()
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="build-", dir=folder) as build:
+            built = _compile(sources, Path(build), library, command, options)
+            content = built.read_bytes()
+            built.replace(cached)
+    except OSError as error:
+        raise ExportError(
+            f"cannot compile in {folder}: {error.strerror or error}; set COSIM_CACHE to a folder "
+            "that can be written and has room"
+        ) from error
+    return content
+
+
+def _compile(
+    sources: Mapping[str, bytes],
+    build: Path,
+    library: str,
+    command: Sequence[str],
+    options: Sequence[str],
+) -> Path:
+    for file, content in sources.items():
+        (build / file).write_bytes(content)
+    return compile_library(
+        sorted(build.glob("*.c")),
+        build / library,
+        include=[fmi_headers()],
+        options=[f"-ffile-prefix-map={build}=.", *options],
+        command=command,
+    )
+
+
+def fmi_headers() -> Path:
+    """Return the folder of the FMI headers, which come with FMPy.
+
+    Raises:
+        ExportError: FMPy is missing.
+    """
+    found = find_spec("fmpy")
+    if found is None or not found.submodule_search_locations:
+        raise ExportError("the FMI headers come with fmpy, which is missing; pip install fmpy")
+    return Path(found.submodule_search_locations[0]) / "c-code"

@@ -1,0 +1,48 @@
+"""The page about the model inside the FMU."""
+
+from collections.abc import Sequence
+from html import escape
+
+from casadi_models.dae import Dae
+from cosim.fmi.export.variables import FmuVariable, Role
+
+_HEADINGS = {
+    Role.PARAMETER: "Parameters",
+    Role.INPUT: "Inputs",
+    Role.STATE: "States",
+    Role.ALGEBRAIC: "Algebraic unknowns",
+    Role.OUTPUT: "Outputs",
+}
+
+
+def documentation_page(dae: Dae, variables: Sequence[FmuVariable]) -> str:
+    """Return `documentation/index.html`: what the model is, and every variable."""
+    sections = "".join(
+        _section(heading, [v for v in variables if v.role is role])
+        for role, heading in _HEADINGS.items()
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head><meta charset="utf-8"><title>{escape(dae.full_name)}</title>
+<style>body {{ font-family: sans-serif; margin: 2em }} td, th {{ padding: 0.1em 1em 0.1em 0;
+text-align: left }} td.number {{ text-align: right }}</style></head>
+<body>
+<h1>{escape(dae.full_name)}</h1>
+<p>{escape(dae.description)}</p>
+<p>Source: {escape(dae.source)}. All values are in SI units.</p>
+{sections}</body>
+</html>
+"""
+
+
+def _section(heading: str, variables: Sequence[FmuVariable]) -> str:
+    if not variables:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(v.name)}</td><td class='number'>"
+        f"{'' if v.start is None else format(v.start, '.10g')}</td>"
+        f"<td>{escape(v.unit)}</td><td>{escape(v.meaning)}</td></tr>\n"
+        for v in variables
+    )
+    head = "<tr><th>name</th><th>start</th><th>unit</th><th>meaning</th></tr>\n"
+    return f"<h2>{heading}</h2>\n<table>\n{head}{rows}</table>\n"

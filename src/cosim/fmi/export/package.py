@@ -1,0 +1,148 @@
+"""`export_fmu`: generate, compile, zip; the file appears whole or not at all."""
+
+import hashlib
+import io
+import os
+import uuid
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from casadi_models.dae import Dae
+from cosim.codegen.c_sources import cache_folder, runtime_sources
+from cosim.codegen.runge_kutta_c import dop853_text
+from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
+from cosim.files import refuse_unwritable, write_atomically
+from cosim.fmi.check.check import check_fmu
+from cosim.fmi.export import fmi2_xml, fmi3_xml
+from cosim.fmi.export.build import binaries
+from cosim.fmi.export.c_files import equations, model_header, variable_table
+from cosim.fmi.export.description import Identity
+from cosim.fmi.export.documentation import documentation_page
+from cosim.fmi.export.identifier import model_identifier
+from cosim.fmi.export.solver_choice import solver_for, uses_dop853
+from cosim.fmi.export.variables import dependencies, fmu_variables
+from cosim.fmi.platforms import NATIVE, targets
+from cosim.model.values import A_DAE, listed, number
+
+TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
+VERSIONS = {2: fmi2_xml, 3: fmi3_xml}
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
+
+
+def export_fmu(
+    dae: Dae,
+    target: str | os.PathLike[str],
+    *,
+    fmi: int = 2,
+    identifier: str | None = None,
+    outputs: Sequence[str] | None = None,
+    platforms: Sequence[str] = (NATIVE,),
+    tolerance: float = TOLERANCE,
+    solver: str | None = None,
+) -> Path:
+    """Write a DAE as an FMU for model exchange and co-simulation.
+
+    Args:
+        dae: The model.
+        target: The file, replaced when everything has succeeded.
+        fmi: Version of FMI: 2 (FMI 2.0) or 3 (FMI 3.0).
+        identifier: Model name in the FMU; `MODEL_FORMULATION` when None.
+        outputs: What importers record; everything observable when None.
+        platforms: What it runs on: "native" (this machine), "linux64", "win64", "darwin64",
+            "aarch64-linux" (FMI 3.0) or "all".
+        tolerance: Relative tolerance that the FMU recommends.
+        solver: Of co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock" (the
+            default of models that are stiff at their start) or "erk" (explicit, order 5, ODEs).
+
+    Returns:
+        Path of the FMU.
+
+    Raises:
+        ExportError: The name is no C name, or the file cannot be written.
+        UnknownName: The model has no such output, or FMI no such version, platform or solver.
+        UsageError: The solver cannot solve for algebraic unknowns; or an argument is of a type
+            that is of no use.
+        ParameterError: The tolerance is not within 1e-13 ... 0.1.
+        MissingTool: There is no C compiler, or it fails.
+    """
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("export_fmu", dae, A_DAE)
+    if not isinstance(target, str | os.PathLike):
+        raise UsageError.of_type("export_fmu", target, "a file name")
+    if type(fmi) is not int or fmi not in VERSIONS:
+        raise UnknownName.among("cosim", "FMI version", str(fmi), map(str, VERSIONS))
+    path = Path(target)
+    refuse_unwritable(path)  # before anything has been computed
+    name = model_identifier(identifier or dae.full_name)
+    if isinstance(platforms, str):
+        raise UsageError.of_type("export_fmu", platforms, "a list of platforms")
+    chosen = targets(platforms, fmi)
+    if not 1e-13 <= number("export", "tolerance", tolerance) <= 0.1:
+        raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
+    if outputs is not None:
+        dae = _observing(dae, listed(f"{dae.full_name}: outputs", outputs))
+    files = source_files(dae, name, tolerance, fmi, solver)
+    sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
+    content = zipped(files | binaries(sources, name, chosen))
+    if problems := check_fmu(io.BytesIO(content)):
+        raise ExportError(
+            f"{path} is not written, as it would not be sound: {'; '.join(problems)}; "
+            f"remove what {cache_folder()} holds and try again"
+        )
+    return write_atomically(path, content)
+
+
+def source_files(
+    dae: Dae, name: str, tolerance: float, fmi: int, solver: str | None = None
+) -> dict[str, bytes]:
+    """Return the content of the FMU by path, without binaries; see `export_fmu`."""
+    solver = solver_for(dae, solver)
+    variables = fmu_variables(dae)
+    others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
+    runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
+    code = {
+        "model.c": variable_table(variables).encode(),
+        "equations.c": equations(dae, fmi, solver).encode(),
+    }
+    if uses_dop853(dae, solver):
+        code["dop853.h"] = dop853_text().encode()
+    compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
+    draft = Identity(name, "", f"cosim-rigid {version('cosim-rigid')}", compiled, tolerance)
+    depends = dependencies(dae)
+    describe = VERSIONS[fmi].model_description
+    unsigned = describe(dae, draft, variables, depends)
+    digest = hashlib.sha256()
+    for part in (unsigned, *code.values(), *runtime.values()):
+        digest.update(part)
+    guid = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
+    code["model.h"] = model_header(dae, name, guid, tolerance, fmi, solver).encode()
+    if fmi == 3:
+        code["buildDescription.xml"] = fmi3_xml.build_description(draft)
+    return {
+        "modelDescription.xml": describe(dae, replace(draft, guid=guid), variables, depends),
+        "documentation/index.html": documentation_page(dae, variables).encode(),
+        **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
+    }
+
+
+def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:
+    names = [v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables)]
+    for name in outputs:
+        if name not in names:
+            raise UnknownName.among(dae.full_name, "output", name, names)
+    return replace(dae, observed=tuple(outputs))
+
+
+def zipped(files: dict[str, bytes]) -> bytes:
+    """Return an archive with these files, the same bytes for the same content."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in sorted(files.items()):
+            entry = zipfile.ZipInfo(name, _EPOCH)
+            entry.external_attr = 0o644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data, compresslevel=9)
+    return content.getvalue()

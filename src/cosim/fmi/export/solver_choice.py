@@ -1,0 +1,61 @@
+"""Which solver an FMU carries for co-simulation."""
+
+import numpy as np
+
+from casadi_models.dae import Dae
+from cosim.codegen.initialization import algebraic_function, start_function
+from cosim.errors import UnknownName, UsageError
+from cosim.fmi.export.sensitivities import jacobian_function
+
+# `dop853` is hand-written, in the runtime; the others are CasADi's.
+DOP853, ERK, ROSENBROCK = SOLVERS = ("dop853", "erk", "rosenbrock")
+
+# Decay rates times the output interval beyond which the steps of an explicit method, short for
+# stability alone, cost more than the linear equations of an implicit one.
+STIFF = 100.0
+
+
+def solver_for(dae: Dae, wanted: str | None) -> str:
+    """Return the wanted solver, or when None the one that suits the model at its start.
+
+    Raises:
+        UnknownName: There is no such solver.
+        UsageError: It cannot solve for algebraic unknowns.
+    """
+    if wanted is None:
+        stiff = fastest_decay(dae) * dae.experiment.output_interval > STIFF
+        return ROSENBROCK if stiff else DOP853
+    if wanted not in SOLVERS:
+        raise UnknownName.among("cosim export", "solver", wanted, SOLVERS)
+    if wanted == ERK and dae.algebraics:
+        raise UsageError(
+            f"{dae.full_name} has algebraic unknowns, which erk cannot solve for; take dop853 "
+            "or rosenbrock"
+        )
+    return wanted
+
+
+def uses_dop853(dae: Dae, solver: str) -> bool:
+    """Tell whether the runtime's own solver is compiled; it needs something to integrate."""
+    return solver == DOP853 and bool(dae.states)
+
+
+def fastest_decay(dae: Dae) -> float:
+    """Return the largest rate, 1/s, at which small changes of the start values die out.
+
+    It is 0 where nothing dies out, or where there are no start values.
+    """
+    p, u, guess = (
+        [float(variable.start or 0.0) for variable in group]
+        for group in (dae.parameters, dae.inputs, dae.algebraics)
+    )
+    try:
+        x, _ = start_function(dae)(list(dae.x_start), p)
+        z = algebraic_function(dae)(0.0, x, guess, u, p)
+        jacobian, _ = jacobian_function(dae)(0.0, x, z, u, p)
+    except RuntimeError:  # no solution; whoever runs the FMU is told why
+        return 0.0
+    square = np.array(jacobian.full())[:, : len(dae.states)]
+    if not square.size or not np.isfinite(square).all():
+        return 0.0
+    return max(0.0, -float(np.linalg.eigvals(square).real.min()))

@@ -1,0 +1,101 @@
+"""Input time series for an FMU under fmpy, at every time at which the FMU asks for them.
+
+fmpy's own tables are not used between samples: in model exchange they freeze the inputs between
+output points, and for co-simulation they cannot hand over slopes (fmpy 0.3.32 copies them into an
+array of nine). So time and steps are intercepted, and fmpy learns of the samples as events only.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.model.inputs import InputSeries
+
+Values = dict[str, float]
+
+
+def start_values(series: InputSeries, start_time: float) -> Values:
+    """Return the inputs at the start by name, to be set before initialization ends."""
+    at_start = series.at(np.array([start_time]))[:, 0]
+    return dict(zip(series.names, map(float, at_start), strict=True))
+
+
+def drive_model_exchange(
+    instance: Any, series: InputSeries, references: Sequence[int], constants: Values
+) -> NDArray[Any]:
+    """Make an FMU's inputs follow a series wherever its time is set; return fmpy's `input` array.
+
+    Args:
+        instance: fmpy's object for the FMU.
+        series: The inputs over time.
+        references: Value references of `series.names`.
+        constants: All other inputs by name; fmpy complains on standard output of missing ones.
+
+    Returns:
+        The samples, each twice: fmpy restarts its solver at such times, so that it steps over no
+        kink and no pulse.
+    """
+    set_time, set_real = instance.setTime, _setter(instance)
+
+    def set_time_and_inputs(time: float) -> None:
+        set_time(time)
+        set_real(references, series.at(np.array([time]))[:, 0].tolist())
+
+    instance.setTime = set_time_and_inputs
+    names = ("time", *series.names, *constants)
+    samples = np.empty(2 * len(series.time), dtype=[(name, np.float64) for name in names])
+    samples["time"] = np.repeat(series.time, 2)
+    for name, values in zip(series.names, series.values.T, strict=True):
+        samples[name] = np.repeat(values, 2)
+    for name, value in constants.items():
+        samples[name] = value
+    return samples
+
+
+def drive_co_simulation(
+    instance: Any, series: InputSeries, references: Sequence[int], abilities: Any
+) -> None:
+    """Make an FMU's inputs follow a series within its steps, which end at every sample.
+
+    An FMU that can interpolate gets the slope of each piece. Another one gets the value at the
+    piece's middle, which leaves an error of second order in the step.
+
+    Args:
+        instance: fmpy's object for the FMU.
+        series: The inputs over time.
+        references: Value references of `series.names`.
+        abilities: fmpy's record of the FMU's co-simulation flags.
+    """
+    step, set_real = instance.doStep, _setter(instance)
+    slopes: Callable[..., None] | None = getattr(instance, "setRealInputDerivatives", None)
+    if not abilities.canInterpolateInputs:
+        slopes = None
+
+    def driven_step(begin: float, length: float) -> Any:
+        inner = (series.time > begin) & (series.time < begin + length)
+        inner &= ~np.isclose(series.time, begin) & ~np.isclose(series.time, begin + length)
+        if not abilities.canHandleVariableCommunicationStepSize:
+            inner[:] = False
+        result = None
+        for a, b in pairwise([begin, *series.time[inner].tolist(), begin + length]):
+            first, middle, last = series.at(np.array([a, (a + b) / 2, b])).T
+            set_real(references, (first if slopes else middle).tolist())
+            if slopes:
+                slopes(references, [1] * len(references), ((last - first) / (b - a)).tolist())
+            result = step(currentCommunicationPoint=a, communicationStepSize=b - a)
+        if not slopes:
+            set_real(references, last.tolist())
+        return result
+
+    instance.doStep = lambda currentCommunicationPoint, communicationStepSize: driven_step(
+        currentCommunicationPoint, communicationStepSize
+    )
+
+
+def _setter(instance: Any) -> Callable[[Sequence[int], list[float]], None]:
+    setter: Callable[[Sequence[int], list[float]], None]
+    setter = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
+    return setter

@@ -1,0 +1,1 @@
+"""Road one: SUNDIALS, CasADi's and our own solvers."""

@@ -1,0 +1,119 @@
+"""One call of an engine: interruptible, without messages on the way, and what it reached."""
+
+import ctypes
+import io
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass
+from threading import current_thread, main_thread
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.integrate.engine import Engine
+
+INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What an engine computed.
+
+    Attributes:
+        states, algebraics: At the output times up to the last finite one, (nx, n) and (nz, n).
+        stats: What it took.
+        reason: Why it stopped before the last output time, `INTERRUPTED` after Ctrl-C; empty where
+            it did not.
+    """
+
+    states: Vector
+    algebraics: Vector
+    stats: dict[str, Any]
+    reason: str
+
+
+def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
+    """Call an engine with start values, parameters and constant inputs."""
+    n = engine.function.size2_out(0)
+    # CasADi writes column by column, and those after a failure not at all
+    states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
+    if engine.parameters is not None:
+        extended = np.empty(engine.parameters.numel_out(0))
+        call_on_arrays(engine.parameters, [p], [extended])
+        p = extended
+    arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
+    stats: dict[str, Any] = {}
+    told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
+    with redirect_stderr(told), _interruptible(engine.library) as interrupts:
+        try:
+            succeeded = call_on_arrays(engine.function, arguments, (states, algebraics))
+        except RuntimeError as error:  # CasADi has no narrower type
+            reason = _flag(str(error))
+        else:
+            stats = engine.stats()
+            cause = stats.pop("cause", "step size too small, or too many steps")
+            reason = "" if succeeded else cause
+    finite = np.isfinite(states)
+    reached = n if finite.all() else int(np.argmin(finite.all(axis=1)))
+    if interrupts or "KeyboardInterrupt" in reason + told.getvalue():  # a failure, to CasADi
+        reason = INTERRUPTED
+    elif reason:
+        last = told.getvalue().strip().rpartition("\n")[2].rstrip(". ")
+        reason += f" ({last})" if last else ""
+    elif reached < n:
+        reason = "a state is not finite"
+    return Reached(states[:reached].T, algebraics[:reached].T, stats, reason)
+
+
+def call_on_arrays(
+    function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
+) -> bool:
+    """Evaluate a function on arrays; tell whether it succeeded.
+
+    Args:
+        function: Dense in all arguments and results.
+        arguments: One array per argument; CasADi's columns are the rows.
+        results: One C-ordered array per result, likewise; overwritten.
+    """
+    buffer, evaluate = function.buffer()
+    held = [np.ascontiguousarray(array, dtype=float) for array in arguments]  # the buffer does not
+    for i, array in enumerate(held):
+        if array.size:
+            buffer.set_arg(i, array.data)  # type: ignore[call-arg]  # stub and binding differ
+    for i, array in enumerate(results):
+        if array.size:
+            buffer.set_res(i, array.data)  # type: ignore[call-arg]
+    evaluate()
+    return not buffer.ret()
+
+
+def _flag(message: str) -> str:
+    """Return the SUNDIALS flag, or the last line of CasADi's message."""
+    flag = message.partition('returned "')[2].partition('"')[0]
+    return flag or message.strip().splitlines()[-1][:200]
+
+
+@contextmanager
+def _interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
+    """Let Ctrl-C end what happens in between, though it is one C function.
+
+    Yields:
+        A list that then holds the signal. A handler of the user's own is called, too.
+    """
+    interrupts: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    if library is None or current_thread() is not main_thread() or not callable(handler):
+        yield interrupts
+        return
+    library.cosim_watch()
+    try:
+        yield interrupts
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if library.cosim_halted():
+        interrupts.append(signal.SIGINT)
+        if handler is not signal.default_int_handler:
+            handler(signal.SIGINT, None)

@@ -1,0 +1,81 @@
+"""Numbers at the start of a run: states that satisfy their rules, algebraic unknowns that fit."""
+
+import casadi as ca
+import numpy as np
+
+from casadi_models.dae import Dae, StartRule
+from cosim.arrays import Vector
+from cosim.codegen.initialization import DEFECT_LIMIT, algebraic_function, start_function
+from cosim.errors import InitialConditionError
+from cosim.model.values import Values
+
+
+def start_values(dae: Dae, values: Values) -> Vector:
+    """Return the start of every state, (nx,).
+
+    Raises:
+        InitialConditionError: A calculated start has no solution or leaves its bounds.
+    """
+    solved, defect = start_function(dae)(values.x, values.p)
+    x = np.array(solved).ravel()
+    if dae.start_rules and not (np.isfinite(x).all() and float(defect) < DEFECT_LIMIT):
+        raise _no_start(dae, x, values)
+    for variable, value in zip(dae.states, x, strict=True):
+        if not variable.minimum <= value <= variable.maximum:
+            raise InitialConditionError(
+                f"{dae.full_name}: the start of {variable.name} is {value:g} {variable.unit}, "
+                f"outside {variable.minimum:g} ... {variable.maximum:g}; change other start values"
+            )
+    return x
+
+
+def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
+    """Return the algebraic unknowns that are consistent with the states, (nz,).
+
+    Raises:
+        InitialConditionError: The equations are singular at this state.
+    """
+    guess = np.array([v.start or 0.0 for v in dae.algebraics])
+    try:
+        z = np.array(algebraic_function(dae)(t, x, guess, values.u, values.p)).ravel()
+    except RuntimeError:  # CasADi's factorization meets a singular matrix
+        z = np.full(len(dae.algebraics), np.nan)
+    if not np.isfinite(z).all():
+        first = dae.algebraics[int(np.flatnonzero(~np.isfinite(z))[0])].name
+        raise InitialConditionError(
+            f"{dae.full_name}: the algebraic equations have no solution at the start ({first} is "
+            "not finite); start away from the singularity or use another formulation"
+        )
+    return z
+
+
+def _no_start(dae: Dae, x: Vector, values: Values) -> InitialConditionError:
+    """Say which rule has no solution: the first that yields no number, or the worst."""
+    missing = [r for r in dae.start_rules if not np.isfinite(x[list(r.states)]).all()]
+    implicit = [r for r in dae.start_rules if r.implicit]
+    rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, x, values))
+    names = ", ".join(dae.states[i].name for i in rule.states)
+    near = _closest(dae, rule, x, values) if rule.implicit else "its formula has no value"
+    return InitialConditionError(
+        f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
+        f"{near}; change the other start values or parameters"
+    )
+
+
+def _residual(dae: Dae, rule: StartRule, x: Vector, values: Values) -> float:
+    return float(ca.norm_inf(ca.Function("law", [dae.x, dae.p], [rule.expression])(x, values.p)))
+
+
+def _closest(dae: Dae, rule: StartRule, x: Vector, values: Values) -> str:
+    """Say how near to a solution a scan around the guess comes, for one unknown."""
+    trial, first = x.copy(), rule.states[0]
+    trial[list(rule.states)] = values.x[list(rule.states)]
+    best, at = np.inf, float("nan")
+    for shift in np.linspace(-np.pi, np.pi, 721) if len(rule.states) == 1 else (0.0,):
+        trial[first] = values.x[first] + shift
+        residual = _residual(dae, rule, trial, values)
+        if residual < best:
+            best, at = residual, trial[first]
+    return (
+        f"the closest found leaves a residual of {best:.3g} at {dae.states[first].name} = {at:.4g}"
+    )

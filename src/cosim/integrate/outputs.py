@@ -1,0 +1,90 @@
+"""From states to everything that a run records."""
+
+import casadi as ca
+import numpy as np
+from casadi import MX
+
+from casadi_models.dae import Dae
+from cosim.arrays import Vector
+from cosim.codegen.casadi_library import cache_key, external
+from cosim.codegen.initialization import algebraic_function
+from cosim.errors import UsageError
+from cosim.integrate.call import call_on_arrays
+from cosim.memo import kept_per_thread
+from cosim.model.catalogue import no_such_output
+from cosim.trajectory import Column
+
+
+def observe(
+    dae: Dae, time: Vector, states: Vector, guesses: Vector, u: Vector, p: Vector, compiled: bool
+) -> tuple[Vector, Vector]:
+    """Evaluate algebraic unknowns, outputs and limits from the states.
+
+    Args:
+        dae: The model.
+        time: s, (n,).
+        states, guesses, u: At these times: states, algebraic unknowns, inputs; n columns each.
+        p: Parameters.
+        compiled: Whether by machine code.
+
+    Returns:
+        What `all_columns` names, and the margins of the limits; one row per time each.
+    """
+    n, known = len(time), len(all_columns(dae))
+    if not n:
+        return np.empty((0, known)), np.empty((0, len(dae.limits)))
+    function = _observer(dae, n, compiled)
+    rows = np.empty((n, function.size1_out(0)))
+    call_on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))
+    table, margins = np.split(np.hstack((states.T, rows)), [known], axis=1)
+    return table, margins
+
+
+def all_columns(dae: Dae) -> tuple[Column, ...]:
+    """Return the columns of everything observable: states, algebraic unknowns, outputs."""
+    return tuple(
+        Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
+        for v in (*dae.states, *dae.algebraics, *dae.output_variables)
+    )
+
+
+@kept_per_thread(8)
+def watching(dae: Dae, names: tuple[str, ...]) -> Dae:
+    """Return the DAE with those of its monitors among the outputs that are named."""
+    return dae.watching(names)
+
+
+def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Return the names to record.
+
+    Raises:
+        UnknownName: The model has no such output.
+        UsageError: It is named twice.
+    """
+    if outputs is None:
+        return dae.observed
+    available = {column.name for column in all_columns(dae)}
+    for name in outputs:
+        if name not in available:
+            raise no_such_output(dae, name)
+        if outputs.count(name) > 1:
+            raise UsageError(f"{dae.full_name}: output '{name}' is named twice; name it once")
+    return outputs
+
+
+@kept_per_thread(16)
+def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
+    """Return `observe(t, x, z, u, p) -> rows` for n times, a column each."""
+    names = ["t", "x", "z", "u", "p"]
+    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    margins = (margin for margin, _ in dae.limits)
+    outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
+    t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
+    solved = algebraic_function(dae)(t, x, z, u, p)
+    rows = ca.densify(ca.vertcat(solved, outputs(t, x, solved, u, p)))  # cse makes zeros sparse
+    function = ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
+    if n == 1:
+        return function
+    if compiled:
+        (function,) = external([function], cache_key("observe", function), ["observe"])
+    return function.map("every", "serial", n, [4], [])

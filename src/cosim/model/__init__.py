@@ -1,0 +1,1 @@
+"""A name, a file or a CasADi object to a `Dae`, and the numbers that users give to it."""

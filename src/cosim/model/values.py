@@ -1,0 +1,197 @@
+"""Numbers that users give: checked against what the model says of each variable."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite, pi
+from numbers import Real
+from typing import Any
+from warnings import warn
+
+import casadi as ca
+import numpy as np
+
+from casadi_models.dae import Dae, Start, Variable
+from casadi_models.units import UNITS, convert
+from cosim.arrays import Vector
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+from cosim.memo import kept_per_thread
+
+A_DAE = "a Dae, as cosim.load('bicycle') returns"
+
+_QUANTITY = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan))\s*(\S*)\s*"
+)
+
+
+@dataclass(frozen=True)
+class Values:
+    """Numbers for every state (guesses included), parameter and input, in the DAE's order."""
+
+    x: Vector
+    p: Vector
+    u: Vector
+
+
+def quantity(name: str, text: str, unit: str) -> float:
+    """Read `VALUE[UNIT]`, e.g. "60deg", as a number in a variable's own unit.
+
+    Args:
+        name: The variable, for messages.
+        text: What the user wrote.
+        unit: The variable's unit.
+
+    Raises:
+        ParameterError: It is not a number, or its unit does not fit.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if not match:
+        raise ParameterError(
+            f"{name}: '{text}' is not a number with a unit; write e.g. 1.5{unit.strip('1')}"
+        )
+    value, written = float(match[1]), match[2]
+    if written.startswith(","):
+        raise ParameterError(f"{name} = {text}: write a decimal point, and no other comma")
+    if written and written not in UNITS:
+        fitting = ", ".join(u for u, other in UNITS.items() if other.measures_like(UNITS[unit]))
+        raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
+    try:
+        return convert(value, written, unit) if written else value
+    except ValueError as error:
+        raise ParameterError(f"{name} = {text}: {error}") from error
+
+
+def number(owner: str, name: str, value: Any, *, positive: bool = False) -> float:
+    """Return a finite real number, or say whose number it should have been.
+
+    Raises:
+        ParameterError: The value is no finite real number, or not positive where it must be.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        raise ParameterError(f"{owner}: {name} = {value!r} is not a real number; give a float")
+    try:
+        result = float(value)
+    except OverflowError:
+        result = inf
+    if not isfinite(result):
+        raise ParameterError(f"{owner}: {name} = {result} is not finite; give a finite number")
+    if positive and result <= 0:
+        raise ParameterError(f"{owner}: {name} = {value} is not positive; give a positive number")
+    return result
+
+
+def listed(call: str, names: Any) -> tuple[str, ...]:
+    """Return names as a tuple.
+
+    Raises:
+        UsageError: They are a single text, no list of anything, or none.
+    """
+    try:
+        found = () if isinstance(names, str) else tuple(map(str, names))
+    except TypeError:
+        found = ()
+    if not found:
+        raise UsageError.of_type(call, names, "a list of names")
+    return found
+
+
+def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
+    """Put a user's numbers in place of the model's start values, parameters and inputs.
+
+    Raises:
+        UnknownName: A name is no state, parameter or input of the model.
+        ParameterError: A number is not finite or out of its bounds, or an inertia is not physical.
+        InitialConditionError: A start value is given that follows from others.
+        UsageError: This is no model, or these are no values by name.
+    """
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("a run", dae, A_DAE)
+    if not isinstance(overrides, Mapping | None):
+        raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
+    given = dict(overrides or {})
+    settable = {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs)}
+    for name, value in given.items():
+        if name not in settable:
+            raise _unknown(dae, name, settable)
+        given[name] = checked(dae, settable[name], value)
+    x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
+    p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
+    u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
+    _check_inertias(dae, p)
+    return Values(x, p, u)
+
+
+def checked(dae: Dae, variable: Variable, value: Any) -> float:
+    """Return a number that a user gives to one of a model's variables.
+
+    Raises:
+        InitialConditionError: It is a start value that follows from others.
+        ParameterError: It is no finite number, or out of its bounds.
+
+    Warns:
+        UserWarning: An angle is of a size that degrees have, and radians hardly ever.
+    """
+    if variable.start_kind is Start.CALCULATED:
+        raise _calculated(dae, variable)
+    result = number(dae.full_name, f"{variable.name} [{variable.unit}]", value)
+    if not variable.minimum <= result <= variable.maximum:
+        raise ParameterError(
+            f"{dae.full_name}: {variable.name} = {result:g} {variable.unit} is out of its range "
+            f"{variable.minimum:g} ... {variable.maximum:g} {variable.unit}; give a value within"
+        )
+    if variable.unit == "rad" and abs(result) > max(4 * pi, 10 * variable.nominal):
+        warn(
+            f"{dae.full_name}: {variable.name} = {result:g} rad is more than two turns; write "
+            f"{result:g}deg if degrees are meant",
+            stacklevel=2,
+        )
+    return result
+
+
+def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
+    """Say from what a start value follows: one sets that instead."""
+    row = dae.states.index(variable)
+    rule = next(rule for rule in dae.start_rules if row in rule.states)
+    used = {symbol.name() for symbol in ca.symvar(rule.expression)}
+    free = (v.name for v in (*dae.states, *dae.parameters) if v.start_kind is Start.EXACT)
+    causes = [name for name in free if name in used]
+    shown = ", ".join(causes[:8]) + (", ..." if len(causes) > 8 else "")
+    return InitialConditionError(
+        f"{dae.full_name}: the start of {variable.name} is calculated ({rule.meaning}); "
+        f"set some of {shown} instead"
+    )
+
+
+def _unknown(dae: Dae, name: str, settable: Mapping[str, Variable]) -> UnknownName:
+    if any(v.name == name for v in dae.variables):
+        return UnknownName(
+            f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "
+            "set a state's start, a parameter or an input"
+        )
+    return UnknownName.of_model(dae.full_name, "state, parameter or input", name, settable)
+
+
+@kept_per_thread(16)
+def _inertia_function(dae: Dae) -> ca.Function:
+    return ca.Function("inertias", [dae.p], [matrix for _, matrix in dae.inertias])
+
+
+def _check_inertias(dae: Dae, p: Vector) -> None:
+    """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
+    if not dae.inertias:
+        return
+    blocks = _inertia_function(dae).call([p])
+    for (body, _), block in zip(dae.inertias, blocks, strict=True):
+        matrix = np.array(block)
+        if not np.isfinite(matrix).all():
+            raise ParameterError(
+                f"{dae.full_name}: the inertia of {body} is not finite; give smaller parameters"
+            )
+        moments = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+        slack = 1e-9 * np.abs(moments).max()
+        if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack:
+            raise ParameterError(
+                f"{dae.full_name}: the inertia of {body} has principal moments "
+                f"{moments[0]:.6g}, {moments[1]:.6g}, {moments[2]:.6g} kg.m2, which no body has; "
+                "none may be negative or exceed the sum of the other two"
+            )

@@ -1,0 +1,178 @@
+"""The figures that a scene asks for, of one run or of two with their difference."""
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from cosim.errors import UsageError
+from cosim.plotting import keep_constant_flat
+from cosim.scene.scene import FigureSpec
+from cosim.trajectory import Column, Trajectory
+
+# Okabe and Ito's colours, which colour-blind readers can tell apart
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_STYLE: Any = {  # matplotlib types its keys one by one
+    "font.size": 9,
+    "axes.grid": True,
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.6,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 10,
+    "grid.alpha": 0.35,
+    "grid.linewidth": 0.5,
+    "legend.fontsize": 8,
+    "legend.framealpha": 0.8,
+    "lines.linewidth": 1.3,
+}
+_SECOND: Any = {"color": "black", "linewidth": 0.9, "linestyle": (0, (4, 4))}
+_WIDTH, _PAD = 6.4, 0.07  # inches
+_EACH = 3  # variables per figure where nobody says how to group them
+
+
+def draw_figures(
+    specs: Sequence[FigureSpec], run: Trajectory, other: Trajectory | None = None
+) -> list[Figure]:
+    """Draw a scene's figures in display units.
+
+    Args:
+        specs: What stands in each figure.
+        run: Has every variable of the figures.
+        other: A second run, dashed over the first one; a panel below shows second minus first.
+
+    Raises:
+        UnknownName: A run lacks a variable.
+        UsageError: The two runs have other output times.
+    """
+    for each in (run, other):
+        if not isinstance(each, Trajectory | None) or run is None:
+            raise UsageError.of_type("draw_figures", each, "results of simulate or simulate_fmu")
+    if isinstance(specs, FigureSpec | str) or not isinstance(specs, Collection):
+        raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
+    if other is not None:
+        _refuse_other_times(run, other)
+    with matplotlib.rc_context(_STYLE):
+        return [_figure(spec, run, other) for spec in specs]
+
+
+def default_specs(run: Trajectory, other: Trajectory) -> tuple[FigureSpec, ...]:
+    """Return figures of all variables that two runs have in common, a few in each."""
+    common = [name for name in run.names if name in other.names]
+    if not common:
+        raise UsageError(f"{run.model} and {other.model} have no variable in common")
+    groups = [common[i : i + _EACH] for i in range(0, len(common), _EACH)]
+    return tuple(FigureSpec(", ".join(g), tuple((name,) for name in g)) for g in groups)
+
+
+def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figure:
+    count, below = len(spec.panels), other is not None
+    ratios = [2.0, 1.0] * count if below else [1.0] * count
+    height = 0.7 + (5.0 if spec.equal else 3.1 if count == 1 else 1.75) * count
+    height += 1.3 * count * below
+    figure = Figure(
+        figsize=(_WIDTH, height), layout=ConstrainedLayoutEngine(h_pad=_PAD, w_pad=_PAD)
+    )
+    rows = [*figure.subplots(len(ratios), 1, squeeze=False, height_ratios=ratios).ravel()]
+    figure.suptitle(spec.title, fontsize=11)
+    mains = rows[::2] if below else rows
+    for index, axis in enumerate(mains):
+        _panel(axis, spec, index, run, other)
+    mains[0].set_title(_origin(run, other), fontsize=7, color="0.4", loc="right")
+    if other is not None:
+        for index, axis in enumerate(rows[1::2]):
+            names = spec.panels[index]
+            legends = spec.legends[index] if spec.legends else names
+            if spec.x != "time":
+                names, legends = (spec.x, *names), (spec.x, *legends)
+            _difference(axis, names, legends, run, other)
+    if spec.x == "time":
+        _share_time(rows)
+    figure.align_ylabels(rows)
+    return figure
+
+
+def _panel(
+    axis: Axes, spec: FigureSpec, index: int, run: Trajectory, other: Trajectory | None
+) -> None:
+    names = spec.panels[index]
+    columns = [run.column(name) for name in names]
+    legends = spec.legends[index] if spec.legends else _meanings(columns)
+    for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
+        colour = _COLOURS[i % len(_COLOURS)]
+        axis.plot(_shown(run, spec.x), _shown(run, column.name), color=colour, label=legend)
+        if other is not None:
+            axis.plot(_shown(other, spec.x), _shown(other, column.name), **_SECOND)
+    label = spec.labels[index] if spec.labels else ", ".join(names)
+    axis.set_ylabel(f"{label} [{_unit(columns[0])}]")
+    if len(names) > 1:
+        axis.legend()
+    if spec.x != "time":
+        axis.set_xlabel(f"{spec.x_label or spec.x} [{_unit(run.column(spec.x))}]")
+    if spec.equal:
+        axis.set_aspect("equal", adjustable="datalim")
+    else:
+        drawn = np.column_stack([_shown(run, name) for name in names])
+        keep_constant_flat(axis, drawn, _shown_nominal(columns))
+
+
+def _difference(
+    axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
+) -> None:
+    for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
+        gap = _shown(other, name) - _shown(run, name)
+        axis.plot(run.time, gap, color=_COLOURS[i % len(_COLOURS)], linewidth=0.9, label=legend)
+    axis.set_ylabel(f"difference [{_unit(run.column(names[0]))}]")
+    axis.ticklabel_format(axis="y", scilimits=(-2, 3), useOffset=False)
+    axis.set_xlabel("time [s]")
+    axis.margins(x=0)
+    if len(names) > 1:
+        axis.legend()
+
+
+def _share_time(rows: Sequence[Axes]) -> None:
+    """Let all panels show the same span; the lowest one carries its numbers."""
+    for axis in rows:
+        if axis is not rows[0]:
+            axis.sharex(rows[0])
+        axis.margins(x=0)
+        axis.set_xlabel("")
+        axis.tick_params(labelbottom=axis is rows[-1])
+    rows[-1].set_xlabel("time [s]")
+
+
+def _shown(run: Trajectory, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return run.time if name == "time" else run.column(name).shown(run[name])
+
+
+def _shown_nominal(columns: Sequence[Column]) -> float:
+    return max(float(c.shown(np.array([c.nominal]))[0]) for c in columns)
+
+
+def _unit(column: Column) -> str:
+    return column.display_unit or column.unit
+
+
+def _meanings(columns: Sequence[Column]) -> tuple[str, ...]:
+    return tuple(f"{column.name}: {column.meaning or column.name}" for column in columns)
+
+
+def _origin(run: Trajectory, other: Trajectory | None) -> str:
+    return _label(run) if other is None else f"{_label(run)}; dashed: {_label(other)}"
+
+
+def _label(run: Trajectory) -> str:
+    suffix = "" if run.complete else f" ({run.status.partition(':')[0]})"
+    return f"{run.model}, {run.stats.get('solver', '')}{suffix}"
+
+
+def _refuse_other_times(run: Trajectory, other: Trajectory) -> None:
+    if len(run) != len(other) or np.abs(run.time - other.time).max() > 1e-9 * run.time[-1]:
+        raise UsageError(
+            f"{_label(run)} and {_label(other)} have other output times; their difference "
+            "needs one start_time, stop_time and output_interval"
+        )

@@ -1,0 +1,1 @@
+"""A model, numbers and wanted outputs, down any road."""

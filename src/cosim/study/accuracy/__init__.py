@@ -1,0 +1,1 @@
+"""An accuracy, or a time, instead of a solver and its tolerance."""

@@ -1,0 +1,183 @@
+"""Judges of limit cases: closed forms, invariants and other runs, none from the run judged."""
+
+from collections.abc import Callable
+from functools import cache
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from casadi_models.dae import Dae
+from cosim.arrays import Vector
+from cosim.errors import CosimError, InitialConditionError, SolverError, UnknownName, UsageError
+from cosim.integrate.simulate import simulate
+from cosim.model.catalogue import load
+from cosim.study.extremes.cases import Case
+from cosim.trajectory import Trajectory
+
+OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
+
+
+class Verdict(NamedTuple):
+    """How a case ended.
+
+    Attributes:
+        outcome: One of `OUTCOMES`.
+        error: Measured relative error; None where the run has no result.
+        reason: Why it was refused or failed, or what the run says of its validity.
+        seconds: What it took, the judgement included.
+    """
+
+    outcome: str
+    error: float | None
+    reason: str
+    seconds: float
+
+
+def run_case(case: Case) -> Trajectory:
+    """Run a case as a user would."""
+    return simulate(
+        _model(case.model),
+        stop_time=case.stop_time,
+        output_interval=case.stop_time / case.points,
+        solver=case.solver,
+        relative_tolerance=case.relative_tolerance,
+        step_size=case.step_size,
+        start=case.values,
+    )
+
+
+Runner = Callable[[Case], Trajectory]
+
+
+def judge(case: Case, runner: Runner = run_case) -> Verdict:
+    """Run a case and judge it."""
+    began = perf_counter()
+    try:
+        outcome, error, reason = _judged(case, runner)
+    except Exception as defect:  # an error that is none of `CosimError` counts as a crash
+        outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
+    return Verdict(outcome, error, reason, perf_counter() - began)
+
+
+def _judged(case: Case, runner: Runner) -> tuple[str, float | None, str]:
+    try:
+        run = runner(case)
+    except (UsageError, UnknownName, InitialConditionError) as refusal:
+        return "refused", None, str(refusal)
+    except SolverError as failure:
+        return "failed", None, str(failure)
+    warned = "; ".join(run.stats.get("invalid", ()))
+    try:
+        error = ORACLES[case.oracle](case, run)
+    except CosimError as failure:  # no reference; a run that doubts itself has said so
+        return ("failed" if warned else "unverified"), None, warned or str(failure)
+    if error <= case.bound:
+        return "accurate", error, warned
+    return ("failed" if warned else "silent"), error, warned
+
+
+def _crank(case: Case, run: Trajectory) -> float:
+    """Constant acceleration; bearing loads from the moments of the path (Unit 7, Example 1)."""
+    dae = _model(case.model)
+    given = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.states)} | dict(case.values)
+    length, alpha, start = given["segment_length"], given["alpha"], given["omega"]
+    mass = given["density"] * np.pi / 4 * given["diameter"] ** 2 * length  # of a segment
+    omega = start + alpha * run.time
+    exact = {
+        "phi": start * run.time + alpha * run.time**2 / 2,
+        "omega": omega,
+        "fx_A": -mass * length * omega**2 / 2,
+        "fx_B": mass * length * omega**2 / 2,
+        "fy_A": mass * length * alpha / 2 + 0 * omega,
+        "T": 10 / 3 * mass * length**2 * alpha + 0 * omega,
+    }
+    force = mass * length * (omega**2 + abs(alpha)).max()
+    floors = {"phi": 1.0, "T": force * length}
+    return max(
+        _relative(run[name], value, floors.get(name, force if name[0] == "f" else 0.0))
+        for name, value in exact.items()
+    )
+
+
+def _at_rest(case: Case, run: Trajectory) -> float:
+    return float(np.abs(run["theta"] - case.values["theta"]).max())
+
+
+def _upright(_: Case, run: Trajectory) -> float:
+    return float(max(np.abs(run[name]).max() for name in ("phi", "delta", "psi", "yP")))
+
+
+def _energy(_: Case, run: Trajectory) -> float:
+    return _relative(run["energy"], run["energy"][0], float(run["kinetic_energy"].max()))
+
+
+def _bicycle(case: Case, run: Trajectory) -> float:
+    """Energy of the free bicycle, gap of the front wheel (m) and its slip (m/s)."""
+    drifts = (np.abs(run[name]).max() for name in ("loop_closure", "slip_1", "slip_2", "slip_3"))
+    return float(max(_energy(case, run), *drifts))
+
+
+def _jacobi(_: Case, run: Trajectory) -> float:
+    """Jacobi's integral of the undamped bar in a frame of constant rate."""
+    integral = run["theta_dot"] ** 2 + (run["Omega"] * np.sin(run["theta"])) ** 2
+    return _relative(integral, integral[0], 0.0)
+
+
+def _power(case: Case, run: Trajectory) -> float:
+    """Energy against the work of the drive, without dampers; Simpson over pairs of intervals."""
+    rate = 2 * np.pi
+    power = rate * run["M_disk"]
+    step = case.stop_time / case.points
+    pairs = step / 3 * (power[:-2:2] + 4 * power[1:-1:2] + power[2::2])
+    missing = run["energy"][2::2] - run["energy"][0] - np.cumsum(pairs)
+    return float(np.abs(missing).max() / np.abs(run["kinetic_energy"]).max())
+
+
+def _reference(case: Case, run: Trajectory) -> float:
+    """The largest relative difference from the reference, over the variables of both."""
+    true = _first_success(case)
+    without = ("xP", "yP") if "bicycle/book" in (run.model, true.model) else ()
+    names = [name for name in run.names if name in true.names and name not in without]
+    return max(_relative(run[n], true[n], run.column(n).nominal) for n in names)
+
+
+def _first_success(case: Case) -> Trajectory:
+    reason = "the case names no reference"
+    for other in case.references:
+        try:
+            return simulate(
+                _model(other.model),
+                stop_time=case.stop_time,
+                output_interval=case.stop_time / case.points,
+                solver=other.solver,
+                relative_tolerance=other.relative_tolerance,
+                start=case.values,
+                on_invalid="ignore",
+            )
+        except SolverError as failure:
+            reason = str(failure)
+    raise SolverError(f"no reference: {reason}")
+
+
+ORACLES: dict[str, Callable[[Case, Trajectory], float]] = {
+    "at_rest": _at_rest,
+    "bicycle": _bicycle,
+    "crank": _crank,
+    "energy": _energy,
+    "jacobi": _jacobi,
+    "power": _power,
+    "reference": _reference,
+    "upright": _upright,
+}
+
+
+def _relative(value: Vector, true: Any, floor: float) -> float:
+    size = max(float(np.abs(true).max()), floor)
+    gap = float(np.abs(value - true).max())
+    return gap / size if gap else 0.0
+
+
+@cache
+def _model(name: str) -> Dae:
+    return load(name)

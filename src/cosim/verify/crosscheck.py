@@ -1,0 +1,176 @@
+"""The same run on every road and in every formulation, and how far the results are apart."""
+
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import casadi_models
+from casadi_models.dae import Dae
+from cosim.errors import FmuError, InitialConditionError, SolverError, UsageError
+from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.instance import INTERFACES
+from cosim.model.catalogue import formulations, load
+from cosim.model.values import number
+from cosim.scene.roads import (
+    DIFFERENT_BY_DESIGN,
+    fitting_formulations,
+    run_fmu,
+    run_scene,
+    scene_dae,
+)
+from cosim.scene.scene import Scene, Settings
+from cosim.trajectory import Trajectory
+from cosim.verify.comparison import Comparison, compare
+
+BOUND = 1e-6  # of the nominal value
+TOLERANCE = 1e-10
+# The pendulum's motion multiplies what a solver is wrong by in a step by about 1e4 in 10 s.
+SENSITIVE = {"double_pendulum": 1e-11}
+_FAILURES = (SolverError, FmuError, InitialConditionError)  # of one run, not of what was asked
+
+
+@dataclass(frozen=True)
+class Check:
+    """One comparison of two runs, and what the second one took.
+
+    Attributes:
+        model: `MODEL/FORMULATION` of the second run.
+        road: How it was computed.
+        against: What it is compared with.
+        comparison: The differences; None where the run failed.
+        stats: Of the second run: wall_time [s], rhs_calls.
+        failure: Why the run failed.
+    """
+
+    model: str
+    road: str
+    against: str
+    comparison: Comparison | None
+    stats: dict[str, Any] = field(default_factory=dict)
+    failure: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """ "ok", "DIFFERS" or "FAILED"."""
+        if self.comparison is None:
+            return "FAILED"
+        return "ok" if self.comparison.agrees else "DIFFERS"
+
+    def row(self) -> dict[str, Any]:
+        """Return the check as plain values, for tables and JSON."""
+        compared = self.comparison
+        worst = compared and compared.worst
+        return {
+            "model": self.model,
+            "road": self.road,
+            "against": self.against,
+            "variables": compared and len(compared.differences),
+            "worst": worst and worst.name,
+            "difference": worst and worst.scaled,
+            "at": worst and worst.time,
+            "bound": compared and compared.bound,
+            "verdict": self.verdict,
+            "wall_time": self.stats.get("wall_time"),
+            "rhs_calls": self.stats.get("rhs_calls"),
+        }
+
+
+def crosscheck(
+    models: str | Scene | Sequence[str | Scene] | None = None,
+    *,
+    stop_time: float | None = None,
+    output_interval: float | None = None,
+    relative_tolerance: float | None = None,
+    bound: float = BOUND,
+) -> Iterator[Check]:
+    """Run models on every road and compare, one check at a time.
+
+    Every formulation runs through CVODES or IDAS; the FMU made from the same equations runs through
+    fmpy, as model exchange and as co-simulation; formulations are compared with the first one. A
+    run that fails is a check that failed, and the others go on.
+
+    Args:
+        models: `MODEL` (every formulation), `MODEL/FORMULATION`, or a scene: its own formulation
+            first, then every other one that has the scene's outputs and takes its values. The
+            whole catalogue when None.
+        stop_time, output_interval: s; each model's or scene's own when None.
+        relative_tolerance: Of every solver; 1e-10, or 1e-11 for a sensitive model, when None. A
+            scene's own solver and tolerances do not count.
+        bound: Largest difference that counts as agreement, in nominal values.
+
+    Raises:
+        UnknownName: A model does not exist.
+        UsageError, ParameterError: A number or a scene makes no sense.
+        MissingTool: There is no C compiler.
+    """
+    number("crosscheck", "bound", bound, positive=True)
+    if isinstance(models, str | Scene):
+        models = [models]
+    if not isinstance(models, Collection | None):
+        raise UsageError.of_type("crosscheck", models, "names of models, or scenes")
+    for item in models or ():
+        if isinstance(item, str) and ".py:" not in item:
+            formulations(item)  # refuses an unknown name before the first run
+    for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
+        first: Trajectory | None = None
+        for scene in _members(item):
+            own = scene.settings
+            settings = Settings(
+                start_time=own.start_time,
+                stop_time=own.stop_time if stop_time is None else stop_time,
+                output_interval=own.output_interval if output_interval is None else output_interval,
+                relative_tolerance=default_tolerance(scene.dae)
+                if relative_tolerance is None
+                else relative_tolerance,
+            )
+            scene = replace(scene, settings=settings)
+            try:
+                run = run_scene(scene)
+            except _FAILURES as error:
+                yield Check(scene.dae.full_name, "casadi", "", None, failure=str(error))
+                continue
+            road = run.stats["solver"]
+            yield from _roads(scene, run, bound)
+            if first is None:
+                first = run
+            else:
+                pair = (first.model, run.model)
+                without = frozenset().union(*(DIFFERENT_BY_DESIGN.get(m, ()) for m in pair))
+                if without.issuperset(run.names):
+                    continue
+                difference = compare(first, run, bound=bound, without=without)
+                yield Check(run.model, road, first.model, difference, dict(run.stats))
+
+
+def default_tolerance(dae: Dae) -> float:
+    """Return the relative tolerance with which the roads of a model meet its bound."""
+    return SENSITIVE.get(dae.name, TOLERANCE)
+
+
+def _members(item: str | Scene) -> Iterator[Scene]:
+    """Yield a scene for each formulation that is asked for."""
+    if isinstance(item, str):
+        names = (item,) if "/" in item or ".py:" in item else formulations(item)
+        yield from (Scene(name, load(name)) for name in names)
+        return
+    if not isinstance(item, Scene):
+        raise UsageError.of_type("crosscheck", item, "names of models, or scenes")
+    yield from fitting_formulations(item)
+
+
+def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
+    """Compare the FMU's runs with a run through CasADi's integrators."""
+    dae = scene_dae(scene)
+    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+        path = export_fmu(dae, Path(folder) / "model.fmu")
+        for interface in INTERFACES:
+            road, solver = f"fmpy {interface}", run.stats["solver"]
+            try:
+                again = run_fmu(scene, dae, path, interface)
+            except _FAILURES as error:
+                yield Check(dae.full_name, road, solver, None, failure=str(error))
+                continue
+            difference = compare(run, again, bound=bound)
+            yield Check(dae.full_name, road, solver, difference, dict(again.stats))

@@ -1,0 +1,171 @@
+"""An FMU that carries its own proof: a reference result, how near the FMU comes, a picture.
+
+The reference is the run of road one, not of the FMU; `check_file` repeats the comparison anywhere.
+"""
+
+import csv
+import io
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadi_models.dae import Dae
+from cosim.errors import FmuError
+from cosim.files import refuse_unwritable, write_atomically
+from cosim.fmi.archive import content_of, opened
+from cosim.fmi.export.package import export_fmu, zipped
+from cosim.fmi.platforms import NATIVE
+from cosim.fmi.run.instance import INTERFACES
+from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.simulate import simulate_fmu
+from cosim.integrate.simulate import simulate
+from cosim.trajectory import Column, Trajectory
+from cosim.verify.comparison import compare
+from cosim.verify.crosscheck import BOUND, Check, default_tolerance
+
+REFERENCE = "documentation/reference.csv"
+MEASURED = "documentation/reference.json"
+MOST_ROWS = 51
+FINER = 10  # output times of a check within each of the reference: fmpy's solver takes 500 steps
+COLOURS = 16  # of the picture
+
+
+def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) -> Path:
+    """Export an FMU with a reference result, the measured difference from it, and a picture.
+
+    Args:
+        dae: The model.
+        target: The file, replaced when everything has succeeded.
+        options: See `export_fmu`.
+
+    Raises:
+        CosimError: See `export_fmu`, `simulate`, `simulate_fmu`.
+    """
+    refuse_unwritable(target)
+    tolerance = default_tolerance(dae)
+    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+        plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
+        run = _reference(dae, tolerance)
+        local = plain  # what can be run here
+        if tuple(options.get("platforms", (NATIVE,))) != (NATIVE,):
+            here = options | {"platforms": (NATIVE,)}
+            local = export_fmu(dae, Path(folder) / "local.fmu", **here)
+        checks = [*_checks(local, run, tolerance, BOUND, simulate_fmu)]
+        for check in checks:
+            if check.failure:
+                raise FmuError(check.failure)
+        measured = {c.road: c.comparison.worst for c in checks if c.comparison}
+        with zipfile.ZipFile(plain) as fmu:
+            files = {name: fmu.read(name) for name in fmu.namelist()}
+    text = io.StringIO(newline="")
+    run.to_csv(text)
+    facts = {
+        "model": run.model,
+        "solver": run.stats["solver"],
+        "relative_tolerance": tolerance,
+        "bound": BOUND,
+        "unit": {column.name: column.unit for column in run.columns},
+        "nominal": {column.name: column.nominal for column in run.columns},
+        "largest difference in nominal values": {
+            road: {"variable": worst.name, "difference": worst.scaled, "time": worst.time}
+            for road, worst in measured.items()
+        },
+    }
+    extra = {
+        REFERENCE: text.getvalue().encode(),
+        MEASURED: (json.dumps(facts, indent=1) + "\n").encode(),
+        "model.png": _picture(run),
+    }
+    return write_atomically(target, zipped(files | extra))
+
+
+def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> Iterator[Check]:
+    """Run an FMU through fmpy on every interface and compare with the reference inside it.
+
+    Its binary runs in a process of its own; a run that fails is a check that failed.
+
+    Args:
+        path: The FMU.
+        timeout: Wall time of one run, s.
+
+    Raises:
+        FmuError: The file is no FMU, or carries no reference.
+    """
+    try:
+        with opened(path) as fmu:
+            table = content_of(fmu, REFERENCE).decode()
+            facts = json.loads(content_of(fmu, MEASURED))
+    except (KeyError, ValueError) as error:
+        raise FmuError(
+            f"{path} carries no reference result; export it with cosim export"
+        ) from error
+    tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
+    apart = partial(simulate_apart, timeout=timeout)
+    yield from _checks(path, _from_csv(table, facts), tolerance, bound, apart)
+
+
+def _reference(dae: Dae, tolerance: float) -> Trajectory:
+    span, interval = dae.experiment.stop_time, dae.experiment.output_interval
+    return simulate(
+        dae,
+        output_interval=max(interval, span / (MOST_ROWS - 1)),
+        relative_tolerance=tolerance,
+        solver="rosenbrock" if dae.algebraics else "erk",
+        outputs=dae.observed,
+        compiled=False,
+    )
+
+
+def _checks(
+    path: str | os.PathLike[str],
+    run: Trajectory,
+    tolerance: float,
+    bound: float,
+    simulate_file: Callable[..., Trajectory],
+) -> Iterator[Check]:
+    for interface in INTERFACES:
+        road = f"fmpy {interface}"
+        try:
+            fine = simulate_file(
+                path,
+                interface=interface,
+                stop_time=float(run.time[-1]),
+                output_interval=float(run.time[1] - run.time[0]) / FINER,
+                relative_tolerance=tolerance,
+            )
+        except FmuError as error:
+            yield Check(run.model, road, "reference", None, failure=str(error))
+            continue
+        again = replace(fine, time=fine.time[::FINER], values=fine.values[::FINER])
+        difference = compare(run, again, bound=bound)
+        yield Check(run.model, road, "reference", difference, dict(again.stats))
+
+
+def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:
+    head, *rows = csv.reader(io.StringIO(table))
+    numbers = np.array(rows, dtype=float)
+    columns = tuple(
+        Column(name, facts["unit"][name], nominal=facts["nominal"][name]) for name in head[1:]
+    )
+    stats = {"solver": facts["solver"]}
+    return Trajectory(facts["model"], numbers[:, 0].copy(), columns, numbers[:, 1:].copy(), stats)
+
+
+def _picture(run: Trajectory) -> bytes:
+    """Draw the first variables of the run: what an importer shows for the model."""
+    from PIL import Image
+
+    from cosim.plotting import picture
+
+    small = io.BytesIO()
+    with Image.open(io.BytesIO(picture(run.plot(run.names[:3]), "png", dpi=50))) as drawn:
+        drawn.convert("RGB").quantize(COLOURS).save(small, "png", optimize=True)
+    return small.getvalue()

@@ -1,0 +1,232 @@
+"""The command line: every verb answers; runs that fail, files, interrupts, missing tools.
+
+Exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ, 5 a tool is
+missing, 130 interrupted.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+import casadi_models
+from cosim.cli.main import main
+from cosim.errors import CosimError
+
+BLOW_UP = """
+from casadi_models.dae import Model
+
+
+def build():
+    model = Model("blow_up")
+    x = model.state("x", "m", 1.0, "goes to infinity at 1 s")
+    model.derivative(x, x**2)
+    return model.freeze()
+"""
+SHORT = ("--stop-time", "0.02", "--interpreted")
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", ["simulate", "export", "plot"])
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("{}/none/a.{}", "No such file or directory; create .*none first"),
+        ("{}/folder.{}", "it is a directory; give a file name"),
+        ("{}/a\0b.{}", "null (byte|character)"),
+        ("{}/" + 300 * "a" + ".{}", "File name too long"),
+        ("/proc/a.{1}", ""),  # refuses new files to every user
+    ],
+)
+def test_impossible_output_file_is_named_with_the_cause(verb, name, told, tmp_path, capsys):
+    ending = {"simulate": "csv", "export": "fmu", "plot": "png"}[verb]
+    (tmp_path / f"folder.{ending}").mkdir()
+    options = SHORT if verb != "export" else ()
+    target = name.format(tmp_path, ending)
+    assert main([verb, "crank_torque.toml", *options, "--output-file", target]) == 1
+    printed = capsys.readouterr().err
+    assert re.search(f"ExportError: cannot write .*: .*{told}", printed), printed
+    assert len(printed.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [f"folder.{ending}"]
+
+
+def test_failed_command_leaves_the_old_file(tmp_path, capsys):
+    target = tmp_path / "run.csv"
+    target.write_text("old")
+    assert main(["simulate", "crank_shaft", "-p", "frob=1", "--output-file", str(target)]) == 3
+    assert target.read_text() == "old"
+
+
+@pytest.mark.parametrize("verb", ["simulate", "crosscheck"])
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (None, "No such file or directory; give an FMU"),
+        (b"", "it is not a zip archive; give an FMU"),
+        (b"PK\3\4 and then garbage", "it is not a zip archive; give an FMU"),
+    ],
+)
+def test_file_that_is_no_fmu_is_told(verb, content, told, tmp_path, capsys):
+    path = tmp_path / "a.fmu"
+    if content is not None:
+        path.write_bytes(content)
+    assert main([verb, str(path)]) == 1
+    assert capsys.readouterr().err == f"FmuError: cannot read {path}: {told}\n"
+
+
+# -- failed and interrupted runs, missing tools: 1, 130, 5 ----------------------------------------
+
+
+def test_failed_run_prints_what_it_reached_and_says_so(tmp_path, capsys):
+    (tmp_path / "blow_up.py").write_text(BLOW_UP)
+    model = f"{tmp_path}/blow_up.py:build"
+    assert main(["simulate", model, "--stop-time", "2", "--interpreted"]) == 1
+    printed = capsys.readouterr()
+    time, x = np.genfromtxt(printed.out.splitlines()[1:], delimiter=",").T
+    assert 0.9 < time[-1] < 1
+    np.testing.assert_allclose(x, 1 / (1 - time), rtol=1e-3)  # closed form; measured 5e-5
+    assert "SolverError: blow_up: cvodes stopped after 0.99 s: CV_" in printed.err
+    assert len(printed.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_interrupted_command_ends_with_130(debug, monkeypatch, capsys):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cosim.cli.verbs.run_scene", interrupt)
+    assert main(["simulate", "crank_shaft", *["--debug"] * debug]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@pytest.mark.parametrize("verb", ["export", "crosscheck"])
+def test_missing_compiler_ends_with_5_and_says_how_to_get_one(verb, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("cosim.codegen.compiler.find_spec", lambda _: None)
+    assert main([verb, "crank_shaft"]) == 5
+    message = capsys.readouterr().err
+    assert "MissingTool: no C compiler found" in message
+    assert "pip install" in message
+
+
+def test_fault_of_our_own_is_one_line_unless_debugging(monkeypatch, capsys):
+    def fail(*_, **__):
+        raise ZeroDivisionError("what\nnobody thought of")
+
+    monkeypatch.setattr("cosim.cli.verbs.run_scene", fail)
+    assert main(["simulate", "crank_shaft"]) == 1
+    told = "cosim simulate failed with ZeroDivisionError: what nobody thought of; show where with"
+    assert capsys.readouterr().err == f"{told}: --debug\n"
+    with pytest.raises(ZeroDivisionError):
+        main(["simulate", "crank_shaft", "--debug"])
+
+
+def test_error_shows_where_it_arose_when_debugging():
+    with pytest.raises(CosimError, match="did you mean bicycle"):
+        main(["info", "bycicle", "--debug"])
+
+
+def test_model_that_cannot_be_exported_leaves_the_table_of_the_others(tmp_path, capsys):
+    (tmp_path / "word.py").write_text(BLOW_UP.replace("blow_up", "while").replace("x**2", "-x"))
+    line = ["crosscheck", "crank_shaft/driven", f"{tmp_path}/word.py:build", "--stop-time", "0.1"]
+    assert main([*line, "-q"]) == 1
+    printed = capsys.readouterr()
+    assert printed.out.count("crank_shaft/driven") == 2
+    assert "'while' cannot name an FMU: it is a reserved word" in printed.err
+
+
+# -- what is done: 0 ------------------------------------------------------------------------------
+
+
+def test_warning_is_a_line_of_text_and_no_refusal(capsys):
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert main(["simulate", "bar_on_frame", *SHORT, "-p", "theta=60"]) == 0
+    told = capsys.readouterr().err
+    assert told.startswith("warning: bar_on_frame/reduced: theta = 60 rad is more than two turns")
+    assert len(told.splitlines()) == 1
+
+
+def test_list_names_every_formulation_in_text_and_in_json(capsys):
+    assert main(["list"]) == 0
+    text = capsys.readouterr().out
+    assert main(["list", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["models"]
+    assert [row["model"] for row in rows] == list(casadi_models.CATALOG)
+    assert all(re.search(rf"^{name} ", text, re.MULTILINE) for name in casadi_models.CATALOG)
+
+
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_info_tells_unit_start_and_meaning_of_every_variable(name, capsys):
+    assert main(["info", name, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    tables = [facts[key] for key in ("states", "algebraic unknowns", "inputs", "parameters")]
+    assert all(row["unit"] and row["start"] and row["meaning"] for t in tables for row in t)
+
+
+def test_values_settings_and_outputs_reach_the_run(capsys):
+    line = ["simulate", "crank_shaft", "-p", "omega=60rpm", "--start-values", "alpha", "0"]
+    times = ["--start-time", "1", "--stop-time", "2", "--output-interval", "0.5"]
+    how = ["--outputs", "phi, omega", "--solver", "ode8", "--interpreted"]
+    assert main([*line, *times, *how]) == 0
+    head, *rows = capsys.readouterr().out.splitlines()
+    assert head == "time,phi,omega"
+    time, phi, omega = np.genfromtxt(rows, delimiter=",").T
+    np.testing.assert_array_equal(time, [1, 1.5, 2])
+    np.testing.assert_allclose(omega, 2 * np.pi, rtol=1e-14)  # a turn a second; measured 0
+    np.testing.assert_allclose(phi, 2 * np.pi * (time - 1), rtol=1e-14)
+
+
+def test_json_holds_the_numbers_of_the_csv(capsys):
+    assert main(["simulate", "crank_shaft", *SHORT]) == 0
+    rows = np.genfromtxt(capsys.readouterr().out.splitlines()[1:], delimiter=",")
+    assert main(["simulate", "crank_shaft", *SHORT, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["units"]["omega"] == "rad/s"
+    np.testing.assert_array_equal(np.column_stack([*facts["values"].values()]), rows)
+
+
+def test_reader_that_has_seen_enough_is_no_error():
+    script = "from cosim.cli.main import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", script, "simulate", "bicycle", "--interpreted"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline().startswith("time,")
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    process.stderr.close()
+    assert process.wait(60) == 0
+
+
+def test_letter_that_the_terminal_does_not_have_ends_nothing(tmp_path):
+    model = tmp_path / "angle.py"
+    model.write_text(BLOW_UP.replace("goes to infinity at 1 s", "Winkel \u03b8"), encoding="utf-8")
+    script = "from cosim.cli.main import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", script, "info", f"{model}:build"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert run.returncode == 0, run.stderr
+    assert r"Winkel \u03b8" in run.stdout
+
+
+def test_help_needs_neither_casadi_nor_numpy():
+    code = (
+        "import sys\n"
+        "from cosim.cli.main import main\n"
+        "try:\n    main(['simulate', '--help'])\n"
+        "except SystemExit:\n    pass\n"
+        "heavy = {'casadi', 'numpy', 'fmpy', 'matplotlib'}\n"
+        "raise SystemExit(', '.join(heavy & {*sys.modules}) or 0)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert "--stop-time" in run.stdout

@@ -1,0 +1,220 @@
+"""What the command line refuses: in one sentence, before anything is computed or written.
+
+Exit codes: 2 wrong usage, 3 unknown name; 1 a file that cannot be.
+"""
+
+import re
+
+import pytest
+
+from cosim.cli.main import main
+
+
+@pytest.fixture
+def refused(capsys, monkeypatch, tmp_path):
+    """Return a function that runs a command line which must fail without computing anything."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("cosim.integrate.simulate.call", lambda *_: pytest.fail("it ran"))
+
+    def run(line):
+        try:
+            code = main(line.split())
+        except SystemExit as end:  # of argparse
+            code = end.code
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert len(printed.err.splitlines()) == 1, printed.err  # one sentence, no traceback
+        assert not list(tmp_path.iterdir())
+        return code, printed.err
+
+    return run
+
+
+# -- what is not understood: 2 --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("", "the following arguments are required: VERB; see: cosim --help"),
+        ("simulat bicycle", "invalid choice: 'simulat' .*'simulate'.*; see: cosim --help"),
+        ("simulate", "required: MODEL|SCENE.toml|FILE.fmu; see: cosim simulate --help"),
+        ("simulate bicycle --frob", "cannot take '--frob'; see: cosim simulate --help"),
+        ("simulate bicycle crank_shaft", "cannot take 'crank_shaft'"),
+        ("simulate bicycle --stop-time soon", "--stop-time: invalid float value: 'soon'"),
+        ("simulate bicycle --stop-time 1,5", "--stop-time: invalid float value: '1,5'"),
+        ("simulate bicycle --solver", "--solver: expected one argument"),
+        ("simulate bicycle -p mA", "-p mA: write NAME=VALUE"),
+        ("tradeoff bicycle --repeats -1", "repeats = -1; give a whole number, 0 or more"),
+        ("tradeoff bicycle --repeats 1.5", "--repeats: invalid int value: '1.5'"),
+        ("simulate bicycle -p phi=1 -p phi=2", "phi is given twice"),
+        ("simulate bicycle -p phi=1 --start-values phi 2", "phi is given twice"),
+        ("simulate bicycle --start-values phi", "'phi' has no value; give NAME VALUE pairs"),
+        ("simulate bicycle --interface-type CoSimulation", "--interface-type is for FMUs"),
+        ("simulate bicycle --step-size 0.1", "cvodes chooses its own steps"),
+        ("simulate bicycle --solver rk4 --relative-tolerance 1e-3", "rk4 has no error control"),
+        ("simulate bicycle --solver ode8 --absolute-tolerance 1", "ode8 has no error control"),
+        ("simulate bicycle/multipliers --solver erk", "erk cannot integrate; use idas"),
+        ("simulate bicycle --outputs phi,phi", "output 'phi' is named twice"),
+        ("simulate swing.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
+        ("simulate swing.py:build", "swing.py is not a file"),
+        ("info bar_theta.toml", "a scene is taken by simulate, export, crosscheck, tradeoff"),
+        ("info bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
+        ("export bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
+        ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
+        ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one road only"),
+        ("simulate bicycle.fmu --solver idas", "--solver is for models"),
+        ("simulate bicycle.fmu --interpreted", "--interpreted is for models"),
+        ("simulate bicycle.fmu -p phi=3deg", "phi = 3deg: give a number in the FMU's own unit"),
+    ],
+)
+def test_wrong_usage_is_told_with_the_way_out(line, told, refused):
+    code, message = refused(line)
+    assert code == 2
+    assert re.search(told, message), message
+
+
+# -- numbers that make no sense: 2 ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--stop-time nan", "stop_time = nan is not finite"),
+        ("--stop-time inf", "stop_time = inf is not finite"),
+        ("--stop-time -1", "stop_time = -1 s lies before start_time = 0 s; give a later stop"),
+        ("--start-time 5 --stop-time 4", "stop_time = 4 s lies before start_time = 5 s"),
+        ("--start-time nan", "start_time = nan is not finite"),
+        ("--output-interval 0", "output_interval = 0.0 is not positive"),
+        ("--output-interval -1", "output_interval = -1.0 is not positive"),
+        ("--output-interval nan", "output_interval = nan is not finite"),
+        ("--output-interval 1e-300", "output times of .* GB; give a larger one"),
+        ("--relative-tolerance nan", "relative_tolerance = nan is not finite"),
+        ("--relative-tolerance -1", "relative_tolerance = -1 is not within"),
+        ("--relative-tolerance 1e-20", "relative_tolerance = 1e-20 is not within"),
+        ("--relative-tolerance 2", "relative_tolerance = 2 is not within"),
+        ("--relative-tolerance 0", "both tolerances are 0"),
+        ("--absolute-tolerance -1", "absolute_tolerance = -1 is negative"),
+        ("--absolute-tolerance 1e400", "absolute_tolerance = inf is not finite"),
+        ("--solver rk4 --step-size 0", "step_size = 0.0 is not positive"),
+        ("--solver rk4 --step-size nan", "step_size = nan is not finite"),
+        ("--solver rk4 --step-size 1e-300", "makes more than .* steps; give a larger one"),
+        ("--accuracy -1", "accuracy = -1.0 is not positive"),
+        ("--budget nan", "budget = nan is not finite"),
+        ("-p mA=nan", r"mA \[kg\] = nan is not finite"),
+        ("-p mA=inf", r"mA \[kg\] = inf is not finite"),
+        ("-p mA=-1", "mA = -1 kg is out of its range 2e-12 ... 2e.12 kg; give a value within"),
+        ("-p mA=1e308", "mA = 1e.308 kg is out of its range"),
+        ("-p mA=5e-324", "mA = 4.94066e-324 kg is out of its range"),
+        ("-p mA=", "mA: '' is not a number with a unit; write e.g. 1.5kg"),
+        ("-p mA=True", "mA: 'True' is not a number with a unit"),
+        ("-p mA=1,5", "mA = 1,5: write a decimal point"),
+        ("-p mA=1m", "mA = 1m: 'm' cannot be converted to 'kg'"),
+        ("-p mA=1stone", "mA = 1stone: unit 'stone' is unknown; fitting: kg, g, slug"),
+        ("-p IBxz=100", "inertia of rear frame has principal moments .*, which no body has"),
+        ("-p steer_torque=nan", "steer_torque .* = nan is not finite"),
+        ("--start-values phi soon", "phi: 'soon' is not a number with a unit"),
+    ],
+)
+def test_senseless_number_is_refused_with_its_name_value_and_rule(words, told, refused):
+    code, message = refused(f"simulate bicycle {words}")
+    assert code == 2
+    assert re.search(told, message), message
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "crosscheck crank_shaft --bound -1",
+        "crosscheck crank_shaft --bound nan",
+        "crosscheck crank_shaft --stop-time -1",
+        "crosscheck crank_shaft --stop-time inf",
+        "crosscheck crank_shaft --output-interval 0",
+        "crosscheck crank_shaft --relative-tolerance 7",
+        "extremes crank_shaft --timeout 0",
+        "extremes crank_shaft --timeout nan",
+        "tradeoff crank_shaft --stop-time nan",
+        "plot crank_shaft --stop-time nan --output-file a.png",
+    ],
+)
+def test_other_verbs_refuse_senseless_numbers_too(line, refused):
+    code, message = refused(line)
+    assert code == 2
+    assert message.startswith("ParameterError: ")
+
+
+# -- names that do not exist: 3 -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("simulate Bicycle", "no model 'Bicycle'; did you mean bicycle. .all: cosim list"),
+        ("info bycicle", "no model 'bycicle'; did you mean bicycle"),
+        ("export bike", "no model 'bike'; "),
+        ("simulate ..", "no model '..'; it has crank_shaft, bar_on_frame, bicycle"),
+        ("simulate %n%s", "no model '%n%s'; it has crank_shaft"),
+        ("simulate bicycle/book/x", "no formulation 'book/x'; did you mean book"),
+        ("simulate bicycle/", "no formulation ''; it has independent, book, multipliers"),
+        ("plot crank_sahft --output-file a.png", "no model 'crank_sahft'; did you mean crank"),
+        ("crosscheck bicicle", "no model 'bicicle'; did you mean bicycle"),
+        ("tradeoff bicicle", "no model 'bicicle'; did you mean bicycle"),
+        ("extremes bicicle", "no model 'bicicle'; did you mean bicycle"),
+        ("simulate bicycle.tml", "no model 'bicycle.tml'; did you mean bicycle"),
+        ("simulate bar_teta.toml", "no scene 'bar_teta.toml'; did you mean bar_theta.toml"),
+        ("simulate bicycle --outputs Phi", "no output 'Phi'; did you mean phi"),
+        ("simulate bicycle --outputs phi,", "no output ''"),
+        ("simulate bicycle --outputs=", "no output ''"),
+        ("simulate bar_on_frame --outputs frame_shift_1", "; bar_on_frame/two_body does"),
+        ("export bicycle --outputs speeed", "no output 'speeed'; did you mean speed"),
+        ("simulate bicycle -p ma=1", "no state, parameter or input 'ma'; did you mean mA"),
+        ("simulate bicycle -p =1", "no state, parameter or input ''"),
+        ("simulate bicycle -p fz_P=1", "'fz_P' is a result of the model and cannot be set"),
+        ("simulate bicycle --start-values phi_dott 1", "did you mean phi_dot"),
+        ("simulate bicycle --solver CVODES", "no solver 'CVODES'; did you mean cvodes"),
+        ("simulate bicycle --solver=", "no solver ''; it has cvodes"),
+        ("simulate bicycle --on-invalid explode", "'explode'; it has warn, stop, ignore"),
+        ("simulate bicycle --drift-control projektion", "did you mean projection"),
+        ("export bicycle --fmi 4", "no FMI version '4'; it has 2, 3"),
+        ("export bicycle --platform win32", "no platform 'win32'; did you mean win64"),
+        ("export bicycle --platform=", "no platform ''; it has native, all"),
+        ("plot bicycle --output-file a.jpg", "no picture format 'jpg'; did you mean png"),
+        ("plot bicycle --output-file a.png --compare multiplier", "did you mean multipliers"),
+        ("tradeoff bicycle --figure a.bmp", "no picture format 'bmp'"),
+        ("extremes crank_shaft --figure a.bmp", "no picture format 'bmp'"),
+        ("tradeoff bicycle --output-file a.txt", "no file format '.txt'; it has .csv, .json"),
+    ],
+)
+def test_unknown_name_is_told_with_the_nearest(line, told, refused):
+    code, message = refused(line)
+    assert code == 3
+    assert re.search(told, message), message
+
+
+def test_calculated_start_is_told_with_what_may_be_set(refused):
+    code, message = refused("simulate bicycle -p theta=1")
+    assert code == 1
+    assert "the start of theta is calculated" in message
+    assert "set some of phi, delta, w" in message
+
+
+# -- files that cannot be written: 1 --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "simulate bicycle --output-file none/a.csv",
+        "simulate bicycle --output-file=",
+        "export bicycle -o none/a.fmu",
+        "plot bicycle --output-file none/a.png",
+        "tradeoff bicycle --output-file none/a.csv",
+        "tradeoff bicycle --figure none/a.png",
+        "extremes --output-file none/a.csv",
+        "extremes --figure none/a.png",
+    ],
+)
+def test_impossible_output_file_is_told_before_anything_is_computed(line, refused):
+    code, message = refused(line)
+    assert code == 1
+    assert message.startswith("ExportError: cannot write ")

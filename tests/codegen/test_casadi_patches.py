@@ -1,0 +1,62 @@
+"""Changes to generated C code: each exactly once, or an error that says so."""
+
+import pytest
+
+from cosim.codegen.casadi_patches import (
+    differential_errors,
+    in_one_piece,
+    run_time_tolerances,
+    watched,
+)
+from cosim.errors import UsageError
+
+DRIVER = """static int casadi_f0(int a) {
+  p.abstol = 1e-8;
+  p.reltol = 1e-6;
+  p.nz_err = 3;
+          case IVP_EVAL_RHS:
+      if (d.status != IVP_SUCCESS) return 1;
+}
+"""
+
+
+def test_tolerances_become_expressions():
+    code = run_time_tolerances(DRIVER, "arg[2][7]", "arg[2][8]")
+    assert "p.reltol = arg[2][7];\n" in code
+    assert "p.abstol = arg[2][8];\n" in code
+    assert "1e-" not in code
+
+
+def test_algebraic_unknowns_leave_the_error_test():
+    assert "p.nz_err = 0;" in differential_errors(DRIVER)
+
+
+def test_report_is_taken_before_the_driver_gives_up():
+    code = watched(DRIVER)
+    assert code.index("cosim_seen[i] = seen[i]") < code.index("!= IVP_SUCCESS) return 1;")
+    assert "CASADI_SYMBOL_EXPORT void cosim_report(double *out)" in code
+
+
+def test_run_can_be_halted_at_every_right_hand_side():
+    code = watched(DRIVER)
+    assert "case IVP_EVAL_RHS:\n          if (halted) return 1;" in code
+    assert "SHARED void cosim_watch(void)" in code
+
+
+def test_entry_is_flattened():
+    assert in_one_piece(DRIVER).startswith("__attribute__((flatten)) static int casadi_f0(")
+
+
+@pytest.mark.parametrize("code", ["", DRIVER + DRIVER])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda code: run_time_tolerances(code, "a", "b"),
+        differential_errors,
+        watched,
+        in_one_piece,
+    ],
+)
+def test_driver_in_another_form_is_refused(code, change):
+    with pytest.raises(UsageError, match=r"casadi .* in another form .*run without compiling"):
+        change(code)

@@ -1,0 +1,234 @@
+"""The compiler search, the cache, and every way in which compiling fails: said, and bounded."""
+
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from cosim.codegen import compiler as compiling
+from cosim.codegen.compiler import cached_library, compile_library, find_compiler, has_compiler
+from cosim.errors import MissingTool
+
+CODE = "int answer(void) { return 42; }\n"
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("COSIM_CACHE", str(folder))
+    monkeypatch.setattr(compiling, "_HIDDEN", ())  # CODE marks nothing for export
+    return folder
+
+
+@pytest.fixture
+def script(tmp_path, monkeypatch):
+    """Make $CC a shell script of these lines."""
+
+    def install(*lines):
+        path = tmp_path / "compiler"
+        path.write_text("\n".join(("#!/bin/sh", *lines, "")))
+        path.chmod(0o755)
+        monkeypatch.setenv("CC", str(path))
+        return path
+
+    return install
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_compiled_code_is_kept_and_not_compiled_twice(cache, script):
+    library = cached_library("key", lambda: CODE)
+    assert ctypes.CDLL(str(library)).answer() == 42
+    assert names(cache) == [library.name]
+    script("exit 1")  # another compiler: another library
+    with pytest.raises(MissingTool):
+        cached_library("key", lambda: CODE)
+
+
+def test_second_library_of_the_same_key_starts_no_compiler(cache, script, tmp_path):
+    script(f"echo x >> {tmp_path}/calls", 'exec cc "$@"')
+    first = cached_library("key", lambda: CODE)
+    assert cached_library("key", lambda: pytest.fail("generated again")) == first
+    assert cached_library("other key", lambda: CODE) != first
+    assert (tmp_path / "calls").read_text() == "x\nx\n"
+
+
+def test_library_for_another_processor_is_not_loaded(cache, monkeypatch):
+    first = cached_library("key", lambda: CODE)
+    options, _ = compiling._own_processor()
+    monkeypatch.setattr(compiling, "_own_processor", lambda: (options, "flags: other"))
+    assert cached_library("key", lambda: CODE) != first
+
+
+def test_damaged_library_is_made_again(cache):
+    library = cached_library("key", lambda: CODE)
+    library.write_bytes(library.read_bytes()[:100])
+    again = cached_library("key", lambda: CODE)
+    assert again == library
+    assert ctypes.CDLL(str(again)).answer() == 42
+
+
+def test_long_code_is_compiled_with_less_optimisation(cache, script, tmp_path):
+    script(f'echo "$@" >> {tmp_path}/calls', 'exec cc "$@"')
+    cached_library("short", lambda: CODE)
+    cached_library("long", lambda: CODE + "/*" + "x" * 200_000 + "*/")
+    short, long = (tmp_path / "calls").read_text().splitlines()
+    assert short.split().index("-O3") > short.split().index("-O2")  # the last one counts
+    assert long.split().index("-O1") > long.split().index("-O2")
+
+
+def test_compiler_is_searched_in_the_order_of_the_documentation(monkeypatch, tmp_path):
+    for name in ("gcc", "clang"):
+        (tmp_path / name).write_text("#!/bin/sh\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert find_compiler() == (str(tmp_path / "gcc"),)
+    (tmp_path / "gcc").unlink()
+    assert find_compiler() == (str(tmp_path / "clang"),)
+    (tmp_path / "clang").unlink()
+    monkeypatch.setattr(compiling, "find_spec", lambda name: name == "ziglang")
+    assert find_compiler() == (sys.executable, "-m", "ziglang", "cc")
+    monkeypatch.setenv("CC", "/bin/sh -c")  # a command with an argument, as make takes it
+    assert find_compiler() == ("/bin/sh", "-c")
+
+
+# -- faults ---------------------------------------------------------------------------------------
+
+
+def test_no_compiler_is_said_with_what_was_tried_and_how_to_get_one(monkeypatch, tmp_path):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(compiling, "find_spec", lambda name: None)
+    assert not has_compiler()
+    with pytest.raises(MissingTool, match=r"tried \$CC, cc, gcc, clang, ziglang.*pip install"):
+        find_compiler()
+
+
+@pytest.mark.parametrize("chosen", ["no_such_compiler", "/no/such/gcc -m64", "gcc 'open", " "])
+def test_wrong_CC_is_an_error_and_not_ignored(monkeypatch, chosen):
+    monkeypatch.setenv("CC", chosen)
+    with pytest.raises(MissingTool, match="unset CC"):
+        has_compiler()
+
+
+def test_failing_compiler_is_quoted_with_its_command_and_its_last_lines(cache, script):
+    script("for i in $(seq 100); do echo line $i >&2; done", "exit 3")
+    with pytest.raises(MissingTool) as caught:
+        cached_library("key", lambda: CODE)
+    message = str(caught.value)
+    assert "compiler -O2" in message
+    assert "line 100" in message
+    assert "line 81" in message
+    assert "line 80" not in message
+    assert "CC=" in message
+    assert "--interpreted" in message
+    assert names(cache) == []
+
+
+def test_compiler_error_in_the_code_is_quoted(cache):
+    with pytest.raises(MissingTool, match=r"(?s)failed:.*error"):
+        cached_library("key", lambda: "this is no C")
+
+
+def test_compiler_that_writes_nothing_has_failed(cache, script):
+    script("exit 0")
+    with pytest.raises(MissingTool, match="failed"):
+        cached_library("key", lambda: CODE)
+    assert names(cache) == []
+
+
+def test_file_that_is_no_program_cannot_be_run(cache, monkeypatch, tmp_path):
+    program = tmp_path / "cc"
+    program.write_bytes(b"\x7fELF nonsense")
+    program.chmod(0o755)
+    monkeypatch.setenv("CC", str(program))
+    with pytest.raises(MissingTool, match=r"could not be run: .*Exec format error"):
+        cached_library("key", lambda: CODE)
+
+
+def test_hanging_compiler_is_stopped_with_its_children(cache, script, tmp_path, monkeypatch):
+    # A shell whose child keeps the output open, as a hanging ccache does
+    script(f"sleep 60 & echo $! > {tmp_path}/child", "wait")
+    monkeypatch.setattr(compiling, "TIMEOUT", 0.5)
+    began = time.monotonic()
+    with pytest.raises(MissingTool, match=r"was stopped after 0\.5 s"):
+        cached_library("key", lambda: CODE)
+    assert time.monotonic() - began < 10
+    child = Path("/proc", (tmp_path / "child").read_text().strip(), "stat")
+    with suppress(FileNotFoundError):  # gone, or dead and not collected
+        while ") Z " not in child.read_text():
+            assert time.monotonic() - began < 20
+            time.sleep(0.05)
+    assert names(cache) == []
+
+
+@pytest.mark.parametrize("place", ["/proc/cache", "/dev/null/cache"])
+def test_cache_that_cannot_be_written_is_said(monkeypatch, place):
+    # /proc and a device refuse a folder to every user, root included
+    monkeypatch.setenv("COSIM_CACHE", place)
+    with pytest.raises(MissingTool, match=f"cannot keep compiled code in {place}: .*COSIM_CACHE"):
+        cached_library("key", lambda: CODE)
+
+
+def test_full_disk_is_said(cache, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(compiling.Path, "write_text", full)
+    with pytest.raises(MissingTool, match="No space left on device; set COSIM_CACHE"):
+        cached_library("key", lambda: CODE)
+    assert names(cache) == []
+
+
+def test_two_processes_may_make_the_same_library(cache):
+    program = (
+        "from cosim.codegen import compiler as c; c._HIDDEN = ();"
+        f"print(c.cached_library('key', lambda: {CODE!r}).name)"
+    )
+    command = [sys.executable, "-c", program]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, env=os.environ) for _ in "12"]
+    first, second = (process.communicate()[0] for process in both)
+    assert first == second
+    assert names(cache) == [first.decode().strip()]
+
+
+# -- Windows, as far as it can be played here ------------------------------------------------------
+
+
+@pytest.mark.parametrize(("bundled", "given"), [(False, False), (True, True)])
+def test_windows_compilers_but_the_bundled_one_get_neither_fpic_nor_libm(
+    bundled, given, script, tmp_path, monkeypatch
+):
+    script(f'echo "$@" >> {tmp_path}/calls', 'touch "$WANTED"')
+    monkeypatch.setenv("WANTED", str(tmp_path / "code.dll"))
+    monkeypatch.setattr(compiling.sys, "platform", "win32")
+    command = [str(tmp_path / "compiler"), *["ziglang"] * bundled]
+    compile_library([tmp_path / "code.c"], tmp_path / "code.dll", command=command)
+    words = (tmp_path / "calls").read_text().split()
+    assert ("-fPIC" in words, "-lm" in words) == (given, given)
+
+
+@pytest.mark.parametrize("path", [r"C:\LLVM\bin\clang.exe", r"C:\Program Files\clang.exe"])
+def test_paths_with_backslashes_and_spaces_are_read_as_windows_writes_them(path, monkeypatch):
+    chosen = f'"{path}" -m64' if " " in path else f"{path} -m64"
+    monkeypatch.setenv("CC", chosen)
+    monkeypatch.setattr(compiling.shutil, "which", lambda name: name)
+    monkeypatch.setattr(compiling.sys, "platform", "win32")
+    assert find_compiler() == (path, "-m64")
+
+
+def test_library_that_another_process_has_made_and_loaded_meanwhile_is_taken(cache, monkeypatch):
+    def refuse(self, target):  # as Windows does where the target is loaded
+        target.write_bytes(self.read_bytes())
+        raise PermissionError(13, "Access is denied")
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    assert ctypes.CDLL(str(cached_library("key", lambda: CODE))).answer() == 42

@@ -1,0 +1,152 @@
+"""Start values and algebraic unknowns: solved exactly, or refused with what has no solution."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import cosim
+from casadi_models.dae import Model
+from cosim.codegen.initialization import algebraic_function
+from cosim.errors import InitialConditionError
+from cosim.integrate.initial_values import algebraic_values, start_values
+from cosim.model.values import assign
+
+LENGTH = 2.0
+
+
+def slider(rod=5.0):
+    """Declare a crank-slider: the slider's place closes the loop, its speed follows."""
+    model = Model("slider")
+    angle = model.state("angle", "rad", 1.0, "crank angle")
+    place = model.state("place", "m", 6.0, "slider, from the crank's axis")
+    speed = model.state("speed", "m/s", 0.0, "of the slider")
+    length = model.parameter("rod", "m", rod, "length of the rod", positive=True)
+    x, y = LENGTH * ca.cos(angle), LENGTH * ca.sin(angle)
+    model.start_equation(place, (place - x) ** 2 + y**2 - length**2, "closed loop")
+    # derivative of the loop for an angular velocity of 1 rad/s
+    model.start(speed, -y - x * y / (place - x), "speed of the closed loop")
+    model.derivative(ca.vertcat(angle, place, speed), ca.vertcat(1, speed, 0))
+    return model.freeze()
+
+
+def algebraic(residual, guess=0.5, start=1.0):
+    model = Model("algebraic")
+    x = model.state("x", "1", start, "x")
+    z = model.algebraic("z", "1", guess, "z")
+    u = model.input("u", "1", 0.0, "u")
+    model.derivative(x, -z)
+    model.equation(residual(x, z, u))
+    return model.freeze()
+
+
+def starts(dae, **given):
+    return start_values(dae, assign(dae, given))
+
+
+# -- start values ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, 2.0, -3.0])
+def test_closed_loop_is_the_closed_form(angle):
+    found = starts(slider(), angle=angle)
+    x, y = LENGTH * np.cos(angle), LENGTH * np.sin(angle)
+    place = x + np.sqrt(25 - y**2)
+    np.testing.assert_allclose(found[:2], [angle, place], rtol=4e-16)  # measured 1.2e-16
+    np.testing.assert_allclose(found[2], -y - x * y / (place - x), rtol=1e-15, atol=1e-15)
+
+
+def test_start_values_that_are_given_stay_as_they_are():
+    dae = cosim.load("crank_shaft")
+    np.testing.assert_array_equal(starts(dae, phi=0.1, omega=3.3), [0.1, 3.3])
+
+
+def test_loop_that_cannot_be_closed_names_the_state_the_law_and_the_nearest_place():
+    with pytest.raises(InitialConditionError) as caught:
+        starts(slider(), angle=np.pi / 2, rod=1.5)  # shorter than the crank's height, 2 m
+    message = str(caught.value)
+    assert "slider: no start value of place satisfies the closed loop" in message
+    # at place = 0 the gap is 2^2 - 1.5^2 = 1.75 m2; the scan around 6 m ends at 6 - pi
+    assert "the closest found leaves a residual of 9.92 at place = 2.858" in message
+
+
+def test_bicycle_laid_down_with_its_handlebar_across_has_no_pitch():
+    dae = cosim.load("bicycle")
+    with pytest.raises(InitialConditionError, match="no start value of theta satisfies the pitch"):
+        starts(dae, phi=1.5, delta=1.5)
+
+
+def test_rule_without_a_solution_is_named_and_not_the_one_before_it():
+    model = Model("two")
+    a = model.state("a", "1", 1.0, "a")
+    b = model.state("b", "1", 1.0, "b")
+    c = model.parameter("c", "1", 0.25, "c")
+    model.start_equation(a, a**2 - 4, "first law")
+    model.start_equation(b, b**2 + c - a, "second law")
+    model.derivative(ca.vertcat(a, b), ca.vertcat(0, 0))
+    dae = model.freeze()
+    np.testing.assert_allclose(starts(dae), [2, np.sqrt(1.75)], rtol=1e-15)
+    with pytest.raises(InitialConditionError, match=r"start value of b satisfies the second law"):
+        starts(dae, c=3.0)
+
+
+def test_formula_without_a_value_is_named():
+    model = Model("root")
+    x = model.state("x", "1", 0.0, "x")
+    p = model.parameter("p", "1", 4.0, "p")
+    model.start(x, ca.sqrt(p), "square root")
+    model.derivative(x, 0)
+    dae = model.freeze()
+    assert starts(dae).tolist() == [2.0]
+    with pytest.raises(InitialConditionError, match="square root; its formula has no value"):
+        starts(dae, p=-1.0)
+
+
+def test_calculated_start_outside_its_bounds_is_refused():
+    model = Model("bounded")
+    x = model.state("x", "m", 0.5, "x", minimum=0.0, maximum=1.0)
+    p = model.parameter("p", "m", 0.5, "p")
+    model.start(x, p, "copy")
+    model.derivative(x, 0)
+    with pytest.raises(InitialConditionError, match=r"the start of x is 3 m, outside 0 \.\.\. 1"):
+        starts(model.freeze(), p=3.0)
+
+
+# -- algebraic unknowns ---------------------------------------------------------------------------
+
+
+def test_linear_equations_are_solved_at_once_whatever_the_guess():
+    solve = algebraic_function(algebraic(lambda x, z, u: 4 * x * z - 2 + u))
+    for guess in (0.0, np.nan, 1e300):
+        assert float(solve(0, 2.0, guess, 1.0, [])) == 0.125
+
+
+def test_nonlinear_equations_are_solved_from_the_guess():
+    solve = algebraic_function(algebraic(lambda x, z, u: z**2 - x))
+    assert float(solve(0, 2.0, 0.5, 0, [])) == pytest.approx(np.sqrt(2), rel=1e-15)
+    assert float(solve(0, 2.0, -0.5, 0, [])) == pytest.approx(-np.sqrt(2), rel=1e-15)
+
+
+@pytest.mark.parametrize("x", [-1.0, -1e-3, np.nan])
+def test_nonlinear_equations_without_a_solution_give_no_number(x):
+    solve = algebraic_function(algebraic(lambda x, z, u: z**2 - x))
+    assert np.isnan(float(solve(0, x, 0.5, 0, [])))
+
+
+@pytest.mark.parametrize(
+    ("residual", "start"),
+    [
+        pytest.param(lambda x, z, u: z**2 - x, -1.0, id="no root"),
+        pytest.param(lambda x, z, u: x * z - 1, 0.0, id="singular"),
+    ],
+)
+def test_start_without_consistent_unknowns_is_refused(residual, start):
+    dae = algebraic(residual)
+    values = assign(dae, {"x": start})
+    with pytest.raises(InitialConditionError, match=r"algebraic: .* no solution at the start \(z"):
+        algebraic_values(dae, 0.0, values.x, values)
+
+
+def test_systems_without_algebraic_unknowns_have_none():
+    dae = cosim.load("crank_shaft")
+    values = assign(dae)
+    assert algebraic_values(dae, 0.0, values.x, values).shape == (0,)

@@ -1,0 +1,53 @@
+"""Which solver an FMU carries for co-simulation, and what it refuses."""
+
+import zipfile
+
+import numpy as np
+import pytest
+
+import casadi_models
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import UnknownName, UsageError
+from cosim.fmi.export.solver_choice import fastest_decay, solver_for
+
+
+def relaxation(rate: float):
+    """Return x' = rate (force - x): the error of a start dies out at this rate."""
+    model = Model("relaxation", stop_time=1.0, output_interval=0.01)
+    x = model.state("x", "1", 2.0, "what relaxes")
+    force = model.input("force", "1", 1.0, "where it goes")
+    speed = model.parameter("rate", "1/s", rate, "how fast")
+    model.derivative(x, speed * (force - x))
+    return model.freeze()
+
+
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_no_model_of_the_catalogue_is_stiff(name):
+    assert solver_for(cosim.load(name), None) == "dop853"
+
+
+def test_the_fastest_decay_is_an_eigenvalue_of_the_model():
+    assert fastest_decay(relaxation(3e4)) == pytest.approx(3e4, rel=1e-14)
+    assert fastest_decay(relaxation(-2.0)) == 0.0  # it grows
+    two = (fastest_decay(cosim.load(f"bar_on_frame/{name}")) for name in ("reduced", "two_body"))
+    assert next(two) == pytest.approx(next(two), rel=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "solver"), [(10.0, "dop853"), (1e6, "rosenbrock")])
+def test_a_stiff_model_gets_the_implicit_solver_and_runs(rate, solver, tmp_path):
+    path = cosim.export_fmu(relaxation(rate), tmp_path / "model.fmu")
+    with zipfile.ZipFile(path) as archive:
+        assert ("sources/dop853.h" in archive.namelist()) == (solver == "dop853")
+    run = cosim.simulate_fmu(path, interface="CoSimulation", relative_tolerance=1e-8)
+    exact = 1 + np.exp(-rate * run.time)
+    assert np.abs(run["x"] - exact).max() < 1e-7  # measured 2e-12 and 0
+
+
+def test_a_solver_that_does_not_fit_is_refused_with_those_that_do(tmp_path):
+    ode, dae = (cosim.load(f"crank_shaft/{name}") for name in ("driven", "multipliers"))
+    with pytest.raises(UnknownName, match=r"solver 'dop583'.*dop853"):
+        cosim.export_fmu(ode, tmp_path / "model.fmu", solver="dop583")
+    with pytest.raises(UsageError, match=r"algebraic unknowns.*dop853 or rosenbrock"):
+        cosim.export_fmu(dae, tmp_path / "model.fmu", solver="erk")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,99 @@
+"""Shared libraries read as files, against what the compiler and the loader say of them."""
+
+import ctypes
+import shutil
+import struct
+import subprocess
+import sys
+
+import pytest
+
+from cosim.codegen.compiler import compile_library
+from cosim.fmi.shared_library import fat_library, read_libraries
+
+CODE = """
+static int hidden(void) { return 1; }
+int shown(void) { return hidden(); }
+double also_shown = 2.0;
+__attribute__((visibility("hidden"))) int inside(void) { return 3; }
+"""
+native = pytest.mark.skipif(sys.platform != "linux", reason="reads what gcc makes on Linux")
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("library")
+    (folder / "code.c").write_text(CODE)
+    return compile_library([folder / "code.c"], folder / "code.so")
+
+
+@native
+def test_exports_are_what_the_loader_finds(library):
+    (read,) = read_libraries(library.read_bytes())
+    assert read.system == "linux"
+    assert read.exports & {"shown", "also_shown", "hidden", "inside"} == {"shown", "also_shown"}
+    loaded = ctypes.CDLL(str(library))
+    assert all(hasattr(loaded, name) for name in read.exports)
+
+
+@native
+@pytest.mark.skipif(shutil.which("nm") is None, reason="needs nm of the binutils")
+def test_exports_are_what_nm_prints(library):
+    (read,) = read_libraries(library.read_bytes())
+    command = ["nm", "-D", "--defined-only", str(library)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert read.exports == {line.split()[-1] for line in printed.splitlines()}
+
+
+@native
+@pytest.mark.parametrize("keep", [5, 20, 64, 1000])
+def test_cut_library_is_told(library, keep):
+    with pytest.raises(ValueError, match=r"damaged|not a"):
+        read_libraries(library.read_bytes()[:keep])
+
+
+def mach(processor: int, symbols: dict[str, int]) -> bytes:
+    """Return a minimal Mach-O library: header, one symbol table, names."""
+    names, table = b"\0", b""
+    for name, flags in symbols.items():
+        table += struct.pack("<IBBHQ", len(names), flags, 1, 0, 0)
+        names += b"_" + name.encode() + b"\0"
+    header = struct.pack("<8I", 0xFEEDFACF, processor, 0, 6, 1, 24, 0, 0)
+    command = struct.pack("<6I", 2, 24, 56, len(symbols), 56 + len(table), len(names))
+    return header + command + table + names
+
+
+INTEL, ARM = 0x01000007, 0x0100000C
+
+
+def test_fat_library_holds_every_processor_on_a_page_of_its_own():
+    slices = [mach(INTEL, {"a": 0x0F}), mach(ARM, {"a": 0x0F, "private": 0x1F, "local": 0x0E})]
+    fat = fat_library(slices)
+    assert [(one.processor, one.exports) for one in read_libraries(fat)] == [
+        ("x86_64", {"a"}),
+        ("aarch64", {"a"}),
+    ]
+    for i, content in enumerate(slices):
+        _, _, start, size, power = struct.unpack_from(">5I", fat, 8 + 20 * i)
+        assert start % 2**power == 0
+        assert fat[start : start + size] == content
+
+
+def test_only_mach_libraries_become_fat():
+    with pytest.raises(ValueError, match="only Mach-O"):
+        fat_library([b"\x7fELF"])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"text", b"\x7fELF\x01\x01", b"MZ" + bytes(100), b"\xcf\xfa\xed\xfe" + bytes(40)],
+)
+def test_what_is_no_library_is_told(content):
+    with pytest.raises(ValueError, match=r"damaged|not a|no shared"):
+        read_libraries(content)
+
+
+def test_endless_command_in_a_mach_library_is_told():
+    content = struct.pack("<8I", 0xFEEDFACF, ARM, 0, 6, 2**32 - 1, 24, 0, 0) + bytes(64)
+    with pytest.raises(ValueError, match="damaged"):
+        read_libraries(content)

@@ -1,0 +1,301 @@
+"""Compile the runtime with a toy model, and call it through ctypes as an importer does."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from ctypes import (
+    CFUNCTYPE,
+    byref,
+    c_bool,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_uint,
+    c_void_p,
+)
+from pathlib import Path
+from typing import Any
+
+import fmpy
+
+RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
+HERE = Path(__file__).parents[1] / "runtime"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+OK, WARNING, DISCARD, ERROR = range(4)
+NAN, INF = float("nan"), float("inf")
+
+
+def compiler() -> str | None:
+    """Return a C compiler of this machine."""
+    return next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
+
+
+def sources(model: Path, version: int) -> list[Path]:
+    """Return the runtime's files for one FMI version and the solver that a model is written for."""
+    dop853 = "SOLVER_DOP853 1" in (model / "model.h").read_text()
+    others = (f"fmi{5 - version}", "integration_step" if dop853 else "integration_dop853")
+    return sorted(path for path in RUNTIME.glob("*.c") if not path.name.startswith(others))
+
+
+def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Path) -> list[Path]:
+    """Compile model (leniently) and runtime (strictly); return the object files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
+    objects = []
+    for source in [model / "model.c", *sources(model, version)]:
+        target = folder / f"{source.stem}.o"
+        strict = STRICT if source.parent == RUNTIME else ["-std=c11"]
+        run([compiler(), *strict, *flags, *include, "-c", source, "-o", target])
+        objects.append(target)
+    return objects
+
+
+def library(model: Path, version: int, folder: Path) -> ctypes.CDLL:
+    """Build and load a shared library."""
+    objects = compile_objects(model, version, ["-O2", "-fPIC"], folder)
+    target = folder / "fmu.so"
+    run([compiler(), "-shared", *objects, "-o", target, "-lm"])
+    return ctypes.CDLL(str(target))
+
+
+def program(
+    name: str, model: Path, version: int, folder: Path, flags: Sequence[str] = SANITIZED
+) -> Path:
+    """Build a C program of this folder with model and runtime, under the sanitizers."""
+    objects = compile_objects(model, version, flags, folder)
+    include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
+    target = folder / name
+    source = HERE / f"{name}.c"
+    run([compiler(), *STRICT, *flags, *include, source, *objects, "-o", target, "-lm", "-pthread"])
+    return target
+
+
+def run(command: Sequence[Any], timeout: float = 300) -> str:
+    """Run a command; return what it printed, or fail with what it complained of."""
+    environment = os.environ | {"ASAN_OPTIONS": "detect_leaks=1"}
+    done = subprocess.run(
+        [str(part) for part in command],
+        capture_output=True, text=True, timeout=timeout, env=environment, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, f"{command[0]}: {done.returncode}\n{done.stderr[-4000:]}"
+    return done.stdout
+
+
+class Callbacks(ctypes.Structure):
+    """fmi2CallbackFunctions; without memory functions the instance uses its own."""
+
+    _fields_ = [
+        ("logger", c_void_p),
+        ("allocate", c_void_p),
+        ("free", c_void_p),
+        ("finished", c_void_p),
+        ("environment", c_void_p),
+    ]
+
+
+class EventInfo(ctypes.Structure):
+    """fmi2EventInfo."""
+
+    _fields_ = [
+        *((name, c_int) for name in ("needed", "terminate", "nominals", "values", "defined")),
+        ("next_time", c_double),
+    ]
+
+
+def reals(*values: float) -> ctypes.Array:
+    """Return a C array of doubles."""
+    return (c_double * len(values))(*values)
+
+
+def references(*values: int) -> ctypes.Array:
+    """Return a C array of value references."""
+    return (ctypes.c_uint * len(values))(*values)
+
+
+class Fmu:
+    """One instance; `fmu("Terminate")` calls fmiNTerminate on it and returns the status."""
+
+    prefix: str
+    reader: str
+    writer: str
+
+    def __init__(self, lib: ctypes.CDLL, names: Sequence[str]) -> None:
+        self.lib = lib
+        self.reference = {name: i for i, name in enumerate(names)}
+        self.messages: list[tuple[int, str, str]] = []
+        self.instance_names: set[bytes] = set()
+        self.component: int | None = None
+
+    def __call__(self, function: str, *arguments: Any) -> int:
+        plain = [_plain(argument) for argument in arguments]
+        called = getattr(self.lib, f"{self.prefix}{function}")
+        return int(called(c_void_p(self.component), *plain))
+
+    def free(self) -> None:
+        """Free the instance."""
+        getattr(self.lib, f"{self.prefix}FreeInstance")(c_void_p(self.component))
+        self.component = None
+
+    @property
+    def said(self) -> str:
+        """The last message."""
+        return self.messages[-1][2]
+
+    def refs(self, *names: str) -> ctypes.Array[c_uint]:
+        """Return value references by name."""
+        return references(*(self.reference[name] for name in names))
+
+    def counts(self, count: int) -> tuple[int, ...]:
+        """Return the arguments that say how many values there are."""
+        raise NotImplementedError
+
+    def get(self, *names: str) -> list[float]:
+        """Read variables; they must be readable."""
+        values = reals(*[NAN] * len(names))
+        status = self(self.reader, self.refs(*names), len(names), values, *self.counts(len(names)))
+        assert status == OK, self.said
+        return list(values)
+
+    def set(self, **values: float) -> int:
+        """Set variables; return the status."""
+        array = reals(*values.values())
+        return self(self.writer, self.refs(*values), len(values), array, *self.counts(len(values)))
+
+    def states(self, function: str = "GetContinuousStates", count: int = 4) -> list[float]:
+        """Return what a function yields per state."""
+        values = reals(*[NAN] * count)
+        assert self(function, values, count) == OK, self.said
+        return list(values)
+
+
+class Fmu2(Fmu):
+    """An FMI 2 instance."""
+
+    prefix, reader, writer = "fmi2", "GetReal", "SetReal"
+
+    def __init__(
+        self,
+        lib: ctypes.CDLL,
+        names: Sequence[str],
+        interface: int = 0,
+        *,
+        guid: str | None = "{toy-guid}",
+        name: str | None = "one",
+        resources: str | None = None,
+        logging: bool = True,
+    ) -> None:
+        super().__init__(lib, names)
+        signature = CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
+        self._logger = signature(self._log)
+        self._callbacks = Callbacks(logger=ctypes.cast(self._logger, c_void_p))
+        lib.fmi2Instantiate.restype = c_void_p
+        texts = [text if text is None else text.encode() for text in (name, guid, resources)]
+        self.component = lib.fmi2Instantiate(
+            texts[0], interface, texts[1], texts[2], byref(self._callbacks), 0, int(logging)
+        )
+
+    def _log(self, _: Any, name: bytes, status: int, category: bytes, text: bytes) -> None:
+        self.instance_names.add(name)
+        self.messages.append((status, category.decode(), text.decode()))
+
+    def counts(self, count: int) -> tuple[int, ...]:
+        """Return nothing: FMI 2 gives the count once."""
+        return ()
+
+    def set_up(self, start: float = 0.0, stop: float | None = None, tolerance: float = 0.0) -> int:
+        """Call fmi2SetupExperiment."""
+        has_tolerance, has_stop = int(tolerance != 0), int(stop is not None)
+        return self("SetupExperiment", has_tolerance, tolerance, start, has_stop, stop or 0.0)
+
+    def take(self) -> c_void_p:
+        """Return a new FMU state."""
+        snapshot = c_void_p()
+        assert self("GetFMUstate", byref(snapshot)) == OK, self.said
+        return snapshot
+
+    def serialize(self, snapshot: c_void_p) -> ctypes.Array[c_char]:
+        """Return the bytes of an FMU state."""
+        size = c_size_t()
+        assert self("SerializedFMUstateSize", snapshot, byref(size)) == OK, self.said
+        blob = (c_char * size.value)()
+        assert self("SerializeFMUstate", snapshot, blob, size.value) == OK, self.said
+        return blob
+
+    def initialize(self, experiment: dict[str, float] | None = None, **start: float) -> "Fmu2":
+        """Go through initialization mode."""
+        assert self.set_up(**experiment or {}) == OK
+        assert self.set(**start) == OK, self.said
+        assert self("EnterInitializationMode") == OK
+        assert self("ExitInitializationMode") == OK, self.said
+        return self
+
+
+class Fmu3(Fmu):
+    """An FMI 3 instance; interface 0 is model exchange, 1 co-simulation, 2 scheduled execution."""
+
+    prefix, reader, writer = "fmi3", "GetFloat64", "SetFloat64"
+
+    def __init__(
+        self,
+        lib: ctypes.CDLL,
+        names: Sequence[str],
+        interface: int = 0,
+        *,
+        token: str | None = "{toy-guid}",
+        name: str | None = "one",
+        events: bool = False,
+        logging: bool = True,
+    ) -> None:
+        super().__init__(lib, names)
+        signature = CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
+        self._logger = signature(self._log)
+        kind = ("ModelExchange", "CoSimulation", "ScheduledExecution")[interface]
+        create = getattr(lib, f"fmi3Instantiate{kind}")
+        create.restype = c_void_p
+        texts = [text if text is None else text.encode() for text in (name, token)]
+        extra = {0: [], 1: [events, True, None, c_size_t(0)], 2: []}[interface]
+        callbacks = {0: [], 1: [None], 2: [None, None, None]}[interface]
+        self.component = create(
+            *texts, None, False, logging, *extra, None, self._logger, *callbacks
+        )
+
+    def _log(self, _: Any, status: int, category: bytes, text: bytes) -> None:
+        self.messages.append((status, category.decode(), text.decode()))
+
+    def counts(self, count: int) -> tuple[int, ...]:
+        """Return the number of values, which FMI 3 wants besides that of the references."""
+        return (count,)
+
+    def enter(self, start: float = 0.0, stop: float | None = None, tolerance: float = 0.0) -> int:
+        """Call fmi3EnterInitializationMode."""
+        has_tolerance, has_stop = tolerance != 0, stop is not None
+        return self(
+            "EnterInitializationMode", has_tolerance, tolerance, start, has_stop, stop or 0.0
+        )
+
+    def initialize(self, experiment: dict[str, float] | None = None, **start: float) -> "Fmu3":
+        """Go through initialization mode."""
+        assert self.set(**start) == OK, self.said
+        assert self.enter(**experiment or {}) == OK
+        assert self("ExitInitializationMode") == OK, self.said
+        return self
+
+    def step(self, time: float, length: float) -> tuple[int, list[bool], float]:
+        """Call fmi3DoStep; return status, the three flags and the time reached."""
+        flags, reached = [c_bool(True) for _ in range(3)], c_double(NAN)
+        status = self("DoStep", time, length, True, *map(byref, flags), byref(reached))
+        return status, [flag.value for flag in flags], reached.value
+
+
+def _plain(argument: Any) -> Any:
+    if isinstance(argument, bool):
+        return c_bool(argument)
+    if isinstance(argument, float):
+        return c_double(argument)
+    return c_size_t(argument) if isinstance(argument, int) else argument

@@ -1,0 +1,217 @@
+"""A small DAE in the C contract of `fmu/runtime/equations.h`, made with CasADi's generator.
+
+    q' = v,  v' = a,  w' = -w sqrt(q + 10),  s' = blow s^2        s blows up at 1 / (blow s(0))
+    0 = mass a + damping v + stiffness q - force - 0.1 r,   0 = r - 2 a - w
+    w(0): w + w^2 = load
+
+Made without the exporter, so that the contract is written down twice.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+import casadi as ca
+from casadi import MX, SX
+
+from cosim.codegen.runge_kutta_c import dop853_text
+
+GUID = "{toy-guid}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the generated table of variables."""
+
+    name: str
+    role: str
+    kind: str = "EXACT"
+    start: float = 0.0
+    minimum: float = -inf
+    maximum: float = inf
+    nominal: float = 1.0
+
+
+TABLE = (
+    Row("time", "TIME"),
+    Row("q", "STATE", start=1.0, minimum=-1e3, maximum=1e3, nominal=0.5),
+    Row("v", "STATE", nominal=2.0),
+    Row("w", "STATE", "CALCULATED", start=0.5),
+    Row("s", "STATE", start=1.0),
+    *(Row(f"{name}_dot", "DERIVATIVE", "CALCULATED") for name in "qvws"),
+    Row("a", "ALGEBRAIC", "GUESS"),
+    Row("r", "ALGEBRAIC", "GUESS", start=1.0),
+    Row("force", "INPUT"),
+    Row("push", "INPUT"),
+    Row("mass", "PARAMETER", start=2.0, minimum=1e-3, maximum=1e3),
+    Row("stiffness", "PARAMETER", start=8.0),
+    Row("damping", "PARAMETER", start=0.5, minimum=0.0),
+    Row("load", "PARAMETER", start=2.0, minimum=-1e6, maximum=1e6),
+    Row("blow", "PARAMETER"),
+    *(Row(name, "OUTPUT", "CALCULATED") for name in ("energy", "wave", "log")),
+)
+BARE = (
+    Row("time", "TIME"),
+    Row("x", "STATE", start=1.0),
+    Row("x_dot", "DERIVATIVE", "CALCULATED"),
+)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """dx/dt, residual and outputs over (t, x, z, u, p), and the residual of calculated starts."""
+
+    t: SX
+    x: SX
+    z: SX
+    u: SX
+    p: SX
+    ode: SX
+    alg: SX
+    y: SX
+    start: SX
+    calculated: int | None
+
+
+def toy() -> Equations:
+    """Return the DAE above."""
+    t, x, z, u, p = _symbols(4, 2, 2, 5)
+    q, v, w, s = ca.vertsplit(x)
+    a, r = ca.vertsplit(z)
+    force, push = ca.vertsplit(u)
+    mass, stiffness, damping, load, blow = ca.vertsplit(p)
+    ode = ca.vertcat(v, a, -w * ca.sqrt(q + 10), blow * s**2)
+    alg = ca.vertcat(mass * a + damping * v + stiffness * q - force - 0.1 * r, r - 2 * a - w)
+    energy = mass * v**2 / 2 + stiffness * q**2 / 2
+    y = ca.vertcat(energy, q * ca.sin(3 * t) + push, ca.log(q + 5))
+    return Equations(t, x, z, u, p, ode, alg, y, w + w**2 - load, calculated=2)
+
+
+def bare() -> Equations:
+    """Return x' = -x, with nothing else: arrays of length 0 everywhere."""
+    t, x, z, u, p = _symbols(1, 0, 0, 0)
+    return Equations(t, x, z, u, p, -x, SX(0, 1), SX(0, 1), SX(0, 1), calculated=None)
+
+
+def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "step") -> None:
+    """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs."""
+    counts = {role: sum(row.role == role for row in table) for role in ROLES}
+    header = [
+        '#define MODEL_IDENTIFIER "toy"',
+        '#define MODEL_NAME "toy"',
+        f'#define MODEL_GUID "{GUID}"',
+        "#define DEFAULT_TOLERANCE 1e-8",
+        "#define HAS_ADJOINT 1",
+        f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
+        "#define LARGEST_STEP 0.5",
+        *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
+    ]
+    (folder / "model.h").write_text("\n".join(header) + "\n")
+    (folder / "dop853.h").write_text(dop853_text())
+    generator = ca.CodeGenerator("model.c", {"with_export": False})
+    for function in _contract(model):
+        generator.add(function)
+    generator.generate(f"{folder}/")
+    code = (folder / "model.c").read_text()
+    # the integrator's tolerances are constants: let its third parameter take their place
+    for name, factor in (("reltol", "1"), ("abstol", "0.1")):
+        code = re.sub(rf"p\.{name} = [^;]*;", f"p.{name} = {factor}*arg[2][2];", code)
+    rows = ",\n".join(
+        f'    {{"{r.name}", {r.role}, {r.kind}, {_number(r.start)}, {_number(r.nominal)}, '
+        f"{_number(r.minimum)}, {_number(r.maximum)}}}"
+        for r in table
+    )
+    include = '#include <math.h>\n#include "variables.h"\n'
+    (folder / "model.c").write_text(
+        f"{include}{code}\nconst VariableInfo variables[] = {{\n{rows}\n}};\n"
+    )
+
+
+ROLES = {"STATE": "NX", "ALGEBRAIC": "NZ", "INPUT": "NU", "PARAMETER": "NP", "OUTPUT": "NY"}
+
+
+def _number(value: float) -> str:
+    return repr(value) if abs(value) != inf else "-INFINITY" if value < 0 else "INFINITY"
+
+
+def _symbols(nx: int, nz: int, nu: int, np: int) -> tuple[SX, SX, SX, SX, SX]:
+    sizes = {"x": nx, "z": nz, "u": nu, "p": np}
+    x, z, u, p = (SX.sym(name, size) for name, size in sizes.items())
+    return SX.sym("t"), x, z, u, p
+
+
+def _contract(m: Equations) -> list[ca.Function]:
+    known = [m.t, m.x, m.z, m.u, m.p]
+    solved = m.z
+    if m.z.numel():
+        constant = ca.substitute(m.alg, m.z, SX.zeros(m.z.shape))
+        solved = -ca.solve(ca.jacobian(m.alg, m.z), constant)
+    ode, y = ca.substitute([m.ode, m.y], [m.z], [solved])
+
+    inputs = ca.vertcat(m.x, m.u, m.p, m.t)
+    outputs = [ode, solved, y]
+    along = [SX.sym(f"seed_{n}", k.numel()) for n, k in zip("xupt", (m.x, m.u, m.p, m.t), strict=1)]
+    weights = [SX.sym(f"weight_{n}", k.numel()) for n, k in zip("xzy", outputs, strict=True)]
+    forward = [ca.jtimes(k, inputs, ca.vertcat(*along)) for k in outputs]
+    backward = ca.jtimes(ca.vertcat(*outputs), inputs, ca.vertcat(*weights), True)
+    sizes = [0, *(int(n) for n in _cumulated(m.x, m.u, m.p, m.t))]
+    return [
+        *_start_functions(m),
+        ca.Function("model_algebraic", known, [solved]),
+        ca.Function("model_ode", known, [m.ode]),
+        ca.Function("model_outputs", known, [m.y]),
+        ca.Function("model_directional", [*known, *along], forward),
+        ca.Function("model_adjoint", [*known, *weights], ca.vertsplit(backward, sizes)),
+        ca.Function("model_jacobian", known, [_dense(ode, m), _dense(solved, m)]),
+        _step_function(m),
+    ]
+
+
+def _dense(results: SX, m: Equations) -> SX:
+    return ca.densify(ca.jacobian(results, ca.vertcat(m.x, m.u)))
+
+
+def _cumulated(*columns: SX) -> list[int]:
+    total, sums = 0, []
+    for column in columns:
+        total += column.numel()
+        sums.append(total)
+    return sums
+
+
+def _start_functions(m: Equations) -> list[ca.Function]:
+    guess, p = MX.sym("guess", m.x.numel()), MX.sym("p", m.p.numel())
+    x, defect = guess, MX(0)
+    if m.calculated is not None:
+        unknown = m.x[m.calculated]
+        solve = ca.rootfinder(
+            "solve", "fast_newton", {"x": unknown, "p": m.p, "g": m.start},
+            {"linear_solver": "qr", "abstol": 1e-13},
+        )  # fmt: skip
+        root = solve(guess[m.calculated], p)
+        x = ca.vertcat(guess[: m.calculated], root, guess[m.calculated + 1 :])
+        defect = ca.fabs(ca.Function("g", [unknown, m.p], [m.start])(root, p))
+    seed_x, seed_p = MX.sym("seed_x", x.numel()), MX.sym("seed_p", p.numel())
+    inputs = [guess, p]
+    forward = ca.jtimes(x, ca.vertcat(guess), seed_x) + ca.jtimes(x, p, seed_p)
+    return [
+        ca.Function("model_start", inputs, [x, defect]),
+        ca.Function("model_start_directional", [*inputs, seed_x, seed_p], [forward]),
+    ]
+
+
+def _step_function(m: Equations) -> ca.Function:
+    """Integrate over s in [0, 1]; q = (t, h, tolerance, u, du, p)."""
+    nu, s, q = m.u.numel(), SX.sym("s"), SX.sym("q", 3 + 2 * m.u.numel() + m.p.numel())
+    t, h, u, du, p = q[0], q[1], q[3 : 3 + nu], q[3 + nu : 3 + 2 * nu], q[3 + 2 * nu :]
+    ode, alg = ca.substitute(
+        [m.ode, m.alg], [m.t, m.u, m.p], [t + s * h, u + s * du, p]
+    )  # fmt: skip
+    problem = {"t": s, "x": m.x, "z": m.z, "p": q, "ode": h * ode, "alg": alg}
+    method = "rosenbrock" if m.z.numel() else "erk"
+    integrate = ca.integrator("integrate", method, problem, 0, 1, {"max_num_steps": 2000})
+    x, z, parameters = MX.sym("x", m.x.numel()), MX.sym("z", m.z.numel()), MX.sym("q", q.numel())
+    end = integrate(x0=x, z0=z, p=parameters)
+    return ca.Function("model_step", [x, z, parameters], [end["xf"], end["zf"]])

@@ -1,0 +1,234 @@
+"""Runs that end early: what was computed is kept, and it is said where and why."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers.oscillators import (
+    INTERPRETED,
+    WAYS,
+    bad_output,
+    blow_up,
+    emptying,
+    oscillator,
+    singular,
+)
+
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import InitialConditionError, Interrupted, SolverError
+from cosim.integrate.simulate import simulate
+from cosim.integrate.solvers import SOLVERS
+
+EVERY_WAY = pytest.mark.parametrize(("solver", "compiled"), WAYS)
+END_OF_LEVEL = 2 * (1 - 0.1 * np.log(11))  # s; see `emptying`
+
+
+def failure(dae, **options):
+    with pytest.raises(SolverError) as caught:
+        simulate(dae, **options)
+    return caught.value
+
+
+# -- the computed part ----------------------------------------------------------------------------
+
+
+@EVERY_WAY
+def test_run_into_a_pole_keeps_what_came_before(solver, compiled):
+    error = failure(blow_up(), solver=solver, output_interval=0.04, compiled=compiled)
+    run = error.partial
+    # erk and rosenbrock can land on the pole itself, and rk4 goes two steps beyond: all is finite
+    assert 0.959 < run.time[-1] < 1.1
+    good = run.time < 0.9
+    assert good.sum() == 23
+    exact = 1 / (1 - run.time[good])
+    np.testing.assert_allclose(run["x"][good], exact, rtol=1e-2)  # measured 4e-3 for rk4, else 2e-6
+    assert run["calm"].tolist() == [1.0] * len(run)
+
+
+@EVERY_WAY
+def test_run_out_of_the_domain_stops_before_it(solver, compiled):
+    error = failure(emptying(), solver=solver, output_interval=0.05, compiled=compiled)
+    assert error.partial.time[-1] == pytest.approx(1.5)
+    assert 1.5 < END_OF_LEVEL < 1.55
+
+
+CASES = [
+    *((blow_up, solver, False) for solver in INTERPRETED),
+    *((emptying, solver, True) for solver in SOLVERS),
+    *((singular, solver, False) for solver in ("idas", "rosenbrock")),
+    *((bad_output, solver, False) for solver in ("cvodes", "idas", "erk")),
+]
+
+
+@pytest.mark.parametrize(("build", "solver", "compiled"), CASES)
+def test_what_is_kept_equals_a_run_that_was_to_stop_there(build, solver, compiled):
+    options = {"solver": solver, "output_interval": 0.05, "compiled": compiled}
+    partial = failure(build(), **options).partial
+    stopped = simulate(build(), stop_time=partial.time[-1], **options)
+    assert stopped.complete
+    assert partial.time.tobytes() == stopped.time.tobytes()
+    assert partial.values.tobytes() == stopped.values.tobytes()
+
+
+def test_outputs_of_the_kept_part_are_those_asked_for():
+    error = failure(bad_output(), outputs=["root"], compiled=False)
+    assert error.partial.names == ("root",)
+    np.testing.assert_allclose(error.partial["root"] ** 2, 1 - error.partial.time, atol=1e-9)
+
+
+def test_kept_part_is_labelled_and_tells_what_it_took():
+    run = failure(emptying(), compiled=False).partial
+    assert not run.complete
+    assert run.status.startswith("stopped after 1.52 s: CV_")
+    assert run.stats["steps"] > 10
+    assert run.stats["solver"] == "cvodes"
+
+
+# -- where and why --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("solver", "compiled", "why"),
+    [
+        ("cvodes", False, r"CV_\w+ \(At t = 1\.52\d*\b.*"),
+        ("cvodes", True, r"CV_\w+ \(At t = 1\.52\d*\b.*"),
+        ("cvodes_adams", False, r"CV_\w+ \(At t = 1\.52\d*\b.*"),
+        ("idas", False, r"IDA_\w+ \(At t = 1\.52\d*\b.*"),
+        ("erk", False, "step size too small, or too many steps"),
+        ("erk", True, r"step size too small at t = 1\.52\d*, h = \S+"),
+        ("rosenbrock", True, r"step size too small at t = 1\.52\d*, h = \S+"),
+        ("rk4", False, "h is not a number after the step from 1.52 s|a state is not finite"),
+    ],
+)
+def test_message_says_model_solver_time_cause_and_tolerance(solver, compiled, why):
+    message = str(failure(emptying(), solver=solver, compiled=compiled))
+    assert message.startswith(f"emptying: {solver} stopped after 1.52 s: ")
+    assert "\n" not in message
+    assert re.search(why, message), message
+    settings = "rtol 1e-08, atol 1e-10" if SOLVERS[solver].adaptive else "step: output interval"
+    assert f"({settings}); look for a singularity near that state" in message
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "idas", "erk"])
+def test_output_that_is_no_number_is_named_with_its_time(solver):
+    message = str(failure(bad_output(), solver=solver, compiled=False))
+    # x(1) = 0 but for rounding
+    assert re.search(r"stopped after (1|0\.99) s: root is not finite at (1|1\.01) s", message)
+
+
+@EVERY_WAY
+def test_right_hand_side_without_a_value_at_the_start_is_said(solver, compiled):
+    model = Model("nowhere")
+    x = model.state("x", "1", -1.0, "x")
+    model.derivative(x, ca.sqrt(x))
+    error = failure(model.freeze(), solver=solver, compiled=compiled)
+    assert "nowhere: " in str(error)
+    assert len(error.partial) <= 1
+    assert "stopped after 0 s" in str(error) or "stopped after the start" in str(error)
+
+
+def test_output_without_a_value_at_the_start_leaves_nothing():
+    model = Model("nowhere")
+    x = model.state("x", "1", -1.0, "x")
+    model.derivative(x, 0)
+    model.output("root", "1", ca.sqrt(x), "root")
+    error = failure(model.freeze(), compiled=False)
+    assert "stopped after the start: root is not finite at 0 s" in str(error)
+    assert len(error.partial) == 0
+
+
+def test_singular_start_is_refused_before_the_run():
+    with pytest.raises(InitialConditionError, match="no solution at the start"):
+        simulate(singular(), start={"x": 0.0})
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "idas"])
+def test_failure_prints_nothing_beside_its_message(solver, capfd):
+    failure(emptying(), solver=solver, compiled=False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_vanishing_steps_of_adams_do_not_pass_for_success():
+    """Without a smallest step CVODES returned a stale state at 1.53 s, beyond the end."""
+    run = failure(emptying(), solver="cvodes_adams", compiled=False).partial
+    assert run.time[-1] == pytest.approx(1.52)
+
+
+# -- after a failure ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "idas", "erk", "rosenbrock"])
+def test_integrator_after_a_failure_equals_a_fresh_one(solver):
+    model = Model("maybe")
+    x = model.state("x", "1", 1.0, "x")
+    p = model.parameter("p", "1", 1.0, "p")
+    model.derivative(x, p * ca.sqrt(x))
+    dae, grid = model.freeze(), [0, 0.5, 1]
+    used, fresh = (cosim.integrator(dae, grid, solver=solver, compiled=False) for _ in "12")
+    good = np.array(used(x0=1, p=1)["xf"])
+    with pytest.raises(RuntimeError):
+        used(x0=1, p=-10)
+    assert np.array(used(x0=1, p=1)["xf"]).tobytes() == good.tobytes()
+    assert np.array(fresh(x0=1, p=1)["xf"]).tobytes() == good.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("solver", "compiled"),
+    [
+        ("cvodes", False),
+        ("cvodes", True),
+        ("idas", True),
+        ("erk", False),
+        ("erk", True),
+        ("dop853", True),
+    ],
+)
+def test_interrupt_reaches_a_run_within_a_second(solver, compiled):
+    dae = oscillator().dae
+    killed = []
+
+    def interrupt():
+        killed.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def run_for_long(stop_time):
+        # 2e6 rad in steps of about 0.1 rad: some 1e7 steps
+        options = {"start": {"k": 1e6}, "output_interval": stop_time / 4000}
+        return simulate(dae, solver=solver, stop_time=stop_time, compiled=compiled, **options)
+
+    run_for_long(0.01)  # so that nothing is left to compile
+    timer = threading.Timer(0.7, interrupt)
+    timer.start()
+    try:
+        with pytest.raises(Interrupted) as caught:
+            run_for_long(2e3)
+    finally:
+        timer.cancel()
+    assert time.monotonic() - killed[0] < 1  # measured 0.01 to 0.1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    partial, short = caught.value.partial, run_for_long(0.01)  # the next one is not concerned
+    assert re.fullmatch(r"stopped after .* s: interrupted", partial.status)
+    assert 1 <= len(partial) < 4001
+    assert np.isfinite(partial.values).all()
+    np.testing.assert_array_equal(partial.values[0], short.values[0])
+
+
+def test_interrupted_command_writes_what_it_has(tmp_path):
+    file = tmp_path / "run.csv"
+    call = [sys.executable, "-m", "cosim", "simulate", "double_pendulum", "--interpreted"]
+    call += ["--stop-time", "20000", "--output-interval", "0.5", "--output-file", str(file)]
+    process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True)
+    time.sleep(3)  # a run takes some ten seconds, Python and CasADi one to start
+    process.send_signal(signal.SIGINT)
+    assert "interrupted" in process.communicate(timeout=30)[1]
+    assert process.returncode == 130
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    assert 1 < len(table) < 40001

@@ -1,0 +1,257 @@
+"""Input series: what a CSV file says, and what a torque over time does to a free bar."""
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.model.inputs import InputSeries, read_inputs
+
+INERTIA = 0.2 * 14.593902937206364 * 0.3048**2 / 12  # slender bar about its middle, kg.m2
+# A pulse whose corners lie between the output times, and a ramp that does not end
+SERIES = InputSeries(
+    ("T2",), [0.0, 0.203, 0.2071, 0.411, 0.4133, 2.0], [[0.0], [0.0], [0.05], [0.04], [0.0], [0.1]]
+)
+FREE = {"theta": 0.2, "theta_dot": 0.0, "Omega": 0.0, "Omega_dot": 0.0, "b": 0.0}
+
+
+@pytest.fixture(scope="module")
+def bar():
+    return cosim.load("bar_on_frame/reduced")
+
+
+@pytest.fixture(scope="module")
+def bicycle():
+    return cosim.load("bicycle/independent")
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Return a function that writes a CSV file."""
+
+    def write(content):
+        path = tmp_path / "torque.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def free_bar(times, series=SERIES):
+    """Return angle and rate of a bar that only the torque moves: its integrals, exactly."""
+    angle, rate, before = 0.2, 0.0, 0.0
+    result = []
+    corners = series.time
+    for time in times:
+        for end in (*corners[(corners > before) & (corners < time)], time):
+            torque, last = (float(series.at(np.array([t]))[0, 0]) for t in (before, end))
+            step, slope = end - before, 0.0
+            if step > 0:
+                slope = (last - torque) / step
+            angle += rate * step + (torque * step**2 / 2 + slope * step**3 / 6) / INERTIA
+            rate += (torque * step + slope * step**2 / 2) / INERTIA
+            before = end
+        result.append((angle, rate))
+    return np.array(result).T
+
+
+def test_values_are_linear_between_samples_and_constant_outside():
+    series = InputSeries(("a", "b"), [1.0, 2.0, 4.0], [[0, 5], [2, 5], [-2, 5]])
+    inside = series.at(np.array([0.0, 1.5, 3.0, 9.0]))
+    assert inside.tolist() == [[0, 1, 0, -2], [5, 5, 5, 5]]
+
+
+def test_series_cannot_be_changed():
+    with pytest.raises(ValueError, match="read-only"):
+        SERIES.values[0, 0] = 1.0
+
+
+def test_series_of_some_inputs_only():
+    series = InputSeries(("a", "b"), [1.0, 2.0], [[0, 5], [2, 6]])
+    assert series.only({"b"}).values.tolist() == [[5], [6]]
+    assert series.only({"c"}) is None
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "cvodes_adams", "idas", "erk", "rosenbrock"])
+def test_torque_over_time_moves_a_free_bar_as_its_integrals_say(bar, solver):
+    rtol = 1e-10
+    run = cosim.simulate(
+        bar, stop_time=1, inputs=SERIES, start=FREE, solver=solver, relative_tolerance=rtol
+    )
+    angle, rate = free_bar(run.time)
+    # measured 0.3 to 3 rtol, erk (which crosses the corners by trial) 82 and 139
+    np.testing.assert_allclose(run["theta"], angle, rtol=0, atol=500 * rtol)
+    np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=500 * rtol)
+
+
+@pytest.mark.parametrize("solver", ["rk4", "ode8"])
+def test_fixed_steps_that_end_at_the_samples_are_exact(bar, solver):
+    corners = InputSeries(("T2",), [0.0, 0.2, 0.21, 0.5], [[0.0], [0.0], [0.05], [-0.05]])
+    run = cosim.simulate(bar, stop_time=1, inputs=corners, start=FREE, solver=solver)
+    angle, rate = free_bar(run.time, corners)
+    np.testing.assert_allclose(run["theta"], angle, rtol=0, atol=1e-14)  # measured 6e-17
+    np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=1e-14)  # measured 1.1e-16
+
+
+@pytest.mark.parametrize(
+    ("fmi", "interface", "bound"),
+    [
+        pytest.param(2, "ModelExchange", 2e-8, id="FMI 2 ME"),  # measured 6e-9 at rtol 1e-10
+        pytest.param(3, "ModelExchange", 2e-8, id="FMI 3 ME"),  # the same
+        pytest.param(2, "CoSimulation", 1e-13, id="FMI 2 CS"),  # measured 4e-16: slopes are given
+        # FMI 3 has no slopes: held at the middle of each step of 0.01 s, measured 1.2e-5
+        pytest.param(3, "CoSimulation", 4e-5, id="FMI 3 CS"),
+    ],
+)
+def test_fmu_under_a_torque_over_time_does_the_same(bar, tmp_path, fmi, interface, bound):
+    path = cosim.export_fmu(bar, tmp_path / "bar.fmu", fmi=fmi)
+    run = cosim.simulate_fmu(
+        path,
+        interface=interface,
+        stop_time=1,
+        output_interval=0.01,
+        inputs=SERIES,
+        start=FREE,
+        relative_tolerance=1e-10,
+    )
+    angle, rate = free_bar(run.time)
+    np.testing.assert_allclose(run["theta"], angle, rtol=0, atol=bound)
+    np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=bound)
+
+
+@pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
+def test_short_pulse_on_a_body_at_rest_is_not_stepped_over(bar, tmp_path, interface):
+    path = cosim.export_fmu(bar, tmp_path / "bar.fmu")
+    times = [0.0, 23.0, 23.001, 23.011, 23.012]  # fmpy's CVODE takes steps of up to 0.8 s
+    pulse = InputSeries(("T2",), times, [[0.0], [0.0], [0.05], [0.05], [0.0]])
+    run = cosim.simulate_fmu(
+        path,
+        interface=interface,
+        stop_time=40,
+        output_interval=4,
+        inputs=pulse,
+        start=FREE,
+        relative_tolerance=1e-8,
+    )
+    rate = free_bar(run.time, pulse)[1]
+    assert rate[-1] == pytest.approx(0.0243, abs=1e-4)
+    # measured 3.7e-8 ME at rtol 1e-8, 7e-18 CS
+    np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=2e-7)
+
+
+def test_inputs_held_within_steps_leave_an_error_of_second_order(bar, tmp_path):
+    path = cosim.export_fmu(bar, tmp_path / "bar.fmu", fmi=3)
+    smooth = InputSeries(("T2",), [0.0, 1.0], [[0.0], [0.1]])
+    errors = []
+    for interval in (0.02, 0.01):
+        run = cosim.simulate_fmu(
+            path,
+            interface="CoSimulation",
+            stop_time=1,
+            output_interval=interval,
+            inputs=smooth,
+            start=FREE,
+        )
+        errors.append(np.abs(run["theta"] - free_bar(run.time, smooth)[0]).max())
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.01)
+
+
+def test_outputs_that_feel_an_input_at_once_follow_it_on_both_roads(bar, tmp_path):
+    path = cosim.export_fmu(bar, tmp_path / "bar.fmu")
+    run = cosim.simulate(bar, stop_time=1, inputs=SERIES, start=FREE)
+    torque = SERIES.at(run.time)[0]
+    np.testing.assert_allclose(run["t2_G_F"], torque, rtol=0, atol=1e-15)
+    for interface in ("ModelExchange", "CoSimulation"):
+        again = cosim.simulate_fmu(
+            path, interface=interface, stop_time=1, output_interval=0.01, inputs=SERIES, start=FREE
+        )
+        np.testing.assert_allclose(again["t2_G_F"], torque, rtol=0, atol=1e-12)
+
+
+def test_fmu_without_such_an_input_says_so(bar, tmp_path):
+    path = cosim.export_fmu(bar, tmp_path / "bar.fmu")
+    series = InputSeries(("T3",), [0, 1], [[0], [1]])
+    with pytest.raises(UnknownName, match=r"no input 'T3'; .*T2"):
+        cosim.simulate_fmu(path, inputs=series)
+
+
+def test_csv_with_byte_order_mark_crlf_and_spaces_is_read(bicycle, write):
+    text = "\ufefftime, steer_torque ,roll_torque\r\n0,0,1\r\n 0.5 ,1e-1,.5\r\n1,-2.5,+0\r\n\r\n"
+    series = read_inputs(write(text), bicycle)
+    assert series.names == ("steer_torque", "roll_torque")
+    assert series.time.tolist() == [0, 0.5, 1]
+    assert series.values.tolist() == [[0, 1], [0.1, 0.5], [-2.5, 0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        pytest.param("time,steer_torque\n0,1\n1,\n", ParameterError,
+                     r"line 3, column 'steer_torque': the cell is empty", id="gap"),
+        pytest.param("time,steer_torque\n0,1\n1\n", ParameterError,
+                     r"line 3: 1 cells under 2 column names", id="short line"),
+        pytest.param("time,steer_torque\n0,1\n\n1,2\n", ParameterError,
+                     r"line 3: 0 cells under 2 column names", id="blank line within"),
+        pytest.param("time,steer_torque\n0,nan\n1,2\n", ParameterError,
+                     r"line 2, column 'steer_torque': nan is not finite", id="nan"),
+        pytest.param("time,steer_torque\n0,1\ninf,2\n", ParameterError,
+                     r"line 3, column 'time': inf is not finite", id="infinite time"),
+        pytest.param("time,steer_torque\n0,1\n1,2 N.m\n", ParameterError,
+                     r"'2 N.m' is not a number; write one in SI units", id="unit"),
+        pytest.param("time,steer_torque\n0,1_0\n1,2\n", ParameterError,
+                     r"'1_0' is not a number", id="digit grouping"),
+        pytest.param("time,steer_torque\n0,0,5\n1,1,5\n", ParameterError,
+                     r"line 2: 3 cells .* decimal point", id="decimal comma"),
+        pytest.param('time,steer_torque\n0,"0,5"\n1,"1,5"\n', ParameterError,
+                     r"line 2, column 'steer_torque': '0,5' .* decimal point", id="quoted comma"),
+        pytest.param("time;steer_torque\n0;0,5\n1;1,5\n", UsageError,
+                     r"line 1: .* separated by semicolons; write 'time,", id="semicolons"),
+        pytest.param("time\tsteer_torque\n0\t5\n1\t5\n", UsageError,
+                     r"line 1: .* separated by tabs", id="tabs"),
+        pytest.param("time,steer_torqe\n0,1\n1,2\n", UnknownName,
+                     r"line 1, column 2: .*'steer_torqe'; did you mean steer_torque", id="unknown"),
+        pytest.param("time,phi\n0,1\n1,2\n", UnknownName,
+                     r"column 2: .* no input 'phi'", id="state as column"),
+        pytest.param("time,steer_torque,steer_torque\n0,1,1\n1,2,2\n", UsageError,
+                     r"line 1, column 3: 'steer_torque' occurs twice", id="twice"),
+        pytest.param("steer_torque,time\n0,1\n1,2\n", UsageError,
+                     r"begins with 'steer_torque'; write 'time,INPUT", id="time not first"),
+        pytest.param("0,1\n1,2\n", UsageError, r"begins with '0'", id="no header"),
+        pytest.param("time\n0\n1\n", UsageError, r"no column beside 'time'", id="time only"),
+        pytest.param("", UsageError, r"begins with nothing", id="empty file"),
+        pytest.param("time,steer_torque\n0,1\n", UsageError,
+                     r"1 sample\(s\); give two or more", id="one sample"),
+        pytest.param("time,steer_torque\n", UsageError, r"0 sample\(s\)", id="no sample"),
+        pytest.param("time,steer_torque\n0,1\n2,1\n1,1\n", ParameterError,
+                     r"line 4, column 'time': 1 s is not after 2 s", id="time goes back"),
+        pytest.param("time,steer_torque\n0,1\n2,1\n2,3\n", ParameterError,
+                     r"line 4, column 'time': 2 s is not after 2 s", id="time twice"),
+        pytest.param(b"time,steer_torque\n0,\xff\n", UsageError, r"not a UTF-8 text", id="bytes"),
+    ],
+)  # fmt: skip
+def test_bad_csv_is_refused_with_file_line_and_column(bicycle, write, text, error, message):
+    path = write(text)
+    with pytest.raises(error, match=message) as caught:
+        read_inputs(path, bicycle)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_csv_is_named(bicycle, tmp_path):
+    with pytest.raises(UsageError, match=r"cannot read .*none\.csv: No such file"):
+        read_inputs(tmp_path / "none.csv", bicycle)
+
+
+@pytest.mark.parametrize(
+    ("names", "time", "values", "message"),
+    [
+        pytest.param(("a",), [0.0], [[1.0]], "m > 1", id="one sample"),
+        pytest.param(("a",), [0.0, 1.0], [1.0, 2.0], "shapes", id="values in one dimension"),
+        pytest.param(("a", "a"), [0, 1], [[1, 1], [1, 1]], "each of them once", id="twice"),
+        pytest.param((), [0, 1], np.empty((2, 0)), "name every input", id="no input"),
+        pytest.param(("a",), [0, 1], [[1], [np.nan]], "not finite", id="nan"),
+        pytest.param(("a",), [0, 1, 1], [[1], [1], [2]], r"time 2 \(1 s\)", id="time twice"),
+    ],
+)
+def test_series_refuses_nonsense(names, time, values, message):
+    with pytest.raises(ParameterError, match=message):
+        InputSeries(names, time, values)

@@ -1,0 +1,310 @@
+"""Figures: what is drawn, in which units, and how it reaches a file."""
+
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import cosim
+from cosim.cli.main import main
+from cosim.errors import ExportError, SolverError, UnknownName, UsageError
+from cosim.present.figures import default_specs, draw_figures
+from cosim.present.picture_files import save
+from cosim.scene.roads import run_scene, variant
+from cosim.scene.scene import FigureSpec
+from cosim.trajectory import Column, Trajectory
+
+POUND, DEGREE = 4.4482216152605, np.pi / 180
+
+
+def made_up(**values):
+    """Return a run of made-up curves in newton, shown in pound."""
+    time = np.linspace(0.0, 2.0, len(next(iter(values.values()))))
+    columns = tuple(Column(name, "N", "lbf", 1.0, f"force {name}") for name in values)
+    table = np.column_stack([np.array(v, dtype=float) for v in values.values()])
+    return Trajectory("made_up", time, columns, table, {"solver": "none"})
+
+
+def curves(axis):
+    return [line.get_ydata() for line in axis.get_lines()]
+
+
+@pytest.fixture(scope="module")
+def path_run():
+    return cosim.simulate(cosim.load("bicycle"), stop_time=0.5)
+
+
+def test_curves_stand_in_display_units_under_their_title():
+    run = made_up(a=[0.0, POUND, 2 * POUND])
+    (figure,) = draw_figures([FigureSpec("Force at A", (("a",),))], run)
+    (axis,) = figure.axes
+    np.testing.assert_allclose(curves(axis)[0], [0, 1, 2], rtol=0, atol=1e-15)
+    assert figure.get_suptitle() == "Force at A"
+    assert axis.get_ylabel() == "a [lbf]"
+    assert axis.get_xlabel() == "time [s]"
+
+
+def test_panels_stand_below_each_other_with_their_labels():
+    run = made_up(a=[0, 1, 2], b=[5, 3, 1])
+    (figure,) = draw_figures([FigureSpec("F", (("a",), ("b",)), labels=("first", "second"))], run)
+    assert [axis.get_ylabel() for axis in figure.axes] == ["first [lbf]", "second [lbf]"]
+    assert [axis.get_xlabel() for axis in figure.axes] == ["", "time [s]"]
+
+
+def test_several_curves_in_a_panel_have_a_legend():
+    run = made_up(a=[0, 1, 2], b=[5, 3, 1])
+    plain, named = draw_figures(
+        [FigureSpec("F", (("a", "b"),)), FigureSpec("F", (("a", "b"),), legends=(("left", "b"),))],
+        run,
+    )
+    assert [t.get_text() for t in plain.axes[0].get_legend().get_texts()] == [
+        "a: force a",
+        "b: force b",
+    ]
+    assert named.axes[0].get_legend().get_texts()[0].get_text() == "left"
+
+
+def test_path_is_drawn_to_scale(path_run):
+    spec = FigureSpec("Path", (("xP",),), x="yP", x_label="Y of P", equal=True)
+    (figure,) = draw_figures([spec], path_run)
+    (axis,) = figure.axes
+    assert axis.get_aspect() == 1
+    assert axis.get_xlabel() == "Y of P [m]"
+    np.testing.assert_array_equal(axis.get_lines()[0].get_xdata(), path_run["yP"])
+
+
+def test_difference_of_two_runs_stands_below_in_display_units():
+    run, other = made_up(a=[0, 1, 2]), made_up(a=[0, 1 + POUND, 2 - 2 * POUND])
+    (figure,) = draw_figures([FigureSpec("F", (("a",),))], run, other)
+    above, below = figure.axes
+    assert len(curves(above)) == 2
+    np.testing.assert_allclose(curves(below)[0], [0, 1, -2], rtol=0, atol=1e-15)
+    assert below.get_ylabel() == "difference [lbf]"
+
+
+def test_difference_of_two_paths_is_drawn_over_time_for_both_coordinates(path_run):
+    spec = FigureSpec("Path", (("xP",),), x="yP", equal=True)
+    (figure,) = draw_figures([spec], path_run, path_run)
+    below = figure.axes[1]
+    assert [np.abs(curve).max() for curve in curves(below)] == [0, 0]
+    assert [t.get_text() for t in below.get_legend().get_texts()] == ["yP", "xP"]
+    assert below.get_xlabel() == "time [s]"
+
+
+def test_runs_with_other_output_times_are_refused():
+    with pytest.raises(UsageError, match="other output times"):
+        draw_figures([FigureSpec("F", (("a",),))], made_up(a=[0, 1]), made_up(a=[0, 1, 2]))
+
+
+def test_figures_of_two_plain_runs_hold_every_common_variable_once():
+    run = made_up(a=[0, 1], b=[0, 1], c=[0, 1], d=[0, 1])
+    specs = default_specs(run, made_up(d=[0, 1], a=[0, 1], b=[1, 1], c=[0, 1], e=[1, 2]))
+    assert [spec.names for spec in specs] == [("a", "b", "c"), ("d",)]
+    with pytest.raises(UsageError, match="no variable in common"):
+        default_specs(run, made_up(z=[0, 1]))
+
+
+@pytest.mark.parametrize("value", [0.0, 5.0 * POUND])
+def test_numerical_noise_of_a_constant_does_not_fill_its_panel(value):
+    noise = 1e-12 * np.random.default_rng(7).standard_normal(50)
+    (figure,) = draw_figures([FigureSpec("F", (("a",),))], made_up(a=value + noise))
+    low, high = figure.axes[0].get_ylim()
+    assert high - low > 0.1
+    assert low < value / POUND < high
+
+
+def test_small_motion_is_no_constant():
+    run = made_up(a=1e-6 * np.sin(np.arange(50)))
+    (figure,) = draw_figures([FigureSpec("F", (("a",),))], run)
+    low, high = figure.axes[0].get_ylim()
+    assert high - low < 1e-6
+
+
+def test_run_that_failed_is_labelled():
+    run = made_up(a=[0, 1])
+    failed = Trajectory(run.model, run.time, run.columns, run.values, {}, "stopped after 2 s: why")
+    (figure,) = draw_figures([FigureSpec("F", (("a",),))], failed)
+    assert "stopped after 2 s" in figure.axes[0].get_title(loc="right")
+
+
+def test_overview_draws_every_variable_with_its_unit():
+    figure = made_up(a=[0, 1], b=[0, 1], c=[0, 1], d=[0, 1]).plot()
+    shown = [axis for axis in figure.axes if axis.get_visible()]
+    assert [axis.get_ylabel() for axis in shown] == [f"{n} [lbf]" for n in "abcd"]
+
+
+def test_book_draws_nineteen_figures_of_the_bicycle():
+    scene = cosim.read_scene("bicycle_model_1.toml")
+    run = run_scene(scene)
+    figures = draw_figures(scene.figures, run)
+    assert len(figures) == 19
+    yaw = curves(figures[0].axes[0])[0]
+    # The book: yaw tends to 13.65 deg; wheel rates to -15.41 and -13.21 rad/s
+    assert yaw[-1] == pytest.approx(13.65, abs=0.01)
+    rear, front = curves(figures[18].axes[0])
+    assert rear[-1] == pytest.approx(-15.41, abs=0.005)
+    assert front[-1] == pytest.approx(-13.21, abs=0.005)
+
+
+def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
+    scene = cosim.read_scene("crank_shaft.toml")
+    force, torque, _ = draw_figures(scene.figures, run_scene(scene))
+    assert curves(force.axes[0])[0][0] == pytest.approx(-6.4994, abs=5e-5)
+    assert curves(force.axes[1])[0][0] == pytest.approx(0.025998, abs=5e-7)
+    assert curves(torque.axes[0])[0][0] == pytest.approx(0.086659, abs=5e-7)
+    scene = cosim.read_scene("bar_on_frame.toml")
+    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, run_scene(scene))}
+    force = figures["Force Components on the Bar (expressed in F)"]
+    np.testing.assert_allclose(curves(force.axes[0])[0], -0.2, rtol=0, atol=1e-12)
+    torque = figures["Torque Components Acting on Bar (expressed in F)"]
+    assert curves(torque.axes[1])[0][-1] == pytest.approx(0.016656, abs=5e-7)
+
+
+def test_compared_formulations_differ_by_no_more_than_their_tolerance():
+    scene = cosim.read_scene("bar_theta.toml")
+    other, road = variant(scene, "two_body")
+    (figure,) = draw_figures(scene.figures, run_scene(scene), run_scene(other, road))
+    gap = np.abs(curves(figure.axes[1])[0]).max() * DEGREE
+    assert 0 < gap < 2e-6  # measured 2.2e-7 rad at rtol 1e-8
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def figures():
+    run = made_up(a=[0, 1, 2], b=[3, 4, 0])
+    return draw_figures([FigureSpec("A", (("a",),)), FigureSpec("B", (("b",),))], run)
+
+
+@pytest.mark.parametrize(
+    ("ending", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("PNG", b"\x89PNG")]
+)
+def test_several_figures_become_numbered_files(figures, tmp_path, ending, magic):
+    paths = save(figures, str(tmp_path / f"x.{ending}"))
+    assert [path.name for path in paths] == [f"x-01.{ending}", f"x-02.{ending}"]
+    assert sorted(tmp_path.iterdir()) == paths
+    assert all(path.read_bytes().startswith(magic) for path in paths)
+
+
+def test_one_figure_keeps_the_name(figures, tmp_path):
+    assert save(figures[:1], str(tmp_path / "x.svg")) == [tmp_path / "x.svg"]
+
+
+def test_several_figures_become_pages_of_one_pdf(figures, tmp_path):
+    (path,) = save(figures, str(tmp_path / "x.pdf"))
+    content = path.read_bytes()
+    assert content.startswith(b"%PDF")
+    parts = content.split(b"stream\n")[1::2]
+    objects = [zlib.decompressobj().decompress(p) for p in parts if p[:1] == b"x"]
+    assert sum(text.count(b"/Type /Page ") for text in (content, *objects)) == 2
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_same_figures_give_the_same_bytes(tmp_path, ending):
+    spec, run = FigureSpec("A", (("a",),)), made_up(a=[0, 1, 2])
+    first, second = (
+        save(draw_figures([spec], run), str(tmp_path / f"{i}.{ending}"))[0] for i in (1, 2)
+    )
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_unknown_ending_is_refused_and_nothing_written(figures, tmp_path):
+    with pytest.raises(UnknownName, match=r"no picture format 'jpg'"):
+        save(figures, str(tmp_path / "x.jpg"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_folder_is_named(figures, tmp_path):
+    with pytest.raises(ExportError, match=r"create .*none first"):
+        save(figures, str(tmp_path / "none" / "x.png"))
+
+
+# -- command line ---------------------------------------------------------------------------------
+
+
+def test_plot_of_a_scene_writes_its_figures(tmp_path, capsys):
+    target = tmp_path / "crank.svg"
+    assert main(["plot", "crank_shaft.toml", "--output-file", str(target)]) == 0
+    names = [f"crank-0{i}.svg" for i in (1, 2, 3)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert all(name in capsys.readouterr().err for name in names[:1])
+
+
+def test_plot_of_a_model_writes_the_overview(tmp_path):
+    target = tmp_path / "crank.png"
+    assert main(["plot", "crank_shaft", "--output-file", str(target), "-q"]) == 0
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_plot_with_other_outputs_draws_these_instead_of_the_scenes_figures(tmp_path):
+    target = tmp_path / "crank.png"
+    options = ["--outputs", "phi", "--output-file", str(target), "-q"]
+    assert main(["plot", "crank_shaft.toml", *options]) == 0
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("road", ["fmu", "fmu-me", "fmu-cs", "erk", "multipliers"])
+def test_plot_compares_with_any_road(tmp_path, road):
+    target = tmp_path / "crank.png"
+    options = ["--compare", road, "--output-file", str(target), "-q"]
+    assert main(["plot", "crank_torque.toml", *options]) == 0
+    assert target.exists()
+
+
+def test_plot_compares_plain_models(tmp_path):
+    target = tmp_path / "crank.pdf"
+    options = ["--compare", "multipliers", "--stop-time", "0.1", "--output-file", str(target)]
+    assert main(["plot", "crank_shaft", *options]) == 0
+
+
+def test_unknown_road_is_exit_code_3(tmp_path, capsys):
+    options = ["--compare", "multiplier", "--output-file", str(tmp_path / "x.png")]
+    assert main(["plot", "crank_torque.toml", *options]) == 3
+    assert "did you mean multipliers" in capsys.readouterr().err
+
+
+def test_unknown_ending_is_told_before_anything_is_computed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("cosim.cli.verbs.run_scene", None)
+    target = tmp_path / "x.bmp"
+    assert main(["plot", "bicycle_model_1.toml", "--output-file", str(target)]) == 3
+    assert "no picture format 'bmp'" in capsys.readouterr().err
+
+
+def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
+    run = made_up(a=[0, 1, 2])
+    partial = Trajectory(run.model, run.time, run.columns, run.values, {}, "stopped after 2 s: x")
+
+    def fail(*_arguments, **_options):
+        raise SolverError("it stopped", partial)
+
+    monkeypatch.setattr("cosim.cli.verbs.run_scene", fail)
+    target = tmp_path / "x.png"
+    assert main(["plot", "crank_shaft", "--output-file", str(target)]) == 1
+    assert target.exists()
+    assert "it stopped" in capsys.readouterr().err
+
+
+def test_window_needs_no_file(monkeypatch):
+    shown = []
+    monkeypatch.setattr("cosim.present.picture_files.show", shown.extend)
+    monkeypatch.setattr("cosim.present.picture_files.require_screen", lambda: None)
+    assert main(["plot", "crank_torque.toml"]) == 0
+    assert [type(figure) for figure in shown] == [Figure]
+
+
+def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
+    monkeypatch.setattr("cosim.cli.verbs.run_scene", None)
+    assert main(["plot", "crank_torque.toml"]) == 2
+    assert "there is no screen" in capsys.readouterr().err
+
+
+def test_drawing_needs_no_screen(tmp_path):
+    code = "from cosim.cli.main import main; raise SystemExit(main())"
+    command = [sys.executable, "-c", code, "plot", "crank_torque.toml", "--output-file", "x.png"]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / "x.png").exists()

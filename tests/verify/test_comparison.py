@@ -1,0 +1,87 @@
+"""Comparing runs: scaled, worst first, and nothing that is not a number slips through."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cosim.errors import ParameterError, UsageError
+from cosim.trajectory import Column, Trajectory
+from cosim.verify.comparison import compare
+
+
+def run(time=(0, 1, 2), model="m", solver=None, **variables):
+    columns = tuple(Column(name, "m", nominal=10.0) for name in variables)
+    table = np.array([*variables.values()], dtype=float).reshape(len(variables), -1).T
+    return Trajectory(model, np.array(time), columns, table, {"solver": solver} if solver else {})
+
+
+def test_difference_is_scaled_by_the_nominal_value_and_knows_its_time():
+    result = compare(run(x=[0, 1, 2]), run(x=[0, 1.5, 2.25]))
+    (difference,) = result.differences
+    assert (difference.name, difference.scaled, difference.time) == ("x", 0.05, 1.0)
+    assert not result.agrees
+    assert compare(run(x=[0, 1, 2]), run(x=[0, 1.5, 2.25]), bound=0.05).agrees
+
+
+def test_largest_difference_comes_first():
+    first = run(x=[0, 1, 2], y=[0, 0, 0], z=[1, 1, 1])
+    result = compare(first, run(x=[0, 1, 2.1], y=[0, 0.3, 0], z=[1, 1, 1]))
+    assert [d.name for d in result.differences] == ["y", "x", "z"]
+    assert result.worst is result.differences[0]
+
+
+def test_only_common_variables_count_and_those_left_out_do_not():
+    first, second = run(x=[0, 0, 0], y=[0, 0, 0]), run(y=[0, 0, 0], x=[9, 9, 9], w=[1, 1, 1])
+    assert {d.name for d in compare(first, second).differences} == {"x", "y"}
+    assert compare(first, second, without=["x"]).agrees
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("both", [False, True])
+def test_what_is_not_finite_agrees_with_nothing_and_comes_first(bad, both):
+    names = "abcdefg"
+    first = {name: [0, 0, 0] for name in names}
+    second = {name: [0, 1e-9, 0] for name in names}
+    second["d"] = [0, bad, 0]
+    if both:
+        first["d"] = [0, bad, 0]
+    result = compare(run(**first), run(**second))
+    assert result.worst.name == "d"
+    assert result.worst.scaled == math.inf
+    assert not result.agrees
+
+
+@pytest.mark.parametrize(
+    ("second", "reason"),
+    [
+        (run(y=[0, 0, 0]), "no variable in common"),
+        (run(time=(0, 1), x=[0, 0]), "has 3 output times, m has 2; run both with one"),
+        (run(time=(0, 1, 2.1), x=[0, 0, 0]), "other output times from the 2th on"),
+    ],
+)
+def test_runs_that_cannot_be_compared_are_refused(second, reason):
+    with pytest.raises(UsageError, match=reason):
+        compare(run(x=[0, 0, 0]), second)
+
+
+def test_runs_without_output_times_are_refused():
+    empty = run(time=(), x=[])
+    with pytest.raises(UsageError, match="m has no output times; there is nothing to compare"):
+        compare(empty, empty)
+
+
+def test_times_may_differ_by_rounding():
+    assert compare(run(x=[0, 0, 0]), run(time=(0, 1 + 1e-12, 2), x=[0, 0, 0])).agrees
+
+
+@pytest.mark.parametrize("bound", [math.nan, 0, -1, math.inf, "1", True])
+def test_bound_must_be_a_positive_number(bound):
+    with pytest.raises(ParameterError, match="compare: bound = "):
+        compare(run(x=[0, 0, 0]), run(x=[0, 0, 0]), bound=bound)
+
+
+def test_verdict_in_words_names_both_runs_the_variable_and_the_bound():
+    text = str(compare(run(x=[0, 0, 1], solver="erk"), run(x=[0, 0, 0], model="n")))
+    expected = "m [erk] and n DIFFER: x by 1.00e-01 of its nominal value at 2 s (bound 1e-06)"
+    assert text == expected

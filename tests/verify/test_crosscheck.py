@@ -1,0 +1,125 @@
+"""The crosscheck: every road of every formulation, a verdict for each, whatever fails."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import cosim
+from cosim.cli.main import main
+from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
+from cosim.verify import crosscheck as crosschecks
+from cosim.verify.crosscheck import Check, crosscheck
+
+SHORT = {"stop_time": 0.1, "output_interval": 0.05}
+
+
+def verdicts(checks: list[Check]) -> list[tuple[str, str, str, str]]:
+    return [(c.model.partition("/")[2], c.road, c.against, c.verdict) for c in checks]
+
+
+def test_every_formulation_takes_every_road():
+    assert verdicts(list(crosscheck(["crank_shaft"], **SHORT))) == [
+        ("driven", "fmpy ModelExchange", "cvodes", "ok"),
+        ("driven", "fmpy CoSimulation", "cvodes", "ok"),
+        ("multipliers", "fmpy ModelExchange", "idas", "ok"),
+        ("multipliers", "fmpy CoSimulation", "idas", "ok"),
+        ("multipliers", "idas", "crank_shaft/driven", "ok"),
+    ]
+
+
+def test_check_tells_what_is_worst_and_what_the_run_took():
+    row = next(crosscheck("crank_shaft/driven", **SHORT)).row()
+    assert row["model"] == "crank_shaft/driven"
+    assert row["worst"] in cosim.load("crank_shaft/driven").observed
+    assert 0 <= row["difference"] < row["bound"] == 1e-6
+    assert 0 <= row["at"] <= 0.1
+    assert row["rhs_calls"] > 10
+    assert row["wall_time"] > 0
+
+
+def test_difference_beyond_the_bound_is_a_verdict_of_its_own():
+    checks = list(crosscheck(["crank_shaft/driven"], bound=1e-16, **SHORT))
+    assert "DIFFERS" in {check.verdict for check in checks}
+
+
+@pytest.fixture
+def failing_fmus(monkeypatch):
+    """Let every FMU fail in co-simulation."""
+    original = crosschecks.run_fmu
+
+    def run_fmu(scene, dae, path: Path, interface):
+        if interface == "CoSimulation":
+            raise FmuError("the step came no further")
+        return original(scene, dae, path, interface)
+
+    monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
+
+
+@pytest.mark.usefixtures("failing_fmus")
+def test_run_that_fails_does_not_end_the_others():
+    checks = list(crosscheck(["crank_shaft"], **SHORT))
+    assert [check.verdict for check in checks] == ["ok", "FAILED", "ok", "FAILED", "ok"]
+    assert checks[1].failure == "the step came no further"
+    assert checks[1].row()["worst"] is None
+
+
+def test_model_that_fails_on_our_road_is_a_failed_check(monkeypatch):
+    original = crosschecks.run_scene
+
+    def run_scene(scene):
+        if scene.dae.formulation == "driven":
+            raise SolverError("CV_TOO_MUCH_WORK")
+        return original(scene)
+
+    monkeypatch.setattr(crosschecks, "run_scene", run_scene)
+    checks = list(crosscheck(["crank_shaft"], **SHORT))
+    assert [(c.road, c.verdict) for c in checks] == [
+        ("casadi", "FAILED"),
+        ("fmpy ModelExchange", "ok"),
+        ("fmpy CoSimulation", "ok"),
+    ]
+
+
+@pytest.mark.parametrize("bound", [0.0, -1.0, float("nan"), float("inf"), True])
+def test_bound_must_be_a_positive_number(bound):
+    with pytest.raises(ParameterError, match="bound"):
+        next(crosscheck(["crank_shaft"], bound=bound))
+
+
+def test_unknown_model_is_told():
+    with pytest.raises(UnknownName, match="did you mean crank_shaft"):
+        next(crosscheck(["crank_shift"]))
+
+
+def test_unknown_model_is_told_before_the_first_one_runs(monkeypatch):
+    monkeypatch.setattr("cosim.verify.crosscheck.run_scene", lambda *_: pytest.fail("it ran"))
+    with pytest.raises(UnknownName, match="did you mean bicycle"):
+        next(crosscheck(["crank_shaft", "bicycle/multipliers", "bicylce"]))
+
+
+def command(*options: str) -> int:
+    return main(["crosscheck", "crank_shaft/driven", "--stop-time", "0.1", *options])
+
+
+def test_command_prints_a_table_and_returns_0(capsys):
+    assert command() == 0
+    printed = capsys.readouterr()
+    assert "verdict" in printed.out.splitlines()[0]
+    assert printed.out.count(" ok ") == 2
+    assert "crank_shaft/driven: fmpy ModelExchange against cvodes: " in printed.err
+
+
+def test_command_returns_4_beyond_the_bound(capsys):
+    assert command("--bound", "1e-16", "--json", "-q") == 4
+    printed = capsys.readouterr()
+    assert "DIFFERS" in {row["verdict"] for row in json.loads(printed.out)}
+    assert printed.err == ""
+
+
+@pytest.mark.usefixtures("failing_fmus")
+def test_command_returns_1_where_a_run_failed(capsys):
+    assert command() == 1
+    printed = capsys.readouterr()
+    assert "FAILED" in printed.out
+    assert "the step came no further FAILED" in printed.err

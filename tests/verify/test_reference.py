@@ -1,0 +1,141 @@
+"""The reference: closed forms stay within its own error estimate; the cache gives it back."""
+
+import numpy as np
+import pytest
+
+from casadi_models.dae import Dae, Model
+from cosim.errors import SolverError
+from cosim.model import catalogue
+from cosim.scene.scene import Scene, Settings
+from cosim.verify import reference as references
+from cosim.verify.reference import reference, reference_key
+
+
+def oscillator(damping: float = 0.2) -> Dae:
+    """Return x'' + damping x' + x = 0."""
+    model = Model("oscillator", stop_time=10.0, output_interval=0.1)
+    x = model.state("x", "m", 1.0, "displacement")
+    v = model.state("v", "m/s", 0.0, "velocity")
+    b = model.parameter("b", "1", damping, "damping")
+    model.derivative(x, v)
+    model.derivative(v, -x - b * v)
+    return model.freeze()
+
+
+def blow_up() -> Dae:
+    """Return x' = x^2, which reaches infinity at 1 s."""
+    model = Model("blow_up", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "what grows")
+    model.derivative(x, x**2)
+    return model.freeze()
+
+
+@pytest.fixture
+def own_cache(monkeypatch, tmp_path):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.2, 1.9])
+def test_closed_form_of_an_oscillator_lies_within_the_estimated_error(damping):
+    found = reference(oscillator(damping))
+    t, decay = found.run.time, damping / 2
+    rate = np.sqrt(1 - decay**2)
+    exact = np.exp(-decay * t) * (np.cos(rate * t) + decay / rate * np.sin(rate * t))
+    error = np.abs(found.run["x"] - exact).max()
+    assert error < 3 * found.errors["x"]  # measured 0.5 to 1.1
+    assert found.error() < 1e-12  # measured 4e-15 to 2e-13
+
+
+def test_closed_form_of_the_crank_lies_within_the_estimated_error():
+    found = reference(catalogue.load("crank_shaft/driven"))
+    t = found.run.time
+    error = np.abs(found.run["phi"] - (50 * t + 5 * t**2)).max() / 100.0
+    assert error < 3 * found.errors["phi"]  # measured 1.0
+
+
+def test_two_different_methods_make_a_reference():
+    found = reference(oscillator())
+    assert found.method.split()[0] != found.check.split()[0]
+
+
+def test_error_of_one_method_shows_in_the_estimate(own_cache, monkeypatch):
+    """With two methods only, one of them off by 1e-6 of the nominal value."""
+    original = references.Way.run
+
+    def spoiled(way, scene, dae):
+        run = original(way, scene, dae)
+        if way.solver == "erk":
+            values = run.values.copy()
+            values[50, 0] += 1e-6
+            return references.replace(run, values=values)
+        return run
+
+    monkeypatch.setattr(references, "WAYS", references.WAYS[:2])
+    monkeypatch.setattr(references.Way, "run", spoiled)
+    assert reference(oscillator()).error() == pytest.approx(1e-6, rel=1e-3)
+
+
+def test_methods_that_agree_outvote_one_that_does_not(own_cache, monkeypatch):
+    original = references.Way.run
+
+    def spoiled(way, scene, dae):
+        run = original(way, scene, dae)
+        wrong = way.solver == "erk"
+        return references.replace(run, values=run.values * (1 + 1e-3 * wrong))
+
+    monkeypatch.setattr(references.Way, "run", spoiled)
+    found = reference(oscillator())
+    assert "erk" not in found.method + found.check
+    assert found.error() < 1e-11
+
+
+def test_second_call_gives_the_same_numbers_without_a_run(own_cache, monkeypatch):
+    first = reference(oscillator())
+
+    def forbidden(*_):
+        raise AssertionError("it was computed again")
+
+    monkeypatch.setattr(references.Way, "run", forbidden)
+    second = reference(oscillator())
+    assert second.run.columns == first.run.columns
+    assert second.run.values.tobytes() == first.run.values.tobytes()
+    assert (second.method, second.check, second.errors) == (first.method, first.check, first.errors)
+
+
+@pytest.mark.parametrize("damage", [b"", b"no archive", None])
+def test_damaged_file_in_the_cache_is_computed_anew(own_cache, damage):
+    first = reference(oscillator())
+    (file,) = (own_cache / "references").iterdir()
+    file.write_bytes(file.read_bytes()[:-200] if damage is None else damage)
+    second = reference(oscillator())
+    assert second.run.values.tobytes() == first.run.values.tobytes()
+
+
+def test_key_tells_apart_what_changes_the_trajectory():
+    scene = Scene("s", oscillator())
+    longer = Scene("s", scene.dae, settings=Settings(stop_time=11.0))
+    finer = Scene("s", scene.dae, settings=Settings(output_interval=0.05))
+    moved = Scene("s", scene.dae, values={"x": 1.5})
+    damped = Scene("s", scene.dae, values={"b": 0.3})
+    stiffer = Scene("s", oscillator(0.3))
+    later = Scene("s", scene.dae, settings=Settings(start_time=1.0))
+    scenes = (scene, longer, finer, moved, damped, later)
+    assert len({reference_key(s) for s in scenes}) == len(scenes)
+    assert reference_key(stiffer) == reference_key(damped)
+    assert reference_key(Scene("another name", oscillator())) == reference_key(scene)
+
+
+def test_formulations_of_one_model_have_one_reference():
+    """DAE against ODE: other equations, other solvers."""
+    ode, dae = (reference(catalogue.load(f"crank_shaft/{f}")) for f in ("driven", "multipliers"))
+    for name in ("phi", "omega", "fx_A", "fy_A", "fx_B", "fy_B", "T", "energy"):
+        apart = np.abs(ode.run[name] - dae.run[name]).max() / ode.run.column(name).nominal
+        assert apart < 3 * (ode.errors[name] + dae.errors[name])  # measured 0 to 1.3
+
+
+def test_solution_that_does_not_exist_has_no_reference():
+    with pytest.raises(
+        SolverError, match=r"blow_up: no two methods agree on a reference; .*stopped"
+    ):
+        reference(blow_up())
