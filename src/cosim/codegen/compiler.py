@@ -156,14 +156,18 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
 @cache
 def _own_processor() -> tuple[tuple[str, ...], str]:
     """Return compiler options for this processor alone, and by what it is told from others."""
+    abilities = processor_abilities()
+    return (("-march=native", *_APART), abilities) if abilities else (_APART, "")
+
+
+def processor_abilities() -> str:
+    """Return what an x86-64 processor says of itself to Linux; empty elsewhere."""
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
         known = []
     abilities = next((line for line in known if line.startswith("flags")), "")
-    if platform.machine() != "x86_64" or not abilities:
-        return _APART, ""
-    return ("-march=native", *_APART), abilities
+    return abilities if platform.machine() == "x86_64" else ""
 
 
 def _words(command: str) -> list[str]:

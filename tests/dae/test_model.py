@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from casadi import MX, SX
 
-from casadi_models.dae import Model, Start, Variable
+from casadi_models.dae import Experiment, Family, Model, Start, Variable
 
 NOT_NUMBERS = [True, np.True_, "1", 1j, None, [1.0], {}, Decimal(1), SX(1), SX.sym("q"), ca.DM(1)]
 NOT_NUMBERS += [np.array([1.0, 2.0]), 10**400]
@@ -284,3 +284,24 @@ def test_variable_with_a_contradictory_start_is_refused():
         Variable("x", "m", "stretch")
     with pytest.raises(ValueError, match="x: start_kind 'exact' is not a Start"):
         Variable("x", "m", "stretch", 1.0, "exact")
+
+
+def test_family_gives_every_formulation_what_they_share():
+    family = Family("swing", "child's swing", "a test", {"rad": "deg"}, 3.0, 0.1, 1e-11)
+    for name in ("angle", "place"):
+        model = family.formulation(name, f"by its {name}")
+        theta = model.state("theta", "rad", 0.0, "angle", own_meaning=f"of the {name}")
+        model.derivative(theta, 1)
+        dae = model.freeze()
+        assert dae.full_name == f"swing/{name}"
+        assert dae.description == f"child's swing: by its {name}"
+        assert dae.source == "a test"
+        assert dae.experiment == Experiment(3.0, 0.1, 1e-11)
+        assert dae.states[0].display_unit == "deg"
+        assert dae.own_meanings == {"theta": f"of the {name}"}
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-9, math.nan, math.inf, "1e-9"])
+def test_reference_tolerance_is_a_positive_number(tolerance):
+    with pytest.raises(ValueError, match="reference_tolerance"):
+        Experiment(1.0, reference_tolerance=tolerance)

@@ -3,23 +3,27 @@
 import casadi as ca
 from casadi import SX, cos, sin, sqrt
 
-from casadi_models import conditions
 from casadi_models.bicycle import declaration
 from casadi_models.bicycle.declaration import PARAMETERS, Bicycle, assemble
 from casadi_models.bicycle.stages import BODIES, Geometry, Signals, bodies, flow, in_wheel_plane
 from casadi_models.dae import Dae
-from casadi_models.rotations import about, unit
+from casadi_models.mechanics import conditions
+from casadi_models.mechanics.rotations import about, unit
 
 _STATES = (
-    "phi thetaR delta psi theta thetaF "
-    "phi_dot thetaR_dot delta_dot psi_dot theta_dot thetaF_dot xP yP zP"
+    "phi thetaR delta psi theta thetaF phi_dot thetaR_dot delta_dot psi_dot theta_dot thetaF_dot"
 )
+_OTHER_POINT = "the book leaves the pitch rate out of the contact point's velocity"
 
 
-def book() -> Dae:
+def build() -> Dae:
     """Return the ODE of the book's state vector; dependent rates are states of their own."""
-    model = declaration.new_model("book", "the book's 15 states and algorithm")
-    y = declaration.states(model, _STATES)
+    model = declaration.FAMILY.formulation("book", "the book's 15 states and algorithm")
+    y = ca.vertcat(
+        declaration.states(model, _STATES),
+        declaration.states(model, "xP yP", own_meaning=_OTHER_POINT),
+        declaration.states(model, "zP"),
+    )
     bike, torques = declaration.bicycle(model), declaration.torques(model)
     on_speeds = ca.vertcat(torques.roll, torques.rear_wheel, torques.steer)
     s = flow({"y": y, "torques": on_speeds} | _constants(bike))

@@ -17,7 +17,7 @@ from sympy.physics.mechanics import (
     inertia,
 )
 
-from casadi_models import kane, rotations
+from casadi_models.mechanics import kane, rotations
 
 G = 9.81
 

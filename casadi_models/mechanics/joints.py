@@ -16,8 +16,8 @@ from typing import Literal
 import casadi as ca
 from casadi import SX, cos, sin
 
-from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Model
+from casadi_models.mechanics import conditions, kane, rotations
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,20 @@ from functools import partial
 import casadi as ca
 from casadi import SX
 
-from casadi_models import conditions, kane, rotations
 from casadi_models.dae import Dae
 from casadi_models.double_pendulum import links
 from casadi_models.double_pendulum.links import Link
+from casadi_models.mechanics import conditions, kane, rotations
 
 CLOSING_RATE = 1.0  # 1/s; at 0 gaps grow, at 5 and more they cost energy: docs/drift.md
 GAP_LIMIT = 1e-3  # m
 
 
-def multipliers() -> Dae:
+def build() -> Dae:
     """Return the DAE with joint forces as multipliers: 26 states, 16 algebraic unknowns."""
-    model = links.pendulum("multipliers", "two free bodies, joint forces are the multipliers")
+    model = links.FAMILY.formulation(
+        "multipliers", "two free bodies, joint forces are the multipliers"
+    )
     rod, starts = links.parameters(model)
     w1, w2 = (links.rate_states(model, i, start) for i, start in enumerate(starts, start=1))
     q1 = links.quaternion_states(model, 1, starts[0], w1)
@@ -49,10 +51,10 @@ def multipliers() -> Dae:
         prescribed=ca.vertcat(w1[2], w2[2]),
         prescribed_dot=SX.zeros(2),
         inertias=(
-            kane.Inertia(v1, rod.m * v1),
-            kane.Inertia(v2, rod.m * v2),
-            kane.Inertia(w1, rod.inertia @ w1, w1),
-            kane.Inertia(w2, rod.inertia @ w2, w2),
+            kane.InertialTerm(v1, rod.m * v1),
+            kane.InertialTerm(v2, rod.m * v2),
+            kane.InertialTerm(w1, rod.inertia @ w1, w1),
+            kane.InertialTerm(w2, rod.inertia @ w2, w2),
         ),
         loads=(kane.Load(v1 + v2, rod.weight),),
         constraints=gap_rates,

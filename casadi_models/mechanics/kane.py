@@ -30,7 +30,7 @@ def _none() -> SX:
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
-class Inertia:
+class InertialTerm:
     """A momentum and the rate it goes with, both resolved in one frame.
 
     Attributes:
@@ -71,7 +71,7 @@ class System:
     q: SX
     q_dot: SX
     free: SX
-    inertias: tuple[Inertia, ...]
+    inertias: tuple[InertialTerm, ...]
     loads: tuple[Load, ...] = ()
     dependent: SX = field(default_factory=_none)
     prescribed: SX = field(default_factory=_none)
@@ -93,11 +93,11 @@ class System:
         """The speeds whose accelerations are unknown: free, then dependent."""
         return ca.vertcat(self.free, self.dependent)
 
-    def at_rest(self, expression: SX) -> SX:
+    def with_held_at_zero(self, expression: SX) -> SX:
         """Put the held speeds to zero, after every partial derivative has been taken."""
         return ca.substitute(expression, self.held, SX.zeros(self.held.numel()))
 
-    def rate_of(self, expression: SX, unknown_dot: SX | None = None) -> SX:
+    def time_derivative(self, expression: SX, unknown_dot: SX | None = None) -> SX:
         """Return d/dt of an expression; unknown accelerations count as zero unless given."""
         along, rate = [self.q, self.prescribed], [self.q_dot, self.prescribed_dot]
         if unknown_dot is not None:
@@ -128,7 +128,7 @@ class Accelerations:
 
 def body(
     mass: SX, inertia: SX, velocity: SX, omega: SX, frame_rate: SX | None = None
-) -> tuple[Inertia, ...]:
+) -> tuple[InertialTerm, ...]:
     """Return the inertial terms of a rigid body.
 
     Args:
@@ -141,14 +141,14 @@ def body(
     """
     turning = omega if frame_rate is None else frame_rate
     return (
-        Inertia(velocity, mass * velocity, turning),
-        Inertia(omega, inertia @ omega, turning),
+        InertialTerm(velocity, mass * velocity, turning),
+        InertialTerm(omega, inertia @ omega, turning),
     )
 
 
 def gyrostat(
     mass: SX, inertia: SX, velocity: SX, omega: SX, rotor_inertia: SX, axis: SX, spin: SX
-) -> tuple[Inertia, ...]:
+) -> tuple[InertialTerm, ...]:
     """Return the inertial terms of a rigid body that carries an axisymmetric rotor.
 
     Args:
@@ -159,9 +159,9 @@ def gyrostat(
     """
     momentum = inertia @ omega + rotor_inertia * spin * axis
     return (
-        Inertia(velocity, mass * velocity, omega),
-        Inertia(omega, momentum, omega),
-        Inertia(spin, rotor_inertia * (spin + ca.dot(axis, omega))),
+        InertialTerm(velocity, mass * velocity, omega),
+        InertialTerm(omega, momentum, omega),
+        InertialTerm(spin, rotor_inertia * (spin + ca.dot(axis, omega))),
     )
 
 
@@ -169,7 +169,7 @@ def speed_relation(system: System) -> SX:
     """Return J of u_D = J u_I from the constraints, (n_D, n_I)."""
     independent = ca.jacobian(system.constraints, system.free)
     dependent = ca.jacobian(system.constraints, system.dependent)
-    return system.at_rest(-ca.solve(dependent, independent))
+    return system.with_held_at_zero(-ca.solve(dependent, independent))
 
 
 def accelerations(system: System) -> Accelerations:
@@ -187,7 +187,7 @@ def accelerations(system: System) -> Accelerations:
     if dependent.numel():
         relation = speed_relation(system)
         matrix = ca.jacobian(system.constraints, dependent)
-        offset = -ca.solve(matrix, system.rate_of(system.constraints))
+        offset = -ca.solve(matrix, system.time_derivative(system.constraints))
     # One forward sweep per free speed, and one along the motion, through shared subexpressions
     directions = ca.vertcat(SX.eye(free.numel()), relation)
     known_dot = ca.vertcat(SX.zeros(free.numel()), offset)
@@ -203,11 +203,13 @@ def accelerations(system: System) -> Accelerations:
         force -= partial.T @ _momentum_rate(system, term, known_dot)
     for load in system.loads:
         force += project(load.rate).T @ load.force
-    mass, force = system.at_rest(mass), system.at_rest(force)
+    mass, force = system.with_held_at_zero(mass), system.with_held_at_zero(force)
     # M is symmetric and positive definite: L D L^T costs a third of the general solution
     mass = ca.triu2symm(ca.triu(mass))
     free_dot = ca.ldl_solve(force, *ca.ldl(mass))
-    return Accelerations(free_dot, relation @ free_dot + system.at_rest(offset), relation, mass)
+    return Accelerations(
+        free_dot, relation @ free_dot + system.with_held_at_zero(offset), relation, mass
+    )
 
 
 def mass_matrix(system: System) -> SX:
@@ -216,15 +218,15 @@ def mass_matrix(system: System) -> SX:
     for term in system.inertias:
         partial = ca.jacobian(term.rate, system.free)
         mass += partial.T @ ca.jacobian(term.momentum, system.free)
-    return system.at_rest(mass)
+    return system.with_held_at_zero(mass)
 
 
 def constraint_matrix(system: System) -> SX:
     """Return the partial derivatives of the constraints with respect to the free speeds."""
-    return system.at_rest(ca.jacobian(system.constraints, system.free))
+    return system.with_held_at_zero(ca.jacobian(system.constraints, system.free))
 
 
-def imbalance(system: System, unknown_dot: SX, rows: SX) -> SX:
+def generalized_residual(system: System, unknown_dot: SX, rows: SX) -> SX:
     """Return P^T (dp/dt - f): the load that is missing in the equations of some speeds.
 
     Args:
@@ -238,12 +240,12 @@ def imbalance(system: System, unknown_dot: SX, rows: SX) -> SX:
         missing += ca.jacobian(term.rate, rows).T @ rate
     for load in system.loads:
         missing -= ca.jacobian(load.rate, rows).T @ load.force
-    return system.at_rest(missing)
+    return system.with_held_at_zero(missing)
 
 
 def constraint_acceleration(system: System, unknown_dot: SX) -> SX:
     """Return the time derivative of the constraints."""
-    return system.at_rest(system.rate_of(system.constraints, unknown_dot))
+    return system.with_held_at_zero(system.time_derivative(system.constraints, unknown_dot))
 
 
 def multiplier_equations(system: System, free_dot: SX, multipliers: SX) -> SX:
@@ -259,14 +261,17 @@ def multiplier_equations(system: System, free_dot: SX, multipliers: SX) -> SX:
     """
     if system.dependent.numel():
         raise ValueError("dependent speeds are eliminated already; declare all of them free")
-    motion = imbalance(system, free_dot, system.free) - constraint_matrix(system).T @ multipliers
+    motion = (
+        generalized_residual(system, free_dot, system.free)
+        - constraint_matrix(system).T @ multipliers
+    )
     return ca.vertcat(motion, constraint_acceleration(system, free_dot))
 
 
 def constraint_loads(system: System, unknown_dot: SX) -> SX:
     """Return the loads of the constraints that `accelerations` eliminated."""
-    partial = system.at_rest(ca.jacobian(system.constraints, system.dependent))
-    return ca.solve(partial.T, imbalance(system, unknown_dot, system.dependent))
+    partial = system.with_held_at_zero(ca.jacobian(system.constraints, system.dependent))
+    return ca.solve(partial.T, generalized_residual(system, unknown_dot, system.dependent))
 
 
 def reactions(system: System, unknown_dot: SX, multipliers: SX | None = None) -> SX:
@@ -281,22 +286,22 @@ def reactions(system: System, unknown_dot: SX, multipliers: SX | None = None) ->
         ValueError: They are missing.
     """
     rows = ca.vertcat(system.prescribed, system.held)
-    load = imbalance(system, unknown_dot, rows)
+    load = generalized_residual(system, unknown_dot, rows)
     if multipliers is None:
         if system.constraints.numel():
             raise ValueError("the loads of the constraints are missing; give them as multipliers")
         return load
-    return load - system.at_rest(ca.jacobian(system.constraints, rows)).T @ multipliers
+    return load - system.with_held_at_zero(ca.jacobian(system.constraints, rows)).T @ multipliers
 
 
 def kinetic_energy(system: System) -> SX:
     """Return half the product of momenta and rates, J."""
     twice = sum((ca.dot(term.rate, term.momentum) for term in system.inertias), SX(0))
-    return system.at_rest(twice / 2)
+    return system.with_held_at_zero(twice / 2)
 
 
-def _momentum_rate(system: System, term: Inertia, unknown_dot: SX) -> SX:
-    rate = system.rate_of(term.momentum, unknown_dot)
+def _momentum_rate(system: System, term: InertialTerm, unknown_dot: SX) -> SX:
+    rate = system.time_derivative(term.momentum, unknown_dot)
     if term.frame_rate is not None:
         rate += ca.cross(term.frame_rate, term.momentum)
     return rate

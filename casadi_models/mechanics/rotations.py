@@ -52,11 +52,6 @@ def from_quaternion(q: SX) -> SX:
     )
 
 
-def quaternion_rate(q: SX, omega: SX) -> SX:
-    """Return dq/dt for the angular velocity resolved in the turned frame."""
-    return 0.5 * quaternion_product(q, ca.vertcat(0, omega))
-
-
 def quaternion_product(a: SX, b: SX) -> SX:
     """Return the Hamilton product of two quaternions (w, x, y, z): first a, then b in a's frame."""
     scalar = a[0] * b[0] - ca.dot(a[1:], b[1:])

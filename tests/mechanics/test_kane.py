@@ -6,7 +6,7 @@ import pytest
 from casadi import SX, cos, sin
 from helpers.support import value
 
-from casadi_models import kane, rotations
+from casadi_models.mechanics import kane, rotations
 
 RNG = np.random.default_rng(1)
 ROUNDING = 1e-13  # relative to the largest entry; measured 4e-15 over 200 states
@@ -41,7 +41,7 @@ def test_simple_pendulum_swings_and_pulls_its_string():
         q_dot=theta_dot,
         free=theta_dot,
         held=stretch,
-        inertias=(kane.Inertia(velocity, m * velocity, turning),),
+        inertias=(kane.InertialTerm(velocity, m * velocity, turning),),
         loads=(kane.Load(velocity, weight),),
     )
     theta_ddot = kane.accelerations(system).free
@@ -91,7 +91,7 @@ def test_bead_on_a_turning_hoop_and_the_torque_that_turns_it():
         free=theta_dot,
         prescribed=Omega,
         prescribed_dot=Omega_dot,
-        inertias=(kane.Inertia(velocity, m * velocity, turning),),
+        inertias=(kane.InertialTerm(velocity, m * velocity, turning),),
         loads=(kane.Load(velocity, weight),),
     )
     theta_ddot = kane.accelerations(system).free
@@ -139,7 +139,7 @@ def test_pendulum_on_a_shaken_pivot_has_time_as_a_coordinate():
         q=q,
         q_dot=q_dot,
         free=theta_dot,
-        inertias=(kane.Inertia(velocity, m * velocity),),
+        inertias=(kane.InertialTerm(velocity, m * velocity),),
         loads=(kane.Load(velocity, -m * g * E2),),
     )
     lift = -amplitude * frequency**2 * cos(frequency * t)
@@ -164,8 +164,8 @@ def ball_on_turntable():
         "prescribed": Omega,
         "prescribed_dot": Omega_dot,
         "inertias": (
-            kane.Inertia(velocity, m * velocity),
-            kane.Inertia(omega, 0.4 * m * r**2 * omega),
+            kane.InertialTerm(velocity, m * velocity),
+            kane.InertialTerm(omega, 0.4 * m * r**2 * omega),
         ),
         "loads": (kane.Load(velocity, -m * 9.81 * E3),),
         "constraints": at_contact - table,
@@ -234,7 +234,7 @@ def test_kinetic_energy_grows_by_the_power_of_loads_and_drive():
     system = kane.System(free=omega, dependent=velocity, **parts)
     found = kane.accelerations(system)
     on_table = ca.cross(omega, 0.05 * E3) + ca.cross(Omega * E3, ca.vertcat(place, 0))
-    growth = system.rate_of(kane.kinetic_energy(system), found.unknown)
+    growth = system.time_derivative(kane.kinetic_energy(system), found.unknown)
     contact = kane.constraint_loads(system, found.unknown)
     drive = kane.reactions(system, found.unknown, contact) * Omega
     power = ca.dot(velocity, -0.3 * 9.81 * E3) + drive
