@@ -102,7 +102,7 @@ def test_damaged_entry_is_none_and_said_once(folder, content):
 
 
 @posix
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: os.symlink("/dev/zero", p)])
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: p.symlink_to("/dev/zero")])
 def test_pipe_folder_or_device_in_place_of_an_entry_is_not_read(folder, make):
     cache.keep("fronts/other", b"")
     make(folder / "fronts" / "one")
@@ -135,7 +135,7 @@ def test_older_cache_that_others_can_read_is_closed(folder):
 def test_cache_that_others_can_write_to_is_refused_before_anything_is_loaded(folder, mode):
     folder.mkdir()
     folder.chmod(mode)
-    with pytest.raises(CacheError, match="other users can write to .*set COSIM_CACHE"):
+    with pytest.raises(CacheError, match=r"other users can write to .*set COSIM_CACHE"):
         cached_library("key", lambda: pytest.fail("generated"))
     assert made(folder) == []
 
@@ -167,7 +167,7 @@ def test_user_without_a_home_is_told_to_choose_a_folder(monkeypatch):
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)
-    with pytest.raises(MissingTool, match="no home folder .*set COSIM_CACHE"):
+    with pytest.raises(MissingTool, match=r"no home folder .*set COSIM_CACHE"):
         cached_library("key", lambda: CODE)
 
 
@@ -209,7 +209,7 @@ def test_size_is_bounded_by_the_environment(folder, monkeypatch):
 @pytest.mark.parametrize("size", ["-1", "2GB", "1e9"])
 def test_size_that_is_no_number_is_refused(folder, monkeypatch, size):
     monkeypatch.setenv("COSIM_CACHE_SIZE", size)
-    with pytest.raises(CacheError, match="COSIM_CACHE_SIZE = .* is not a number of bytes"):
+    with pytest.raises(CacheError, match=r"COSIM_CACHE_SIZE = .* is not a number of bytes"):
         cache.keep("fronts/a", b"")
 
 
