@@ -185,7 +185,7 @@ def prune(most: int | None = None) -> None:
     Args:
         most: Bytes that may stay; $COSIM_CACHE_SIZE, else 2 GB, when None.
     """
-    limit = _limit() if most is None else most
+    limit = most_bytes() if most is None else most
     folder = cache_folder()
     files = list(_files(folder))
     size = sum(facts.st_size for _, facts in files)
@@ -223,7 +223,12 @@ def clear() -> Contents:
     return held
 
 
-def _limit() -> int:
+def most_bytes() -> int:
+    """Return the size that the cache may have, bytes.
+
+    Raises:
+        CacheError: $COSIM_CACHE_SIZE is not a number.
+    """
     chosen = os.environ.get("COSIM_CACHE_SIZE", "")
     if chosen and not chosen.isdecimal():
         raise CacheError(f"COSIM_CACHE_SIZE = {chosen} is not a number of bytes; unset it")
