@@ -11,7 +11,7 @@ from casadi_models import CATALOG
 
 
 class PartialRun(Protocol):
-    """What a failed run leaves behind; in this package always a `cosim.Trajectory`."""
+    """What a failed run leaves behind; a `cosim.Trajectory`, or what many runs left."""
 
     @property
     def time(self) -> Any:

@@ -1,9 +1,10 @@
 """Many variants of one model: in SIMD lanes where its equations are explicit, one by one else."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,7 @@ def simulate_many(
     on_invalid: str = "warn",
     threads: int | None = None,
     lanes: int | None = None,
+    watch: Callable[[int], None] | None = None,
 ) -> Ensemble:
     """Integrate many variants of a model.
 
@@ -111,7 +113,7 @@ def simulate_many(
                 "input series; leave lanes out"
             )
         settings = {"solver": chosen, "inputs": inputs, "on_invalid": on_invalid}
-        ensemble, interrupted = one_by_one(dae, values, names, grid, settings)
+        ensemble, interrupted = one_by_one(dae, values, names, grid, settings, watch)
     ensemble = _without_first(ensemble, first)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **ensemble.stats}
@@ -122,6 +124,13 @@ def simulate_many(
             f"{dae.full_name}: interrupted after {done} of {len(ensemble)} runs", ensemble
         )
     return ensemble
+
+
+def runs_in_lanes(dae: Dae, settings: Mapping[str, Any], inputs: InputSeries | None = None) -> bool:
+    """Tell whether `simulate_many` runs variants in lanes with these of its arguments."""
+    points = np.array([0.0, settings.get("stop_time") or 1.0])
+    lean = _fits(dae, inputs, settings.get("step_size"), points)
+    return lean and settings.get("solver") in (None, "dop853")
 
 
 def processors() -> int:
