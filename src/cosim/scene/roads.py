@@ -21,9 +21,6 @@ from cosim.trajectory import Trajectory
 
 FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
 
-# The book leaves the pitch rate out of the contact point's velocity (docs/bicycle.md).
-DIFFERENT_BY_DESIGN = {"bicycle/book": frozenset({"xP", "yP"})}
-
 
 def scene_dae(scene: Scene) -> Dae:
     """Return the DAE that a scene requires: with its values, and reduced to its outputs.
