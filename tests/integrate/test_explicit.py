@@ -15,8 +15,9 @@ from cosim.codegen import dop853
 from cosim.codegen.compiler import find_compiler
 from cosim.codegen.tableau import METHODS
 from cosim.errors import MissingTool, UsageError
+from cosim.integrate import explicit
 from cosim.integrate.engine import build
-from cosim.integrate.simulate import explicit, simulate
+from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import Tolerance
 from cosim.model.catalogue import load
 from cosim.verify.reference import reference
