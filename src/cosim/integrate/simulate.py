@@ -32,7 +32,7 @@ def simulate(
     *,
     start_time: float = 0.0,
     stop_time: float | None = None,
-    output_interval: float | None = None,
+    output_interval: float | Vector | None = None,
     solver: str | None = None,
     relative_tolerance: float | None = None,
     absolute_tolerance: float | None = None,
@@ -51,7 +51,7 @@ def simulate(
         start_time: Begin of the run, s.
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
-            output is at `stop_time` in any case.
+            output is at `stop_time` in any case. An array holds the times themselves, (n,).
         solver: A name of `SOLVERS`; CVODES, or IDAS for a DAE, when None.
         relative_tolerance: Error per step relative to each state's size (1); 1e-8 when None.
         absolute_tolerance: Error per step in SI units; a hundredth of the relative when None.
@@ -132,13 +132,17 @@ def simulate(
 
 
 def output_times(
-    dae: Dae, start_time: float, stop_time: float | None, output_interval: float | None
+    dae: Dae, start_time: float, stop_time: float | None, output_interval: float | Vector | None
 ) -> Vector:
     """Return the output times of a run, s, (n,); see `simulate`.
+
+    An array in place of the interval holds these times themselves.
 
     Raises:
         ParameterError: A time is not finite, or they are not increasing.
     """
+    if isinstance(output_interval, np.ndarray):
+        return checked_grid(output_interval)
     start_time = number("run", "start_time", start_time)
     return time_grid(
         start_time,
