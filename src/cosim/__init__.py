@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from cosim.present.figures import draw_figures
     from cosim.scene.scene import Scene
     from cosim.scene.scene_file import read_scene
+    from cosim.study.sweep.result import SweepResult
+    from cosim.study.sweep.sweep import sweep
     from cosim.study.tradeoff.study import tradeoff
     from cosim.trajectory import Trajectory
     from cosim.verify.comparison import Comparison, compare
@@ -34,6 +36,7 @@ _HOMES = {
     "Ensemble": "integrate.ensemble",
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
+    "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
@@ -51,6 +54,7 @@ _HOMES = {
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
     "start_vectors": "integrate.simulate",
+    "sweep": "study.sweep.sweep",
     "tradeoff": "study.tradeoff.study",
 }
 
@@ -60,6 +64,7 @@ __all__ = [
     "Ensemble",
     "InputSeries",
     "Scene",
+    "SweepResult",
     "Trajectory",
     "compare",
     "crosscheck",
@@ -77,6 +82,7 @@ __all__ = [
     "simulate_fmu",
     "simulate_many",
     "start_vectors",
+    "sweep",
     "tradeoff",
 ]
 
