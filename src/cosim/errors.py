@@ -109,6 +109,10 @@ class MissingTool(CosimError):
     exit_code = 5
 
 
+class CacheError(MissingTool):
+    """A folder for compiled code that cannot be used, or that others could write to."""
+
+
 def _near(name: str, names: list[str], most: int = 3) -> list[str]:
     """Return the names that are spelt like one, whatever the case of its letters."""
     folded: dict[str, list[str]] = {}
