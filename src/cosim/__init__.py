@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from cosim.present.figures import draw_figures
     from cosim.scene.scene import Scene
     from cosim.scene.scene_file import read_scene
+    from cosim.study.sweep.result import SweepResult
+    from cosim.study.sweep.sweep import sweep
     from cosim.study.tradeoff.study import tradeoff
     from cosim.trajectory import Trajectory
     from cosim.verify.comparison import Comparison, compare
@@ -36,6 +38,7 @@ _HOMES = {
     "Ensemble": "integrate.ensemble",
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
+    "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
@@ -54,6 +57,7 @@ _HOMES = {
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
     "start_vectors": "integrate.integrator",
+    "sweep": "study.sweep.sweep",
     "tradeoff": "study.tradeoff.study",
 }
 
@@ -63,6 +67,7 @@ __all__ = [
     "Ensemble",
     "InputSeries",
     "Scene",
+    "SweepResult",
     "Trajectory",
     "compare",
     "crosscheck",
@@ -82,6 +87,7 @@ __all__ = [
     "simulate_many",
     "solvers",
     "start_vectors",
+    "sweep",
     "tradeoff",
 ]
 

@@ -176,7 +176,11 @@ class SweepResult:
         return Trajectory(self.model, self.time[:n], self.columns, values, {}, status)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the table of runs: samples, status, reason, steps and numbers, one row per run."""
+        """Write the table of runs; the file is whole or not there."""
+        write_atomically(path, self.csv_text().encode())
+
+    def csv_text(self) -> str:
+        """Return the table of runs: samples, status, reason, steps, numbers; one row per run."""
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         varied = self.samples.columns
@@ -186,7 +190,7 @@ class SweepResult:
             row = [repr_17(float(column[i])) for column in columns]
             told = (str(STATES[self.codes[i]]), self.reasons.get(i, ""), str(self.steps[i]))
             writer.writerow((str(i), *row[: len(varied)], *told, *row[len(varied) :]))
-        write_atomically(path, text.getvalue().encode())
+        return text.getvalue()
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset`: dimension `run`, what was varied as its coordinates.

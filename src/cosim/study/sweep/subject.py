@@ -13,13 +13,13 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.lane_library import lane_library, processor_lanes
-from cosim.errors import UsageError
+from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble import Ensemble
 from cosim.integrate.outputs import all_columns, wanted_names, watching
 from cosim.integrate.simulate_many import runs_in_lanes, simulate_many
 from cosim.model.catalogue import load
 from cosim.model.inputs import InputSeries
-from cosim.model.values import assign, listed
+from cosim.model.values import assign, listed, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
@@ -50,6 +50,9 @@ class Opened(Protocol):
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return what is recorded."""
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit of what can be varied; None where numbers have none to be read."""
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Refuse names that cannot be set, compile; say how the runs are computed."""
@@ -151,6 +154,14 @@ class ModelSubject:
         dae = watching(self._dae, wanted or ())
         known = {column.name: column for column in all_columns(dae)}
         return tuple(known[name] for name in wanted_names(dae, wanted))
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit of what can be varied."""
+        known = settable(self._dae)
+        if name not in known:
+            kind = "state, parameter or input"
+            raise UnknownName.of_model(self.name, kind, name, known)
+        return known[name].unit
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Refuse names that cannot be set, compile; say how the runs are computed."""
