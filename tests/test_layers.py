@@ -26,8 +26,8 @@ FOLDERS = {
 TABLE = """
 cosim._fmu
 casadi_models
-cosim.errors | cosim.memo | cosim.arrays
-cosim.files | cosim.plotting
+cosim.errors | cosim.memo | cosim.arrays | cosim.tables
+cosim.files | cosim.plotting | cosim.temporary
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi
@@ -36,7 +36,7 @@ cosim.verify
 cosim.study
 cosim.api
 cosim.present
-cosim | cosim.cli
+cosim cosim.solvers | cosim.cli
 cosim.__main__
 """
 LAYERS = {

@@ -8,11 +8,14 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cosim import solvers
     from cosim.api import run_scene, simulate
     from cosim.errors import CosimError
     from cosim.fmi.export.package import export_fmu
     from cosim.fmi.run.simulate import simulate_fmu
-    from cosim.integrate.simulate import integrator, start_vectors
+    from cosim.integrate.ensemble import Ensemble
+    from cosim.integrate.integrator import integrator, start_vectors
+    from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
     from cosim.model.from_casadi import from_casadi
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Comparison": "verify.comparison",
     "CosimError": "errors",
+    "Ensemble": "integrate.ensemble",
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
     "Trajectory": "trajectory",
@@ -39,7 +43,7 @@ _HOMES = {
     "export_fmu": "fmi.export.package",
     "from_casadi": "model.from_casadi",
     "from_dae_builder": "model.dae_builder",
-    "integrator": "integrate.simulate",
+    "integrator": "integrate.integrator",
     "load": "model.catalogue",
     "read_inputs": "model.inputs",
     "read_scene": "scene.scene_file",
@@ -48,13 +52,15 @@ _HOMES = {
     "run_scene": "api",
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
-    "start_vectors": "integrate.simulate",
+    "simulate_many": "integrate.simulate_many",
+    "start_vectors": "integrate.integrator",
     "tradeoff": "study.tradeoff.study",
 }
 
 __all__ = [
     "Comparison",
     "CosimError",
+    "Ensemble",
     "InputSeries",
     "Scene",
     "Trajectory",
@@ -73,6 +79,8 @@ __all__ = [
     "run_scene",
     "simulate",
     "simulate_fmu",
+    "simulate_many",
+    "solvers",
     "start_vectors",
     "tradeoff",
 ]
@@ -81,6 +89,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version("cosim-rigid")
+    if name == "solvers":
+        return import_module("cosim.solvers")
     if name not in _HOMES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'")
     value = getattr(import_module(f"cosim.{_HOMES[name]}"), name)

@@ -1,10 +1,15 @@
 """Where the files are that come with the package, and where it may keep its own."""
 
 import os
+import re
 import sys
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+
+from cosim.errors import CacheError
+
+_INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
 
 
 def runtime_sources() -> tuple[Traversable, ...]:
@@ -14,19 +19,40 @@ def runtime_sources() -> tuple[Traversable, ...]:
     return tuple(sorted(found, key=lambda entry: entry.name))
 
 
-def solver_source(name: str) -> str:
-    """Return a C source of the explicit solvers, e.g. "dop853.h"."""
-    return (files("cosim._fmu") / "solvers" / name).read_text(encoding="utf-8")
+def solver_sources() -> tuple[Traversable, ...]:
+    """Return the headers of the explicit solvers, by name."""
+    found = (e for e in (files("cosim._fmu") / "solvers").iterdir() if e.name.endswith(".h"))
+    return tuple(sorted(found, key=lambda entry: entry.name))
+
+
+def solver_source(*names: str) -> str:
+    """Return headers of the explicit solvers, e.g. "dop853.h", and what they include, as one."""
+    texts = {e.name: e.read_text(encoding="utf-8") for e in solver_sources()}
+
+    def unfolded(found: re.Match[str]) -> str:
+        text = texts.pop(found[1], "")  # once
+        return _INCLUDE.sub(unfolded, text)
+
+    return _INCLUDE.sub(unfolded, "".join(f'#include "{name}"\n' for name in names))
 
 
 def cache_folder() -> Path:
-    """Return the folder for compiled code: $COSIM_CACHE, else the platform's place for caches."""
+    """Return the folder for compiled code: $COSIM_CACHE, else the platform's place for caches.
+
+    Raises:
+        CacheError: The user has no home folder.
+    """
     if chosen := os.environ.get("COSIM_CACHE"):
         return Path(chosen)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    try:
+        if sys.platform == "win32":
+            base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
+        elif sys.platform == "darwin":
+            base = str(Path.home() / "Library" / "Caches")
+        else:
+            base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    except RuntimeError as error:
+        raise CacheError(
+            "there is no home folder to keep compiled code in; set COSIM_CACHE to a folder"
+        ) from error
     return Path(base) / "cosim"

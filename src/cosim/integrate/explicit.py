@@ -1,101 +1,71 @@
-"""Explicit Runge-Kutta methods in C around generated equations: `dop853`, `rk4`, `ode8`.
+"""Explicit methods in C around generated equations: the engine of all, and `dop853`."""
 
-The hand-written part, fmu/solvers, knows no model. The generated part is the right-hand side, its
-sizes, and the coefficients of the method as straight-line code. Output times, tolerances and steps
-are arguments, so that nothing is compiled anew when they change.
-"""
-
-import ctypes
-from threading import Lock
+from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
+from casadi import MX
 
-from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key
-from cosim.codegen.compiler import cached_library
-from cosim.codegen.runge_kutta_c import dop853_text, numbers, sums
-from cosim.codegen.tableau import METHODS, Tableau
-
-_sizing = Lock()
-
-_NO_PROJECTION = """\
-static int restore(const Problem *self, double *x) {
-    (void)self, (void)x;
-    return 0;
-}"""
-SETTINGS = 4  # number of output times, both tolerances, largest step
-
-
-def explicit_library(rhs: ca.Function, solver: str, project: ca.Function | None = None) -> str:
-    """Return the path of a compiled solver.
-
-    Args:
-        rhs: `rhs(t, x, z, u, c) -> (dx/dt, z)`; z is a guess of the algebraic unknowns.
-        solver: "dop853", "rk4" or "ode8".
-        project: `project(x, c) -> (x, change)`, applied after each step; nothing is when None.
-
-    Raises:
-        MissingTool: There is no compiler, or it fails.
-    """
-    sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
-    own = (
-        *(f"#define {name} {size}" for name, size in sizes),
-        solver_source("interrupt.c"),
-        solver_source("problem.c"),
-        *_method_text(solver, project),
-        solver_source("external.c"),
-    )
-    around = "\n".join(own)
-
-    def generate() -> str:
-        generator = ca.CodeGenerator("equations", {"with_header": False})
-        generator.add(rhs)
-        if project is not None:
-            generator.add(project)
-        return f"{generator.dump()}\n{around}"
-
-    details = around if project is None else around + project.serialize()
-    return str(cached_library(cache_key(f"explicit {solver}", rhs, details.encode()), generate))
+from cosim.codegen.explicit_library import (
+    MethodText,
+    dop853_method,
+    explicit_function,
+    explicit_library,
+)
+from cosim.codegen.functions import driven, equations, prepared, symbols_of
+from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.projection import projection_step
+from cosim.integrate.engine import Engine, Problem, reported
+from cosim.integrate.solver import AdaptiveSolver
 
 
-def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]:
-    """Return `run(x0, z0, p, u) -> (xf, zf)` of a compiled solver, and its library.
+@dataclass(frozen=True, kw_only=True)
+class Dop853(AdaptiveSolver):
+    """Hairer's pair of order 8(5,3) with an interpolant of order 7."""
+
+    name = "dop853"
+    order = 8
+    solves_dae = True
+    compiled_only = True
+    projects = True
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem."""
+        inputs = problem.inputs
+        longest = np.inf if inputs is None else float(np.diff(inputs.time).min())
+        return explicit_engine(problem, self.name, dop853_method(), (*self.tolerance.pair, longest))
+
+
+def explicit_engine(
+    problem: Problem, name: str, method: MethodText, settings: tuple[float, float, float]
+) -> Engine:
+    """Return the engine of an explicit method in C.
+
+    Algebraic unknowns are solved for within the right-hand side.
 
     Args:
-        path: Of the library.
-        points: Number of output times; p = (c, points, relative and absolute tolerance, largest
-            step, output times).
+        problem: What it is for.
+        name: Of the method.
+        method: Its C text; see `explicit_library`.
+        settings: Relative and absolute tolerance, and the largest step, s.
     """
-    library = ctypes.CDLL(path)
-    with _sizing:  # CasADi reads the sizes while it makes the function
-        library.cosim_points(ctypes.c_longlong(points))
-        return ca.external("run", path), library
-
-
-def _projection_text(project: ca.Function | None) -> list[str]:
-    if project is None:
-        return [_NO_PROJECTION]
-    sizes = {"ARG": project.sz_arg(), "RES": project.sz_res()}
-    sizes |= {"IW": project.sz_iw() + 1, "W": project.sz_w() + 1}  # C has no empty arrays
-    defined = (f"#define PROJECT_{name} {size}" for name, size in sizes.items())
-    return [*defined, solver_source("projection.c")]
-
-
-def _method_text(solver: str, project: ca.Function | None = None) -> list[str]:
-    before = _projection_text(project)
-    if solver == "dop853":
-        return [*before, dop853_text(), solver_source("adaptive.c")]
-    return [*before, *_fixed_step_code(METHODS[solver]), solver_source("fixed.c")]
-
-
-def _fixed_step_code(tableau: Tableau) -> list[str]:
-    rows = [
-        [(stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight]
-        for row in (*tableau.a, tableau.b)
-    ]
-    stages = len(tableau.b)
-    return [
-        f"enum {{ STAGES = {stages} }};",
-        numbers("node", tableau.c),
-        sums("stage_sum", rows),
-    ]
+    dae, inputs = problem.dae, problem.inputs
+    if dae.algebraics:
+        function = equations(dae, sensitivities=False)
+        constants = ca.Function("constants", [dae.p], [dae.p])
+        t, x, z, u, c = symbols = symbols_of(function)
+        solved = algebraic_function(dae)(t, x, z, driven(dae, inputs, t, u), c)
+    else:
+        function, constants = prepared(dae)
+        t, x, z, u, c = symbols = symbols_of(function)
+        solved = z
+    ode, _ = function(t, x, solved, driven(dae, inputs, t, u), c)
+    projection = projection_step(dae, c.numel()) if problem.project else None
+    rhs = ca.Function("rhs", symbols, [ode, solved])
+    path = explicit_library(rhs, name, method, projection)
+    grid = problem.grid
+    run, library = explicit_function(path, len(grid))
+    p = MX.sym("p", dae.p.numel())
+    extended = ca.vertcat(constants(p), len(grid), *settings, ca.DM(grid))
+    parameters = ca.Function("parameters", [p], [extended])
+    return Engine(run, parameters, False, reported(library, 0.0, 1.0), True, library)

@@ -2,6 +2,9 @@
  *
  * The run itself looks at `halted` once per step or right-hand side.
  */
+#ifndef INTERRUPT_H
+#define INTERRUPT_H
+
 #include <signal.h>
 
 #ifdef _WIN32
@@ -17,7 +20,9 @@ static void halt(int number) {
     halted = 1;
 }
 
-SHARED void cosim_watch(void) { signal(SIGINT, halt); }
+SHARED void cosim_watch(void) {
+    signal(SIGINT, halt);
+}
 
 /* Tells whether runs were ended, and lets the next ones go on. */
 SHARED int cosim_halted(void) {
@@ -25,3 +30,5 @@ SHARED int cosim_halted(void) {
     halted = 0;
     return was;
 }
+
+#endif
