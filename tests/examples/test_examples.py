@@ -3,12 +3,12 @@
 from functools import cache
 from pathlib import Path
 
-import oracles
 import pytest
+from helpers import example_oracles as oracles
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.errors import SolverError
+from cosim.errors import FmuError, SolverError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EVERY = pytest.mark.parametrize("name", oracles.ORACLES)
@@ -51,19 +51,25 @@ def test_example_is_right_to_eight_digits(name):
     assert error(name, run) < 1e-8
 
 
+# fmpy's own solver takes 500 steps between two output points
+SPARING = {"output_interval": 2.0 / 4000, "relative_tolerance": 1e-7}
+LOSES_RANK = ("four_bars_a02",)
+
+
 @pytest.mark.slow
 @EVERY
 @pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
-def test_example_is_right_as_an_fmu(name, interface, fmu):
-    span = example(name).experiment
-    run = cosim.simulate_fmu(
-        fmu(name),
-        interface=interface,
-        stop_time=span.stop_time,
-        output_interval=span.stop_time / 100,
-        relative_tolerance=1e-9,
-    )
-    assert error(name, run) < 1e-5
+def test_example_is_right_as_an_fmu_or_says_where_it_ends(name, interface, fmu):
+    stop = example(name).experiment.stop_time
+    options = {"interface": interface, "stop_time": stop}
+    options |= {"relative_tolerance": 1e-9, "output_interval": stop / 100}
+    if (name, interface) == ("van_der_pol", "ModelExchange"):
+        options |= SPARING
+    if name in LOSES_RANK:
+        with pytest.raises(FmuError, match=r"0\.714|came no further"):
+            cosim.simulate_fmu(fmu(name), **options)
+        return
+    assert error(name, cosim.simulate_fmu(fmu(name), **options)) < 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +84,10 @@ def fmu(tmp_path_factory):
 
 
 def test_robertson_arrives_at_1e11():
-    options = {"stop_time": 1e11, "output_interval": 1e11, "absolute_tolerance": 1e-20}
-    run = cosim.simulate(
-        example("robertson"), relative_tolerance=1e-10, compiled=False, solver="cvodes", **options
-    )
+    options = {"stop_time": 1e11, "output_interval": 1e11, "absolute_tolerance": 1e-16}
+    run = cosim.simulate(example("robertson"), solver="rosenbrock", compiled=False, **options)
     for name, value in oracles.robertson_late().items():
-        assert run[name][-1] == pytest.approx(value, rel=1e-5)
+        assert run[name][-1] == pytest.approx(value, rel=1e-8)
 
 
 def test_andrews_loads_are_the_published_ones():
@@ -96,7 +100,7 @@ def test_andrews_loads_are_the_published_ones():
 
 
 def test_a02_is_refused_with_a_reason_where_its_loops_lose_rank():
-    with pytest.raises(SolverError, match="idas stopped after 0.7"):
+    with pytest.raises(SolverError, match=r"idas stopped after 0\.7"):
         cosim.simulate(example("four_bars_a02"), compiled=False, stop_time=2.0)
 
 
