@@ -87,6 +87,13 @@ class Model:
         self._invariants: list[Invariant] = []
         self._rate: tuple[SX, float] | None = None
 
+    def __repr__(self) -> str:
+        counts = (len(self._symbols[kind]) for kind in "xzup")
+        kinds = ("states", "algebraics", "inputs", "parameters")
+        told = ", ".join(f"{n} {kind}" for n, kind in zip(counts, kinds, strict=True) if n)
+        name = f"{self._name}/{self._formulation}" if self._formulation else self._name
+        return f"Model {name}: {told or 'nothing declared'}; freeze() makes a Dae of it"
+
     # -- declarations ---------------------------------------------------------------------------
 
     def state(self, name: str, unit: str, start: float, meaning: str, **facts: Unpack[Facts]) -> SX:
