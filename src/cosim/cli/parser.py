@@ -68,6 +68,14 @@ def command_line() -> argparse.ArgumentParser:
         metavar="NAME",
         help="of co-simulation: dop853 (default), rosenbrock (default of stiff models), erk",
     )
+    export.add_argument(
+        "--tunable",
+        metavar="A,B|none",
+        help="parameters that may change during a run; all but inertias and what starts need",
+    )
+    export.add_argument(
+        "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
+    )
     _accuracy_option(export)
 
     crosscheck = verbs.add_parser(

@@ -121,6 +121,9 @@ def do_export(args: argparse.Namespace) -> int:
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
     options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
     options["platforms"] = names_in(args.platform)
+    options["adjoint"] = args.adjoint
+    if args.tunable is not None:
+        options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
     if accuracy is None:
         path = export_with_proof(dae, target, **options)
     else:

@@ -71,14 +71,18 @@ def equations(dae: Dae, fmi: int, solver: str) -> str:
 
 
 def _row(variable: FmuVariable) -> tuple[str, ...]:
+    guess = variable.start if variable.guess is None else variable.guess
+    start = guess if variable.start is None else variable.start
     return (
         _string(variable.name),
         variable.role.name,
         variable.start_kind.name,
-        _number(variable.start or 0.0),
+        _number(start or 0.0),
         _number(variable.nominal),
         _number(variable.minimum),
         _number(variable.maximum),
+        _number(guess or 0.0),
+        str(variable.tunable).lower(),
     )
 
 
