@@ -26,7 +26,7 @@ FOLDERS = {
 TABLE = """
 cosim._fmu
 casadi_models
-cosim.errors | cosim.memo | cosim.arrays
+cosim.errors | cosim.memo | cosim.arrays | cosim.tables
 cosim.files | cosim.plotting
 cosim.trajectory
 cosim.model | cosim.codegen

@@ -10,7 +10,8 @@ from cosim.errors import UnknownName, UsageError
 from cosim.integrate.solvers import SOLVERS, Tolerance
 from cosim.model.catalogue import load, no_such_output, observable
 from cosim.model.inputs import InputSeries, read_inputs
-from cosim.model.values import checked, number, quantity
+from cosim.model.quantities import quantity
+from cosim.model.values import checked, number
 from cosim.scene.goals import GOALS
 from cosim.scene.library import shipped_scenes
 from cosim.scene.scene import Scene, Settings

@@ -6,7 +6,8 @@ import casadi_models
 from casadi_models.dae import Dae, Model
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.simulate import simulate, start_vectors
-from cosim.model.reduction.reduce import reduce, size
+from cosim.model.reduction.reduce import reduce
+from cosim.model.reduction.size import size
 
 
 @pytest.fixture(scope="module")
