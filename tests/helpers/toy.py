@@ -102,6 +102,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
     header = [
         '#define MODEL_IDENTIFIER "toy"',
         '#define MODEL_NAME "toy"',
+        "#define MODEL_PREFIX toy_",
         f'#define MODEL_GUID "{GUID}"',
         "#define DEFAULT_TOLERANCE 1e-8",
         "#define HAS_ADJOINT 1",

@@ -127,7 +127,7 @@ def source_files(
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
         "model.c": variable_table(variables).encode(),
-        "equations.c": equations(dae, fmi, solver).encode(),
+        "equations.c": equations(dae, name, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
         code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}
