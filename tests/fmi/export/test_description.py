@@ -11,7 +11,7 @@ from casadi_models.dae import Dae, Model, Start
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.check.parsed import Description, parse
 from cosim.fmi.export.package import source_files
-from cosim.fmi.export.tunable import fixed_parameters
+from cosim.fmi.export.tunable import fixed_parameters, tunable_parameters
 
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
@@ -120,16 +120,19 @@ def test_fixed_parameters_are_knowns_of_fmi_3_only(fmi):
 def test_parameters_that_starts_follow_from_are_fixed(fmi):
     kinds = {v.name: v.variability for v in described(rich(), fmi).variables}
     assert (kinds["p"], kinds["k"]) == ("fixed", "tunable")
-    with pytest.raises(UsageError, match="p cannot be tunable, as start values follow from it"):
+    with pytest.raises(UsageError, match="p cannot be tunable, as nothing follows from it after"):
         source_files(rich(), "rich", 1e-9, fmi, tunable=["p"])
     with pytest.raises(UnknownName, match="no parameter 'q'"):
         source_files(rich(), "rich", 1e-9, fmi, tunable=["q"])
 
 
-def test_inertias_are_fixed():
-    fixed = fixed_parameters(cosim.load("double_pendulum/quaternion"))
-    assert "momentum" in fixed["m"]
-    assert "g" not in fixed
+def test_inertias_and_what_starts_need_are_fixed_unless_asked_for():
+    pendulum, bicycle = map(cosim.load, ("double_pendulum/quaternion", "bicycle/independent"))
+    assert "momentum" in fixed_parameters(pendulum)["m"]
+    assert "g" not in fixed_parameters(pendulum)
+    assert fixed_parameters(bicycle)["w"] == "start values follow from it"
+    assert "w" not in tunable_parameters(bicycle, None)
+    assert {"w", "mB"} < set(tunable_parameters(bicycle, ["all"]))
 
 
 def test_adjoint_derivatives_are_offered_when_asked_for():

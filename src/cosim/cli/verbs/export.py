@@ -33,7 +33,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     parser.add_argument(
         "--tunable",
-        metavar="A,B|none",
+        metavar="A,B|all|none",
         help="parameters that may change during a run; all but inertias and what starts need",
     )
     parser.add_argument(

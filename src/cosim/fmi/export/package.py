@@ -63,8 +63,8 @@ def export_fmu(
         tolerance: Relative tolerance that the FMU recommends.
         solver: Of co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock" (the
             default of models that are stiff at their start) or "erk" (explicit, order 5, ODEs).
-        tunable: Parameters that may change during a run; when None, all but inertias and those
-            that start values follow from.
+        tunable: Parameters that may change during a run, or `["all"]`; when None, all but inertias
+            and those that start values follow from.
         adjoint: Whether the FMU says that it has adjoint derivatives (FMI 3.0). CasADi up to
             3.8.2 gets wrong Jacobians from them: it writes all directions over the first.
 

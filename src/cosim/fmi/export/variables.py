@@ -94,8 +94,15 @@ def _settled(dae: Dae) -> list[float | None]:
     """Return the starts of all states, as initialization solves for them; None where it cannot."""
     p = [float(parameter.start or 0.0) for parameter in dae.parameters]
     x, _ = start_function(dae)(list(dae.x_start), p)
-    starts = [float(f"{value:.15g}") + 0.0 for value in x.full().ravel()]  # no -0
-    return [start if isfinite(start) else None for start in starts]
+    return [
+        _rounded(float(value), state.nominal) if isfinite(value) else None
+        for value, state in zip(x.full().ravel(), dae.states, strict=True)
+    ]
+
+
+def _rounded(value: float, nominal: float) -> float:
+    """Return a solution without its rounding errors."""
+    return float(f"{value:.15g}") if abs(value) > 1e-14 * nominal else 0.0
 
 
 def _plain(
