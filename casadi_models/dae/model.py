@@ -32,6 +32,7 @@ class Facts(TypedDict, total=False):
     minimum: float
     maximum: float
     own_meaning: str
+    foreign_unit: bool
 
 
 class Model:
@@ -85,6 +86,13 @@ class Model:
         self._limits: list[tuple[SX, str]] = []
         self._invariants: list[Invariant] = []
         self._rate: tuple[SX, float] | None = None
+
+    def __repr__(self) -> str:
+        counts = (len(self._symbols[kind]) for kind in "xzup")
+        kinds = ("states", "algebraics", "inputs", "parameters")
+        told = ", ".join(f"{n} {kind}" for n, kind in zip(counts, kinds, strict=True) if n)
+        name = f"{self._name}/{self._formulation}" if self._formulation else self._name
+        return f"Model {name}: {told or 'nothing declared'}; freeze() makes a Dae of it"
 
     # -- declarations ---------------------------------------------------------------------------
 

@@ -70,7 +70,7 @@ class Target:
                 f"compiling for {self.processor}-{self.system} needs the compiler in ziglang; "
                 "bring it with: pip install 'cosim-rigid[zig]'"
             )
-        return (sys.executable, "-m", "ziglang", "cc", "-target", self.triple)
+        return (sys.executable, "-P", "-m", "ziglang", "cc", "-target", self.triple)
 
     def options(self, library: str, compiler: Sequence[str]) -> tuple[str, ...]:
         """Return the compiler's options for a library of this name that runs on every processor.

@@ -174,7 +174,7 @@ def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
             displays[variable.unit].add(variable.display_unit)
     rates = dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
     for name in sorted(displays):
-        unit = UNITS.get(name) or rates[name]
+        unit = rates.get(name) or UNITS[name]
         entry = ET.SubElement(element, "Unit", name=name)
         ET.SubElement(entry, "BaseUnit", _base_unit(unit))
         for display in sorted(displays[name]):
