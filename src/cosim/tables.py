@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from cosim.escaping import visible
+
 MOST_LINES = 15  # of what a value says of itself at a prompt
 GAP = "  "
 
@@ -12,7 +14,7 @@ def cell(value: Any) -> str:
     """Return a value as it stands in a table: numbers with three digits."""
     if isinstance(value, float):
         return f"{value:.3g}"
-    return "" if value is None else str(value)
+    return "" if value is None else visible(str(value))
 
 
 def text_table(

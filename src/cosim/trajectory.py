@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from casadi_models.units import UNITS
 from cosim.arrays import Vector
 from cosim.errors import MissingTool, UnknownName, UsageError
+from cosim.escaping import csv_cell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -216,7 +217,7 @@ class Trajectory:
 
     def _write_csv(self, stream: TextIO) -> None:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(("time", *self.names))
+        writer.writerow(("time", *map(csv_cell, self.names)))
         table = np.column_stack((self.time, self.values))
         writer.writerows([repr_17(value) for value in row] for row in table.tolist())
 
