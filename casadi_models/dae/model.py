@@ -32,6 +32,7 @@ class Facts(TypedDict, total=False):
     minimum: float
     maximum: float
     own_meaning: str
+    foreign_unit: bool
 
 
 class Model:

@@ -12,7 +12,7 @@ from cosim.escaping import visible
 
 
 class PartialRun(Protocol):
-    """What a failed run leaves behind; in this package always a `cosim.Trajectory`."""
+    """What a failed run leaves behind; a `cosim.Trajectory`, or what many runs left."""
 
     @property
     def time(self) -> Any:

@@ -6,7 +6,8 @@ from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
-from cosim.fmi.export.variables import Dependencies, FmuVariable, Pattern, Role, rate_unit
+from cosim.fmi.export.variables import Dependencies, FmuVariable, Role, rate_unit
+from cosim.model.reduction.structure import Pattern
 
 LOG_CATEGORIES = {
     "logStatusWarning": "what was done although it may not be meant",
@@ -85,7 +86,7 @@ def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
             displays[variable.unit].add(variable.display_unit)
     rates = dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
     for name in sorted(displays):
-        unit = UNITS.get(name) or rates[name]
+        unit = rates.get(name) or UNITS[name]
         entry = ET.SubElement(element, "Unit", name=name)
         ET.SubElement(entry, "BaseUnit", _base_unit(unit))
         for display in sorted(displays[name]):
