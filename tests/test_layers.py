@@ -26,6 +26,7 @@ FOLDERS = {
 TABLE = """
 cosim._fmu
 casadi_models
+cosim.escaping
 cosim.errors | cosim.memo | cosim.arrays | cosim.tables
 cosim.files | cosim.plotting | cosim.series | cosim.temporary
 cosim.trajectory
