@@ -5,11 +5,12 @@ see it; until then it costs nothing, in equations, runs and FMUs alike.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import casadi as ca
 from casadi import SX
+
+from casadi_models.dae.packed import packed, unpacked
 
 WORLD = "world"  # the body that rests
 
@@ -119,32 +120,5 @@ class Drawing:
         """Return the drawing with values of parameters and inputs; these win over earlier ones."""
         return replace(self, numbers={**self.numbers, **numbers}) if self else self
 
-    def __reduce__(self) -> Any:
-        """Pickle by way of a CasADi function: bare expressions have no state of their own."""
-        items: list[Any] = [*self.bodies, *self.shapes, *self.arrows, *self.traces]
-        found = [value for item in items for value in _values(item)]
-        expressions = [value for value in found if isinstance(value, SX)]
-        symbols = ca.symvar(ca.vertcat(SX(0, 1), *map(ca.vec, expressions)))
-        function = ca.Function("drawing", symbols, expressions)
-        plain = tuple(
-            (type(item), [None if isinstance(value, SX) else value for value in _values(item)])
-            for item in items
-        )
-        counts = tuple(map(len, (self.bodies, self.shapes, self.arrows, self.traces)))
-        names = [symbol.name() for symbol in symbols]
-        return _restored, (function, names, plain, counts, self.world, dict(self.numbers))
-
-
-def _values(item: Any) -> list[Any]:
-    return [getattr(item, f.name) for f in fields(item)]
-
-
-def _restored(
-    function: ca.Function, names: list[str], plain: Any, counts: Any, world: World, numbers: Any
-) -> Drawing:
-    expressions = iter(function.call([SX.sym(name) for name in names]))
-    items = iter(
-        [kind(*(next(expressions) if v is None else v for v in values)) for kind, values in plain]
-    )
-    bodies, shapes, arrows, traces = (tuple(next(items) for _ in range(n)) for n in counts)
-    return Drawing(bodies, shapes, arrows, traces, world, numbers)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return unpacked, packed(self)

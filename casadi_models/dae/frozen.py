@@ -3,10 +3,12 @@
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from math import inf
+from typing import Any
 
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae import packed, shown
 from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule
@@ -85,10 +87,33 @@ class Dae:
                     f"but columns of shape {', '.join(str(rows.shape) for rows in columns)}"
                 )
 
+    def __repr__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return packed.unpacked, packed.packed(self)
+
     @property
     def full_name(self) -> str:
         """`MODEL/FORMULATION`, as the command line takes it."""
         return f"{self.name}/{self.formulation}" if self.formulation else self.name
+
+    @property
+    def arguments(self) -> list[SX]:
+        """`[t, x, z, u, p]`: the arguments of functions that are made of its expressions."""
+        return [self.t, self.x, self.z, self.u, self.p]
+
+    @property
+    def casadi(self) -> dict[str, SX]:
+        """What `casadi.integrator` takes: t, x, z, u, p, ode and alg by these names."""
+        return {
+            **dict(zip(("t", "x", "z", "u", "p"), self.arguments, strict=True)),
+            "ode": self.ode,
+            "alg": self.alg,
+        }
 
     @property
     def variables(self) -> tuple[Variable, ...]:

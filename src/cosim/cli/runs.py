@@ -1,23 +1,21 @@
 """The runs that a command line asks for."""
 
 import argparse
-import csv
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
-from casadi_models.dae import Dae
 from cosim.api import run_scene
 from cosim.cli.arguments import names_in
 from cosim.cli.running import run_or_partial, scene_or_none
 from cosim.errors import ParameterError, UsageError
+from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
 from cosim.scene.roads import variant
 from cosim.scene.scene import Scene
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 
 
 def runs_of(
@@ -59,30 +57,16 @@ def runs_of(
 
 
 def read_result(path: str, model: str | None) -> Trajectory:
-    """Read a result as `simulate` writes it; the model tells units and meanings.
+    """Read a result from a CSV file; a model tells units and meanings.
 
     Raises:
-        UsageError: It is no such file.
+        UsageError: It cannot be read.
     """
-    dae = None if model is None else load(model)
-    try:
-        with Path(path).open(newline="", encoding="utf-8") as stream:
-            header, *rows = csv.reader(stream)
-        table = np.array(rows, dtype=float).reshape(-1, len(header))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path} is no result of a run: {error}") from error
-    if header[:1] != ["time"]:
-        raise UsageError(f"{path}: its first column is '{header[0]}'; give a result, time first")
-    columns = tuple(_column(name, dae) for name in header[1:])
-    return Trajectory(Path(path).stem, table[:, 0], columns, table[:, 1:])
-
-
-def _column(name: str, dae: Dae | None) -> Column:
-    try:
-        v = dae.variable(name) if dae else None
-    except KeyError:
-        v = None
-    return Column(name, v.unit, v.display_unit, v.nominal, v.meaning) if v else Column(name)
+    if model is None:
+        return Trajectory.read_csv(path)
+    dae = load(model)
+    like = Trajectory(model, np.empty(0), all_columns(dae), np.empty((0, len(all_columns(dae)))))
+    return Trajectory.read_csv(path, like=like)
 
 
 def _single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace]:

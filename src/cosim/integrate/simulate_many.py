@@ -1,9 +1,10 @@
 """Many variants of one model: in SIMD lanes where its equations are explicit, one by one else."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +14,10 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.integrate.ensemble import Ensemble
+from cosim.integrate.explicit import Dop853
 from cosim.integrate.outputs import wanted_names, watching
-from cosim.integrate.solvers import Tolerance, method
+from cosim.integrate.solver import Solver
+from cosim.integrate.solvers import chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.integrate.variants import in_lanes, one_by_one
 from cosim.model.inputs import InputSeries
@@ -32,7 +35,7 @@ def simulate_many(
     output_interval: float | None = None,
     times: ArrayLike | None = None,
     outputs: Sequence[str] | None = None,
-    solver: str | None = None,
+    solver: str | Solver | None = None,
     relative_tolerance: float | None = None,
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
@@ -40,6 +43,7 @@ def simulate_many(
     on_invalid: str = "warn",
     threads: int | None = None,
     lanes: int | None = None,
+    watch: Callable[[int], None] | None = None,
 ) -> Ensemble:
     """Integrate many variants of a model.
 
@@ -55,13 +59,14 @@ def simulate_many(
         times: Instead of an interval: increasing output times after or at `start_time`, s; the
             last one is the stop time. One by one these must be evenly spaced.
         outputs: Names to record, monitors among them; everything but those when None.
-        solver: A name of `SOLVERS`; `dop853` in lanes where that is possible when None.
+        solver: As of `simulate`; `dop853` in lanes where that is possible when None.
         relative_tolerance, absolute_tolerance, step_size, inputs: See `simulate`.
         on_invalid: What happens where a run leaves the model's limits: "warn" says so in
             `Ensemble.invalid`, "stop" ends that run there, "ignore" does neither.
         threads: How many at most; one per processor when None.
         lanes: 1, 2, 4 or 8; what the processor has when None. Sums are rounded alike whatever it
             is; sines may differ in the last bits.
+        watch: Called with the position of each run that begins, where they go one by one.
 
     Returns:
         Every wanted output of every run, with how each run ended; runs that are refused or fail
@@ -93,13 +98,14 @@ def simulate_many(
         first = 0
     else:
         grid, first = _times(start_time, times)
-    relative = Tolerance().relative if relative_tolerance is None else relative_tolerance
-    tolerance = Tolerance(relative, absolute_tolerance)
-    chosen = solver or ("dop853" if _fits(dae, inputs, step_size, grid) else method(dae, None)[0])
-    lean = chosen == "dop853" and _fits(dae, inputs, step_size, grid)
-    if lean:
+    fits = _fits(dae, inputs, step_size, grid)
+    if solver is None and fits:
+        solver = Dop853.name
+    chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
+    if isinstance(chosen, Dop853) and fits:
+        tolerance, most = chosen.tolerance, threads or processors()
         ensemble, interrupted = in_lanes(
-            dae, values, names, grid, tolerance, on_invalid, threads or processors(), lanes
+            dae, values, names, grid, tolerance, on_invalid, most, lanes
         )
     else:
         if lanes is not None:
@@ -107,17 +113,11 @@ def simulate_many(
                 f"{dae.full_name}: lanes are for explicit forms and dop853, compiled, without "
                 "input series; leave lanes out"
             )
-        settings = {
-            "solver": chosen,
-            "relative_tolerance": relative_tolerance,
-            "absolute_tolerance": absolute_tolerance,
-            "step_size": step_size,
-            "inputs": inputs,
-            "on_invalid": on_invalid,
-        }
-        ensemble, interrupted = one_by_one(dae, values, names, grid, settings)
+        settings = {"solver": chosen, "inputs": inputs, "on_invalid": on_invalid}
+        ensemble, interrupted = one_by_one(dae, values, names, grid, settings, watch)
     ensemble = _without_first(ensemble, first)
-    stats = {"solver": chosen, "relative_tolerance": relative, **ensemble.stats}
+    numbers = {name: value for name, value in vars(chosen).items() if value is not None}
+    stats = {"solver": chosen.name, **numbers, **ensemble.stats}
     ensemble = replace(ensemble, stats=stats | {"wall_time": perf_counter() - began})
     if interrupted:
         done = int(ensemble.complete.sum())
@@ -125,6 +125,14 @@ def simulate_many(
             f"{dae.full_name}: interrupted after {done} of {len(ensemble)} runs", ensemble
         )
     return ensemble
+
+
+def runs_in_lanes(dae: Dae, settings: Mapping[str, Any], inputs: InputSeries | None = None) -> bool:
+    """Tell whether `simulate_many` runs variants in lanes with these of its arguments."""
+    points = np.array([0.0, settings.get("stop_time") or 1.0])
+    lean = _fits(dae, inputs, settings.get("step_size"), points)
+    solver = settings.get("solver")
+    return lean and (solver in (None, Dop853.name) or isinstance(solver, Dop853))
 
 
 def processors() -> int:

@@ -17,7 +17,7 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.printed import Printed
 from casadi_models.units import UNITS, convert
 from cosim.errors import MissingTool
-from cosim.model.reduction.reduce import size
+from cosim.model.reduction.size import size
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
 from cosim.present.html import html as playback_page

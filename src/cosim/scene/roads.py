@@ -1,6 +1,5 @@
 """A scene on any road: the one place that knows both of them."""
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -12,11 +11,12 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.integrate.simulate import simulate
-from cosim.integrate.solvers import SOLVERS, method
+from cosim.integrate.solvers import SOLVERS, solver_class
 from cosim.model.catalogue import formulations, load, no_such_output, observable
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
 from cosim.scene.scene import Scene
+from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 
 FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
@@ -63,7 +63,7 @@ def run_scene(
         )
     if road not in FMU_ROADS:
         raise UnknownName.among("cosim", "road", road, FMU_ROADS)
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "scene.fmu")
         return run_fmu(scene, dae, path, FMU_ROADS[road])
 
@@ -79,7 +79,8 @@ def native_settings(scene: Scene, dae: Dae) -> dict[str, Any]:
         UsageError: A tolerance is given for a solver without error control.
     """
     settings = scene.settings
-    if settings.relative_tolerance is not None and not method(dae, settings.solver)[1].adaptive:
+    solver = solver_class(dae, settings.solver)
+    if settings.relative_tolerance is not None and not solver.adaptive:
         raise UsageError(f"{settings.solver} has no error control; leave relative_tolerance out")
     return {
         "start_time": settings.start_time,
