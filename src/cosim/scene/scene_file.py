@@ -7,7 +7,8 @@ from typing import Any
 
 from casadi_models.dae import Dae, Variable
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.solvers import SOLVERS, Tolerance
+from cosim.integrate.solver import Tolerance
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, no_such_output, observable
 from cosim.model.inputs import InputSeries, read_inputs
 from cosim.model.quantities import quantity

@@ -7,8 +7,8 @@ from typing import Any
 from casadi_models.dae import Dae
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.drift_control import DRIFT_CONTROLS, controllable
-from cosim.integrate.engine import PROJECTING
-from cosim.integrate.solvers import SOLVERS, Tolerance
+from cosim.integrate.solver import Tolerance
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.values import number
 
 COMPILED, INTERPRETED, MODEL_EXCHANGE, CO_SIMULATION = ROADS = (
@@ -137,8 +137,10 @@ class Selection:
         unable = [s for s in solvers if dae.algebraics and not SOLVERS[s].solves_dae]
         if unable and {COMPILED, INTERPRETED} & set(roads):
             yield f"{dae.full_name} {', '.join(unable)}", "cannot integrate algebraic unknowns"
-        if INTERPRETED in roads and "dop853" in solvers:
-            yield f"{dae.full_name} {INTERPRETED} dop853", "exists as compiled code only"
+        compiled = [s for s in solvers if SOLVERS[s].compiled_only]
+        if INTERPRETED in roads and compiled:
+            what = f"{dae.full_name} {INTERPRETED} {', '.join(compiled)}"
+            yield what, "exists as compiled code only"
         fixed = [s for s in solvers if not SOLVERS[s].adaptive and s not in unable]
         if INTERPRETED in roads and fixed and not self.steps:
             what = f"{dae.full_name} {INTERPRETED} {', '.join(fixed)} in smaller steps"
@@ -146,7 +148,7 @@ class Selection:
         if refused := [c for c in self.drift_controls if not controllable(dae, c)]:
             yield f"{dae.full_name} {', '.join(refused)}", "the model cannot drift or be controlled"
         if "projection" in self.drift_controls:
-            others = [s for s in solvers if s not in PROJECTING]
+            others = [s for s in solvers if not SOLVERS[s].projects]
             yield f"{dae.full_name} projection, {', '.join(others)}", "do not project their steps"
 
     def _drift_controls(self, dae: Dae, plain: Configuration) -> Iterator[str | None]:
@@ -154,7 +156,7 @@ class Selection:
         if not self.drift_controls:
             yield None
         for control in self.drift_controls:
-            able = plain.solver in PROJECTING and plain.road == COMPILED
+            able = SOLVERS[plain.solver].projects and plain.road == COMPILED
             if controllable(dae, control) and (able or control != "projection"):
                 yield control
 
@@ -164,7 +166,7 @@ class Selection:
         for name in self.solvers or SOLVERS:
             if dae.algebraics and not SOLVERS[name].solves_dae:
                 continue
-            if name == "dop853" and road == INTERPRETED:
+            if SOLVERS[name].compiled_only and road == INTERPRETED:
                 continue
             if SOLVERS[name].adaptive:
                 for tolerance in self.tolerances or TOLERANCES:
