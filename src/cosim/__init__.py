@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
+    from cosim.model.from_casadi import from_casadi
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
     from cosim.present.figures import draw_figures
     from cosim.scene.scene import Scene
     from cosim.scene.scene_file import read_scene
+    from cosim.study.sweep.result import SweepResult
+    from cosim.study.sweep.sweep import sweep
     from cosim.study.tradeoff.study import tradeoff
     from cosim.trajectory import Trajectory
     from cosim.verify.comparison import Comparison, compare
@@ -35,11 +38,13 @@ _HOMES = {
     "Ensemble": "integrate.ensemble",
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
+    "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
+    "from_casadi": "model.from_casadi",
     "from_dae_builder": "model.dae_builder",
     "integrator": "integrate.integrator",
     "load": "model.catalogue",
@@ -52,6 +57,7 @@ _HOMES = {
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
     "start_vectors": "integrate.integrator",
+    "sweep": "study.sweep.sweep",
     "tradeoff": "study.tradeoff.study",
 }
 
@@ -61,11 +67,13 @@ __all__ = [
     "Ensemble",
     "InputSeries",
     "Scene",
+    "SweepResult",
     "Trajectory",
     "compare",
     "crosscheck",
     "draw_figures",
     "export_fmu",
+    "from_casadi",
     "from_dae_builder",
     "integrator",
     "load",
@@ -79,6 +87,7 @@ __all__ = [
     "simulate_many",
     "solvers",
     "start_vectors",
+    "sweep",
     "tradeoff",
 ]
 

@@ -11,7 +11,7 @@ from casadi_models import CATALOG
 
 
 class PartialRun(Protocol):
-    """What a failed run leaves behind; in this package always a `cosim.Trajectory`."""
+    """What a failed run leaves behind; a `cosim.Trajectory`, or what many runs left."""
 
     @property
     def time(self) -> Any:
@@ -107,6 +107,10 @@ class MissingTool(CosimError):
     """A compiler or an optional package that is not there; the message says how to get it."""
 
     exit_code = 5
+
+
+class CacheError(MissingTool):
+    """A folder for compiled code that cannot be used, or that others could write to."""
 
 
 def _near(name: str, names: list[str], most: int = 3) -> list[str]:

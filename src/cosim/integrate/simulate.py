@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from time import perf_counter
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import assign, listed, number
 from cosim.trajectory import Trajectory
+
+T = TypeVar("T")
 
 
 class Shorthand(TypedDict, total=False):
@@ -148,8 +150,8 @@ def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
 
 
 def one_of(
-    dae: Dae, start_values: Mapping[str, Any] | None, start: Mapping[str, Any] | None
-) -> Mapping[str, Any] | None:
+    dae: Dae, start_values: Mapping[str, T] | None, start: Mapping[str, T] | None
+) -> Mapping[str, T] | None:
     """Return the start values, given by one of their two names.
 
     Raises:

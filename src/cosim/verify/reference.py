@@ -10,20 +10,19 @@ import io
 import json
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.initialization import start_function
-from cosim.errors import ExportError, SolverError, UsageError
-from cosim.files import write_atomically
+from cosim.errors import CacheError, SolverError, UsageError
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
@@ -125,12 +124,12 @@ def reference(scene: Scene | Dae) -> Reference:
         raise UsageError.of_type("reference", scene, "a Scene or a Dae")
     dae = scene.configured()
     key = reference_key(scene)
-    place = cache_folder() / "references" / f"{key}.npz"
-    known = _read(place, key)
+    entry = f"references/{key}"
+    known = _read(entry, key)
     if known is not None:
         return known
     found = _computed(scene, dae, key)
-    _keep(found, place)
+    _keep(found, entry)
     return found
 
 
@@ -202,7 +201,7 @@ def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:
     return best
 
 
-def _keep(found: Reference, place: Path) -> None:
+def _keep(found: Reference, entry: str) -> None:
     """Write to the cache; without one, the reference is computed again next time."""
     facts = {
         "model": found.run.model,
@@ -214,21 +213,21 @@ def _keep(found: Reference, place: Path) -> None:
     }
     content = io.BytesIO()
     np.savez(content, time=found.run.time, values=found.run.values, facts=json.dumps(facts))
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(place, content.getvalue())
-    except (OSError, ExportError):
-        return
+    with suppress(OSError, CacheError):
+        keep(entry, content.getvalue())
 
 
-def _read(place: Path, key: str) -> Reference | None:
+def _read(entry: str, key: str) -> Reference | None:
+    content = content_of(entry)
+    if content is None:
+        return None
     try:
-        with place.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             facts = json.loads(str(stored["facts"]))
             columns = tuple(Column(**column) for column in facts["columns"])
             run = Trajectory(facts["model"], stored["time"], columns, stored["values"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-        return None  # not there, or damaged
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return None  # of another version
     if facts["key"] != key:
         return None
     run = replace(run, stats={"solver": facts["method"]})

@@ -9,6 +9,7 @@ import json
 import os
 import platform
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import find_compiler
-from cosim.errors import CosimError, ExportError
-from cosim.files import write_atomically
+from cosim.errors import CacheError, CosimError
 from cosim.integrate.outputs import all_columns
 from cosim.scene.scene import Scene
 from cosim.study.tradeoff.configuration import COMPILED, INTERPRETED, Configuration, Selection
@@ -79,8 +79,8 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
     """
     scene = Scene(dae.full_name, _recording_all(dae))
     key = _key(scene, compiled)
-    place = cache_folder() / "fronts" / f"{key}.json"
-    return _read(place) or _measured(scene, compiled, place)
+    entry = f"fronts/{key}"
+    return _read(entry) or _measured(scene, compiled, entry)
 
 
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
@@ -101,7 +101,7 @@ def _key(scene: Scene, compiled: bool) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _measured(scene: Scene, compiled: bool, place: Path) -> Front:
+def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
     dae = scene.configured()
     best = reference(scene)
     workshop = Workshop({dae.full_name: scene}, dae.observed, Path())
@@ -134,7 +134,7 @@ def _measured(scene: Scene, compiled: bool, place: Path) -> Front:
         for name in best.run.names
     }
     front = Front(tuple(events.values()), rounding)
-    _keep(front, place)
+    _keep(front, entry)
     return front
 
 
@@ -149,22 +149,22 @@ def _event(workshop: Workshop, configuration: Configuration, best: Reference) ->
     return replace(event, errors=errors)
 
 
-def _keep(front: Front, place: Path) -> None:
+def _keep(front: Front, entry: str) -> None:
     """Write to the cache; without one, the front is measured again next time."""
     facts = {"rounding": front.rounding, "events": [asdict(event) for event in front.events]}
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(place, json.dumps(facts).encode())
-    except (OSError, ExportError):
-        return
+    with suppress(OSError, CacheError):
+        keep(entry, json.dumps(facts).encode())
 
 
-def _read(place: Path) -> Front | None:
+def _read(entry: str) -> Front | None:
+    content = content_of(entry)
+    if content is None:
+        return None
     try:
-        facts = json.loads(place.read_text(encoding="utf-8"))
+        facts = json.loads(content)
         return Front(tuple(map(_event_of, facts["events"])), facts["rounding"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None  # not there, or damaged
+    except (ValueError, KeyError, TypeError):
+        return None  # of another version
 
 
 def _event_of(facts: dict[str, Any]) -> Event:

@@ -1,5 +1,6 @@
 """One run of a configuration as plain values, and the file in which they survive."""
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -7,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
+from cosim.codegen.cache import plain_file
 from cosim.errors import ExportError
 from cosim.study.tradeoff.configuration import Configuration
 
@@ -63,7 +65,9 @@ class Record:
         kept = list(self._events()) if resume else []
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a" if kept else "w", encoding="utf-8") as stream:
+            if not kept:
+                self.path.unlink(missing_ok=True)
+            with self.path.open("a" if kept else "x", encoding="utf-8") as stream:
                 stream.write("\n" if kept else "")  # ends a line that an interruption cut
         except OSError as error:
             raise ExportError(f"cannot keep results in {self.path}: {error.strerror}") from error
@@ -75,21 +79,22 @@ class Record:
             _write(stream, {"key": self.key, **asdict(event)})
 
     def _events(self) -> Iterator[Event]:
-        try:
-            lines = self.path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError):
-            return
-        for line in lines:
+        for line in (plain_file(self.path) or b"").split(b"\n"):
             try:
                 facts = json.loads(line)
-                if facts.pop("key") == self.key:
+                checksum = facts.pop("sha256")
+                if checksum == _checksum(facts) and facts.pop("key") == self.key:
                     configuration = Configuration(**facts.pop("configuration"))
                     yield Event(configuration, **facts)
-            except (ValueError, KeyError, TypeError, AttributeError):
-                continue  # cut off by an interruption
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                continue  # cut off by an interruption, or damaged
+
+
+def _checksum(facts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
 def _write(stream: TextIO, facts: dict[str, Any]) -> None:
-    stream.write(json.dumps(facts) + "\n")
+    stream.write(json.dumps({**facts, "sha256": _checksum(facts)}) + "\n")
     stream.flush()
     os.fsync(stream.fileno())

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import private_folder
 from cosim.codegen.compiler import find_compiler, has_compiler
 from cosim.errors import CosimError, UsageError
 from cosim.integrate.solvers import SOLVERS
@@ -170,4 +170,4 @@ def _possible(selection: Selection, tell: Tell) -> Selection:
 
 def study_record(truth: Reference) -> Record:
     """Return where the runs of a study are kept."""
-    return Record(cache_folder() / "tradeoffs" / f"{truth.key}.jsonl", truth.key)
+    return Record(private_folder() / "tradeoffs" / f"{truth.key}.jsonl", truth.key)
