@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from typing import Any, Protocol
 
 from casadi_models import CATALOG
+from cosim.escaping import visible
 
 
 class PartialRun(Protocol):
@@ -96,7 +97,10 @@ class ExportError(CosimError):
 
 
 class FmuError(CosimError):
-    """An FMU that cannot be read or run."""
+    """An FMU that cannot be read or run; what it says itself is shown as one harmless line."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(visible(" ".join(str(message).splitlines())))
 
 
 class SecurityError(FmuError):

@@ -1,6 +1,5 @@
 """A scene on any road: the one place that knows both of them."""
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -17,6 +16,7 @@ from cosim.model.catalogue import formulations, load, no_such_output, observable
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
 from cosim.scene.scene import Scene
+from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 
 FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
@@ -63,7 +63,7 @@ def run_scene(
         )
     if road not in FMU_ROADS:
         raise UnknownName.among("cosim", "road", road, FMU_ROADS)
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "scene.fmu")
         return run_fmu(scene, dae, path, FMU_ROADS[road])
 

@@ -1,6 +1,5 @@
 """The same run on every road and in every formulation, and how far the results are apart."""
 
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from cosim.model.values import number
 from cosim.scene.roads import fitting_formulations, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.tables import MOST_LINES, html_table, text_table
+from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Comparison, compare
 
@@ -224,7 +224,7 @@ def _members(item: str | Scene) -> Iterator[Scene]:
 def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
     """Compare the FMU's runs with a run through CasADi's integrators."""
     dae = scene_dae(scene)
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "model.fmu")
         for interface in INTERFACES:
             road, solver = f"fmpy {interface}", run.stats["solver"]

@@ -1,6 +1,5 @@
 """`tradeoff`: run every selected configuration of a scene, several times, in turn."""
 
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -25,6 +24,7 @@ from cosim.study.tradeoff.result import Tradeoff, provenance
 from cosim.study.tradeoff.rounds import Tell, measure
 from cosim.study.tradeoff.stability import stability_limit
 from cosim.study.tradeoff.variants import Workshop, kept_outputs, members, span
+from cosim.temporary import temporary_folder
 from cosim.verify.reference import Reference, reference
 
 REPEATS = 5
@@ -80,7 +80,7 @@ def tradeoff(
     constant = invariants(truth)
     record = study_record(truth)
     events = record.begin(resume=resume)
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         workshop = Workshop({s.dae.full_name: s for s in scenes}, kept, Path(folder))
         wanted = configurations(workshop, scene, selection)
 
