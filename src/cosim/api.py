@@ -12,6 +12,7 @@ from cosim.integrate.outputs import wanted_names, watching
 from cosim.model.values import assign, listed
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.accuracy.solver_selection import promised_run
 from cosim.trajectory import Trajectory
@@ -56,16 +57,16 @@ def simulate(
     return promised_run(dae, solve, names, length, compiled, accuracy, budget)
 
 
-def run_scene(scene: Scene, road: str | None = None, **options: Any) -> Trajectory:
-    """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
+def run_scene(scene: Scene, road: Road | str | None = None, **options: Any) -> Trajectory:
+    """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
 
     With an accuracy or a budget, the front of the model with its author's values is what chooses,
     so that it need not be measured anew for each of the scene's values.
 
     Args:
         scene: What to run.
-        road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
-        options: `compiled`, `on_invalid`, `drift_control` of CasADi's integrators.
+        road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
+        options: `compiled`, `on_invalid`, `drift_control` of the native road.
 
     Raises:
         UsageError: An FMU shall run with an accuracy or a budget.
@@ -74,11 +75,14 @@ def run_scene(scene: Scene, road: str | None = None, **options: Any) -> Trajecto
     goals = {name: getattr(scene.settings, name) for name in GOALS} if _is(scene) else {}
     if not any(goal is not None for goal in goals.values()):
         return roads.run_scene(scene, road, **options)
-    if road is not None:
+    way = Road.NATIVE if road is None else Road.named(road)
+    if not way.native:
         raise UsageError(
             f"{scene.name}: accuracy and budget are for CasADi's integrators; an FMU gets its "
             "accuracy when it is exported: cosim export --accuracy"
         )
+    if way is Road.INTERPRETED:
+        options["compiled"] = False
     dae = roads.scene_dae(replace(scene, values={}))
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
     start = {name: value for name, value in scene.values.items() if name in known}

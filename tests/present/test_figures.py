@@ -13,7 +13,8 @@ from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
 from cosim.present.figures import default_specs, draw_figures
 from cosim.present.picture_files import save
-from cosim.scene.roads import run_scene, variant
+from cosim.scene.roads import run_scene
+from cosim.scene.variants import variant
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Column, Trajectory
 

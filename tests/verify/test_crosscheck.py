@@ -20,11 +20,11 @@ def verdicts(checks: list[Check]) -> list[tuple[str, str, str, str]]:
 
 def test_every_formulation_takes_every_road():
     assert verdicts(list(crosscheck(["crank_shaft"], **SHORT))) == [
-        ("driven", "fmpy ModelExchange", "cvodes", "ok"),
-        ("driven", "fmpy CoSimulation", "cvodes", "ok"),
-        ("multipliers", "fmpy ModelExchange", "idas", "ok"),
-        ("multipliers", "fmpy CoSimulation", "idas", "ok"),
-        ("multipliers", "idas", "crank_shaft/driven", "ok"),
+        ("driven", "fmu-me", "cvodes", "ok"),
+        ("driven", "fmu-cs", "cvodes", "ok"),
+        ("multipliers", "fmu-me", "idas", "ok"),
+        ("multipliers", "fmu-cs", "idas", "ok"),
+        ("multipliers", "native", "crank_shaft/driven", "ok"),
     ]
 
 
@@ -48,10 +48,10 @@ def failing_fmus(monkeypatch):
     """Let every FMU fail in co-simulation."""
     original = crosschecks.run_fmu
 
-    def run_fmu(scene, dae, path: Path, interface):
-        if interface == "CoSimulation":
+    def run_fmu(scene, dae, path: Path, road):
+        if road == "fmu-cs":
             raise FmuError("the step came no further")
-        return original(scene, dae, path, interface)
+        return original(scene, dae, path, road)
 
     monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
 
@@ -75,9 +75,9 @@ def test_model_that_fails_on_our_road_is_a_failed_check(monkeypatch):
     monkeypatch.setattr(crosschecks, "run_scene", run_scene)
     checks = list(crosscheck(["crank_shaft"], **SHORT))
     assert [(c.road, c.verdict) for c in checks] == [
-        ("casadi", "FAILED"),
-        ("fmpy ModelExchange", "ok"),
-        ("fmpy CoSimulation", "ok"),
+        ("native", "FAILED"),
+        ("fmu-me", "ok"),
+        ("fmu-cs", "ok"),
     ]
 
 
@@ -107,7 +107,7 @@ def test_command_prints_a_table_and_returns_0(capsys):
     printed = capsys.readouterr()
     assert "verdict" in printed.out.splitlines()[0]
     assert printed.out.count(" ok ") == 2
-    assert "crank_shaft/driven: fmpy ModelExchange against cvodes: " in printed.err
+    assert "crank_shaft/driven: fmu-me against cvodes: " in printed.err
 
 
 def test_command_returns_4_beyond_the_bound(capsys):

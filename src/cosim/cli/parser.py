@@ -102,7 +102,7 @@ def command_line() -> argparse.ArgumentParser:
     plot.add_argument(
         "--compare",
         metavar="ROAD",
-        help="draw a second run and the difference: fmu, fmu-me, fmu-cs, a solver, a formulation",
+        help="draw a second run and the difference: fmu-me, fmu-cs, a solver, a formulation",
     )
     plot.add_argument("--output-file", metavar="FILE", help="PNG, SVG or PDF; a window by default")
     _timeout_option(plot)
@@ -187,7 +187,7 @@ def _selection_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--solvers", metavar="A,B", help="all, and the FMU, by default")
     parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
     parser.add_argument("--steps", metavar="A,B", help="s; of rk4 and ode8")
-    parser.add_argument("--roads", metavar="A,B", help="compiled, interpreted, fmpy-me, fmpy-cs")
+    parser.add_argument("--roads", metavar="A,B", help="native, native-interpreted, fmu-me, fmu-cs")
     parser.add_argument(
         "--drift-controls", metavar="A,B", help="none, baumgarte, projection; the model's own"
     )

@@ -15,9 +15,10 @@ from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
 from cosim.integrate.inspection import inspect_start
 from cosim.model.catalogue import load
 from cosim.scene.goals import GOALS
-from cosim.scene.roads import scene_dae, variant
+from cosim.scene.roads import Road, scene_dae
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import scene_summaries
+from cosim.scene.variants import variant
 from cosim.trajectory import Trajectory
 
 
@@ -281,7 +282,7 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     )
 
 
-def _second(args: argparse.Namespace, scene: Scene | None) -> tuple[Scene, str | None]:
+def _second(args: argparse.Namespace, scene: Scene | None) -> tuple[Scene, Road]:
     """Return scene and road of the run that `--compare` asks for."""
     if scene is None:
         raise UsageError("--compare is for models and scenes; an FMU has one road only")

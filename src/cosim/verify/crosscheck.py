@@ -10,17 +10,11 @@ import casadi_models
 from casadi_models.dae import Dae
 from cosim.errors import FmuError, InitialConditionError, SolverError, UsageError
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import INTERFACES
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
-from cosim.scene.roads import (
-    DIFFERENT_BY_DESIGN,
-    fitting_formulations,
-    run_fmu,
-    run_scene,
-    scene_dae,
-)
+from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
+from cosim.scene.variants import DIFFERENT_BY_DESIGN, fitting_formulations
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Comparison, compare
 
@@ -45,7 +39,7 @@ class Check:
     """
 
     model: str
-    road: str
+    road: Road
     against: str
     comparison: Comparison | None
     stats: dict[str, Any] = field(default_factory=dict)
@@ -129,9 +123,8 @@ def crosscheck(
             try:
                 run = run_scene(scene)
             except _FAILURES as error:
-                yield Check(scene.dae.full_name, "casadi", "", None, failure=str(error))
+                yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue
-            road = run.stats["solver"]
             yield from _roads(scene, run, bound)
             if first is None:
                 first = run
@@ -141,7 +134,7 @@ def crosscheck(
                 if without.issuperset(run.names):
                     continue
                 difference = compare(first, run, bound=bound, without=without)
-                yield Check(run.model, road, first.model, difference, dict(run.stats))
+                yield Check(run.model, Road.NATIVE, first.model, difference, dict(run.stats))
 
 
 def default_tolerance(dae: Dae) -> float:
@@ -165,10 +158,10 @@ def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
     dae = scene_dae(scene)
     with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
         path = export_fmu(dae, Path(folder) / "model.fmu")
-        for interface in INTERFACES:
-            road, solver = f"fmpy {interface}", run.stats["solver"]
+        solver = run.stats["solver"]
+        for road in FMU_ROADS:
             try:
-                again = run_fmu(scene, dae, path, interface)
+                again = run_fmu(scene, dae, path, road)
             except _FAILURES as error:
                 yield Check(dae.full_name, road, solver, None, failure=str(error))
                 continue

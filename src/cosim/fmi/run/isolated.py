@@ -11,16 +11,13 @@ import sys
 import tempfile
 import threading
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from cosim import errors
-from cosim.errors import CosimError, FmuError
+from cosim.errors import CosimError, FmuError, UsageError
 from cosim.model.values import number
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.json", "answer.json", "values.npz"
 MOST_OUTPUT = 10_000  # bytes of what an FMU prints
@@ -105,10 +102,10 @@ def _answer(folder: Path, place: str, name: str) -> Trajectory:
     if "error" in answer:
         kind = getattr(errors, answer["error"])
         raise kind(answer["message"].replace(place, name))
-    with np.load(folder / _VALUES, allow_pickle=False) as arrays:
-        time, values = arrays["time"], arrays["values"]
-    columns = tuple(Column(**column) for column in answer["columns"])
-    return Trajectory(answer["model"], time, columns, values, answer["stats"])
+    try:
+        return Trajectory.from_npz(folder / _VALUES)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 def _end(code: int) -> str:
@@ -132,11 +129,10 @@ def _main(folder: Path) -> None:
     try:
         run = simulate_fmu(request["path"], **request["options"])
     except CosimError as error:
-        answer: dict[str, Any] = {"error": type(error).__name__, "message": str(error)}
+        answer = {"error": type(error).__name__, "message": str(error)}
     else:
-        np.savez(folder / _VALUES, time=run.time, values=run.values)
-        columns = [asdict(column) for column in run.columns]
-        answer = {"model": run.model, "columns": columns, "stats": dict(run.stats)}
+        run.to_npz(folder / _VALUES)
+        answer = {}
     (folder / _ANSWER).write_text(json.dumps(answer))
 
 

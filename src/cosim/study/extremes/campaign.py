@@ -23,7 +23,7 @@ from cosim.study.extremes.oracles import OUTCOMES, Runner, Verdict, judge, run_c
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
 LONGER = 10  # times the limit of other cases, for those that simulate an hour
-SERVER = "from cosim.extremes import serve; serve()"
+SERVER = "from cosim.study.extremes.campaign import serve; serve()"
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,33 @@
-"""One run of a configuration as plain values, and the file in which they survive."""
+"""One run of a configuration as plain values, and the file in which runs survive."""
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-from cosim.errors import ExportError
+from cosim.errors import CosimError, ExportError
+from cosim.files import write_atomically
 from cosim.study.tradeoff.configuration import Configuration
+
+COMPLETE, LEFT_OUT = "complete", "left out"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        kind: "complete", "left out", or the type of the error.
+        reason: Why there is no result.
+    """
+
+    kind: str = COMPLETE
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}" if self.reason else self.kind
 
 
 @dataclass(frozen=True)
@@ -17,7 +36,7 @@ class Event:
 
     Attributes:
         configuration: What ran.
-        status: "complete", or why there is no result.
+        outcome: How the run ended.
         errors: Largest global error by name, in nominal values.
         drift: Largest change of what the reference keeps constant, in nominal values, by name.
         rhs_calls, jacobian_calls, steps: Counts; None where the road does not tell.
@@ -26,7 +45,7 @@ class Event:
     """
 
     configuration: Configuration
-    status: str = "complete"
+    outcome: Outcome = Outcome()
     errors: dict[str, float] = field(default_factory=dict)
     drift: dict[str, float] = field(default_factory=dict)
     rhs_calls: int | None = None
@@ -54,13 +73,36 @@ class Record:
     path: Path
     key: str
 
+    def read(self) -> list[Event]:
+        """Return the runs that it holds."""
+        return list(self._events())
+
+    def facts(self) -> dict[str, Any]:
+        """Return what was kept beside the runs; nothing where that is not whole."""
+        for facts in self._lines():
+            if "facts" in facts and facts["runs"] == len(self.read()):
+                return dict(facts["facts"])
+        return {}
+
+    def replace(self, events: Iterable[Event], facts: Mapping[str, Any]) -> None:
+        """Write runs and what belongs to all of them, whole or not at all.
+
+        Raises:
+            OSError, ExportError: The file cannot be written.
+        """
+        rows: list[dict[str, Any]] = [asdict(event) for event in events]
+        rows = [{"facts": dict(facts), "runs": len(rows)}, *rows]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        text = "".join(json.dumps({"key": self.key} | row) + "\n" for row in rows)
+        write_atomically(self.path, text.encode())
+
     def begin(self, *, resume: bool) -> list[Event]:
         """Open the record; return the runs it holds already, none unless resumed.
 
         Raises:
             ExportError: The file cannot be written.
         """
-        kept = list(self._events()) if resume else []
+        kept = self.read() if resume else []
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("a" if kept else "w", encoding="utf-8") as stream:
@@ -72,9 +114,20 @@ class Record:
     def append(self, event: Event) -> None:
         """Add a run; it is on the disk when this returns."""
         with self.path.open("a", encoding="utf-8") as stream:
-            _write(stream, {"key": self.key, **asdict(event)})
+            stream.write(json.dumps({"key": self.key} | asdict(event)) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def _events(self) -> Iterator[Event]:
+        for facts in self._lines():
+            try:
+                configuration = Configuration(**facts["configuration"])
+                outcome = Outcome(**facts["outcome"])
+                yield Event(**facts | {"configuration": configuration, "outcome": outcome})
+            except (CosimError, KeyError, TypeError):
+                continue  # of another version, or no run
+
+    def _lines(self) -> Iterator[dict[str, Any]]:
         try:
             lines = self.path.read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError):
@@ -83,13 +136,6 @@ class Record:
             try:
                 facts = json.loads(line)
                 if facts.pop("key") == self.key:
-                    configuration = Configuration(**facts.pop("configuration"))
-                    yield Event(configuration, **facts)
+                    yield facts
             except (ValueError, KeyError, TypeError, AttributeError):
                 continue  # cut off by an interruption
-
-
-def _write(stream: TextIO, facts: dict[str, Any]) -> None:
-    stream.write(json.dumps(facts) + "\n")
-    stream.flush()
-    os.fsync(stream.fileno())
