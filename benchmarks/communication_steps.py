@@ -13,7 +13,6 @@ from pathlib import Path
 
 import casadi_models
 import cosim
-from cosim.verify.crosscheck import default_tolerance
 
 STEPS = (1e-3, 1e-2, 1e-1)  # s
 INTERVAL = 0.1  # s, of what is compared
@@ -39,7 +38,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for model in sys.argv[1:] or casadi_models.CATALOG:
             dae = cosim.load(model)
-            tolerance = default_tolerance(dae)
+            tolerance = dae.experiment.reference_tolerance
             run = cosim.simulate(dae, relative_tolerance=tolerance, output_interval=INTERVAL)
             found = []
             for fmi in (2, 3):

@@ -1,4 +1,8 @@
-"""Mechanical systems as symbolic DAEs; imports CasADi only."""
+"""Mechanical systems as symbolic DAEs; imports CasADi only.
+
+A system is a folder, a formulation a file in it: `bicycle/book` is what `build()` of
+`casadi_models/bicycle/book.py` returns, as with a builder in a user's own file.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -33,6 +37,6 @@ def load(name: str) -> "Dae":
     full = next((entry for entry in CATALOG if name in (entry, entry.partition("/")[0])), None)
     if full is None:
         raise KeyError(name)
-    model, _, formulation = full.partition("/")
-    dae: Dae = getattr(import_module(f"casadi_models.{model}"), formulation)()
+    module = import_module(f"casadi_models.{full.replace('/', '.')}")
+    dae: Dae = module.build()
     return dae

@@ -138,13 +138,13 @@ def test_only_one_module_knows_where_the_c_sources_are():
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        pytest.param("casadi_models.kane", "import cosim", id="upward"),
-        pytest.param("casadi_models.kane", "from cosim.errors import X", id="upward from"),
+        pytest.param("casadi_models.dae", "import cosim", id="upward"),
+        pytest.param("casadi_models.dae", "from cosim.errors import X", id="upward from"),
         pytest.param("cosim.errors", "from cosim import integrate", id="module from package"),
         pytest.param("cosim.errors", "def f():\n    import cosim.cli.main", id="in a function"),
         pytest.param("cosim.errors", "from importlib import import_module as m, import_module\n"
                      "import_module('cosim.cli.main')", id="by name"),
-        pytest.param("cosim.integrate.call", "import cosim.fmi.ssp", id="roads"),
+        pytest.param("cosim.integrate.simulate.call", "import cosim.fmi.ssp", id="roads"),
         pytest.param("cosim.fmi.ssp", "import cosim.integrate.solvers", id="roads, back"),
         pytest.param("cosim.codegen.compiler", "import cosim.model.values", id="same layer"),
         pytest.param("cosim.fmi.ssp", "from . import archive", id="relative"),

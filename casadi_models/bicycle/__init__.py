@@ -12,7 +12,7 @@ Independent are phi, thetaR, delta. The pitch follows from the front wheel's con
 psi, theta, thetaF from rolling. Three formulations:
 
   independent  dependent speeds eliminated: explicit ODE, 11 states;
-  book         the book's 15 states and algorithm, in stages (`stages`, `constants`);
+  book         the book's 15 states and algorithm, in stages (`stages`, `book.constants`);
   multipliers  six speeds and the front contact force: index-1 DAE, regular at every steer angle.
 
 The first two end where the front wheel stands across the line PQ, near |delta| = 91.8 deg. Forces
@@ -21,9 +21,3 @@ are those of the ground on the wheels along N1, N2, N3: a supporting force has a
 Source  Unit 7, Example 3 (equations of Unit 5). Parameters: Meijaard, Papadopoulos, Ruina, Schwab,
         Proc. R. Soc. A 463, 2007, doi:10.1098/rspa.2007.1857.
 """
-
-from casadi_models.bicycle.kane_forms import independent, multipliers
-from casadi_models.bicycle.stages import stages
-from casadi_models.bicycle.textbook import book, constants
-
-__all__ = ["book", "constants", "independent", "multipliers", "stages"]

@@ -11,8 +11,16 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX, cos
 
-from casadi_models import conditions
-from casadi_models.dae import Model
+from casadi_models.dae import Family, Model
+from casadi_models.mechanics import conditions
+
+FAMILY = Family(
+    "bicycle",
+    "upright bicycle",
+    "Unit 7, Example 3; Meijaard et al., Proc. R. Soc. A 463, 2007",
+    {"rad": "deg"},
+    stop_time=20.0,
+)
 
 # Unit, value, meaning; the benchmark bicycle. A `+` marks what must be positive.
 PARAMETERS: dict[str, tuple[str, float, str]] = {
@@ -73,6 +81,11 @@ QUANTITIES: dict[str, tuple[str, str, float]] = {
     "slip_2": ("m/s", "velocity of the front wheel's material at Q along c2", 1.0),
     "slip_3": ("m/s", "velocity of the front wheel's material at Q along c3", 1.0),
 }
+# Names of the coordinates, of their rates and of the residuals, in the order of columns
+ANGLES = "phi thetaR delta psi theta thetaF"
+INDEPENDENT = "phi_dot thetaR_dot delta_dot"
+DEPENDENT = "psi_dot theta_dot thetaF_dot"
+RESIDUALS = "loop_closure slip_1 slip_2 slip_3"
 STARTS = {"phi_dot": 0.5, "thetaR_dot": -15.3333333}  # rad/s; every other start is zero or follows
 
 DRIFT = 1e-3  # m or m/s
@@ -113,24 +126,15 @@ class Torques(NamedTuple):
     rear_wheel: SX
 
 
-def new_model(formulation: str, description: str) -> Model:
-    """Begin a formulation of the bicycle."""
-    return Model(
-        "bicycle",
-        formulation,
-        description=f"upright bicycle: {description}",
-        source="Unit 7, Example 3; Meijaard et al., Proc. R. Soc. A 463, 2007",
-        display={"rad": "deg"},
-        stop_time=20.0,
-    )
-
-
-def states(model: Model, names: str) -> SX:
+def states(model: Model, names: str, *, own_meaning: str = "") -> SX:
     """Declare states by name; a column."""
     declared = []
     for name in names.split():
         unit, meaning, size = QUANTITIES[name]
-        declared.append(model.state(name, unit, STARTS.get(name, 0.0), meaning, nominal=size))
+        start = STARTS.get(name, 0.0)
+        declared.append(
+            model.state(name, unit, start, meaning, nominal=size, own_meaning=own_meaning)
+        )
     return ca.vertcat(*declared)
 
 

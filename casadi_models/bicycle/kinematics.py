@@ -13,8 +13,8 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX, cos, sin
 
-from casadi_models import kane, rotations
 from casadi_models.bicycle.declaration import Bicycle, Body, Torques
+from casadi_models.mechanics import kane, rotations
 
 
 class Motion(NamedTuple):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX, cos, sin, skew, sqrt
 
-from casadi_models.rotations import about, unit
+from casadi_models.mechanics.rotations import about, unit
 
 Signals = dict[str, SX]
 

@@ -6,10 +6,21 @@ The symbols and expressions are plain CasADi `SX`; every variable carries unit, 
 meaning, start value, nominal value and bounds, which travel with it to XML, CSV and axis labels.
 """
 
+from casadi_models.dae.family import Family
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.model import Model
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Start, Variable
 
-__all__ = ["Closing", "Dae", "Experiment", "Invariant", "Model", "Start", "StartRule", "Variable"]
+__all__ = [
+    "Closing",
+    "Dae",
+    "Experiment",
+    "Family",
+    "Invariant",
+    "Model",
+    "Start",
+    "StartRule",
+    "Variable",
+]

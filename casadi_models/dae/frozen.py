@@ -92,6 +92,11 @@ class Dae:
         """All variables: states, algebraics, outputs, inputs, parameters."""
         return self.states + self.algebraics + self.output_variables + self.inputs + self.parameters
 
+    @property
+    def own_meanings(self) -> dict[str, str]:
+        """Names that mean something else in other formulations of the system, and why."""
+        return {v.name: v.own_meaning for v in self.variables if v.own_meaning}
+
     def watching(self, names: Collection[str]) -> "Dae":
         """Return the DAE with those of its monitors among the outputs that are named."""
         wanted = [(v, expression) for v, expression in self.monitors if v.name in names]

@@ -31,6 +31,7 @@ class Facts(TypedDict, total=False):
     nominal: float
     minimum: float
     maximum: float
+    own_meaning: str
 
 
 class Model:
@@ -47,6 +48,7 @@ class Model:
         display: Display unit by SI unit, for every variable that does not name its own.
         stop_time: End of the run that the model is shown with, s.
         output_interval: Distance of its output times, s.
+        reference_tolerance: See `Experiment`.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Model:
         display: Mapping[str, str] | None = None,
         stop_time: float = 10.0,
         output_interval: float = 0.01,
+        reference_tolerance: float = 1e-10,
     ) -> None:
         for part in (name, formulation or name):
             if not is_name(part):
@@ -67,7 +70,7 @@ class Model:
         self._description, self._source = description, source
         self._display = dict(display or {})
         with self._naming_the_model():
-            self._experiment = Experiment(stop_time, output_interval)
+            self._experiment = Experiment(stop_time, output_interval, reference_tolerance)
             for unit, shown in self._display.items():
                 convert(1.0, unit, shown)
         self.t = SX.sym("time")
@@ -133,7 +136,8 @@ class Model:
 
         It costs nothing until it is named as an output; see `Dae.watching`.
         """
-        variable = self._variable(name, "1", meaning, {}, None, Start.CALCULATED)
+        facts: Facts = {"own_meaning": "it describes the equations, which differ"}
+        variable = self._variable(name, "1", meaning, facts, None, Start.CALCULATED)
         self._monitors[name] = self._column(f"monitor '{name}'", expression, 1)
         self._variables[name] = variable
 

@@ -31,6 +31,8 @@ class Variable:
         start_kind: Whether the start is given, calculated or a guess.
         nominal: Typical size, by which errors are scaled; positive.
         minimum, maximum: Bounds that the start respects.
+        own_meaning: Why it may differ from what other formulations of the system give this name;
+            empty where it means the same.
 
     Raises:
         ValueError: One of these is missing, of the wrong type or contradicts another.
@@ -45,6 +47,7 @@ class Variable:
     nominal: float = 1.0
     minimum: float = -inf
     maximum: float = inf
+    own_meaning: str = ""
 
     def __post_init__(self) -> None:
         if not is_name(self.name) or self.name == "time":
@@ -55,6 +58,8 @@ class Variable:
             raise ValueError(f"{self.name}: {error}") from error
         if not (isinstance(self.meaning, str) and self.meaning.strip()):
             raise ValueError(f"{self.name}: the meaning is missing; describe it in a few words")
+        if not isinstance(self.own_meaning, str):
+            raise ValueError(f"{self.name}: own_meaning {self.own_meaning!r} is not a text")
         if not isinstance(self.start_kind, Start):
             raise ValueError(f"{self.name}: start_kind {self.start_kind!r} is not a Start")
         self._settle_start()
@@ -82,17 +87,27 @@ class Variable:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The run that a model is shown with, s; from 0 to `stop_time`."""
+    """The run that a model is shown with; from 0 to `stop_time`.
+
+    Attributes:
+        stop_time, output_interval: s.
+        reference_tolerance: Relative tolerance at which independent solvers agree to within 1e-6 of
+            nominal values; smaller where the motion multiplies what a solver is wrong by.
+    """
 
     stop_time: float
     output_interval: float = 0.01
+    reference_tolerance: float = 1e-10
 
     def __post_init__(self) -> None:
-        for fact in ("stop_time", "output_interval"):
-            seconds = number(getattr(self, fact), fact)
-            if not (isfinite(seconds) and seconds > 0):
-                raise ValueError(f"{fact} {seconds} s is not a positive time")
-            object.__setattr__(self, fact, seconds)
+        for fact in ("stop_time", "output_interval", "reference_tolerance"):
+            value = number(getattr(self, fact), fact)
+            if not (isfinite(value) and value > 0):
+                what = "number" if fact == "reference_tolerance" else "time"
+                raise ValueError(
+                    f"{fact} {value}{' s' * (what == 'time')} is not a positive {what}"
+                )
+            object.__setattr__(self, fact, value)
 
 
 def number(value: object, what: str) -> float:

@@ -10,8 +10,3 @@ Model   links axisymmetric, joints on their axes and without friction, gravity a
         every formulation are the angular velocities w1 and w2, resolved in L1 and L2.
 Source  Unit 7, Exercises 7.2 to 7.4; docs/double_pendulum.md holds the derivation.
 """
-
-from casadi_models.double_pendulum.explicit import euler_313, euler_313_axial, quaternion
-from casadi_models.double_pendulum.free_bodies import multipliers
-
-__all__ = ["euler_313", "euler_313_axial", "multipliers", "quaternion"]

@@ -6,7 +6,7 @@ Source  Kane, Likins & Levinson, Spacecraft Dynamics, 1983, sections 1.6 and 1.7
 import casadi as ca
 from casadi import SX, cos, sin
 
-from casadi_models.rotations import quaternion_about, quaternion_product
+from casadi_models.mechanics.rotations import quaternion_about, quaternion_product
 
 SINGULAR = 1e-15  # below, sin(theta) near pi has no correct digit
 

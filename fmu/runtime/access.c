@@ -1,13 +1,21 @@
 /* Variables by value reference: which may be read, which may be set when and to what. */
+#include "access.h"
+
 #include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "evaluation.h"
+#include "logging.h"
 
 /* What must be fresh before a variable of a role is read. */
 static const unsigned needed_by[] = {
-    [STATE] = START_VALUES, [DERIVATIVE] = DERIVATIVES, [ALGEBRAIC] = ALGEBRAICS,
-    [OUTPUT] = OUTPUTS, [TIME] = 0, [INPUT] = 0, [PARAMETER] = 0,
+    [STATE] = START_VALUES,
+    [DERIVATIVE] = DERIVATIVES,
+    [ALGEBRAIC] = ALGEBRAICS,
+    [OUTPUT] = OUTPUTS,
+    [TIME] = 0,
+    [INPUT] = 0,
+    [PARAMETER] = 0,
 };
 
 /* The modes in which a variable may be set (FMI 2.0.4, 3.2.3 and 4.2.4; FMI 3.0.2, 2.3). FMI 2
@@ -34,8 +42,12 @@ static unsigned dependents(const Instance *self, const VariableInfo *variable) {
 
 static const char *role_name(Role role) {
     static const char *const names[] = {
-        [TIME] = "time", [STATE] = "state", [DERIVATIVE] = "derivative",
-        [ALGEBRAIC] = "algebraic unknown", [INPUT] = "input", [PARAMETER] = "parameter",
+        [TIME] = "time",
+        [STATE] = "state",
+        [DERIVATIVE] = "derivative",
+        [ALGEBRAIC] = "algebraic unknown",
+        [INPUT] = "input",
+        [PARAMETER] = "parameter",
         [OUTPUT] = "output",
     };
     return names[role];

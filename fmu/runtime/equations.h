@@ -21,15 +21,15 @@
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
+#include "visibility.h"
+
 typedef int Equation(const double **arg, double **res, long long *iw, double *w, int mem);
 typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
 
 /* Counts of arguments and results that the runtime passes at most. */
 enum { MOST_ARGUMENTS = 9, MOST_RESULTS = 4 };
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
-#endif
+INSIDE_BEGIN
 
 Equation model_start, model_start_directional;
 Equation model_algebraic, model_ode, model_outputs;
@@ -39,8 +39,6 @@ WorkSize model_start_work, model_start_directional_work;
 WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
 WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility pop
-#endif
+INSIDE_END
 
 #endif

@@ -1,10 +1,12 @@
 /* Results on demand: each group of equations runs once after a setter made it stale. */
+#include "evaluation.h"
+
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "equations.h"
-#include "instance.h"
+#include "logging.h"
 
 static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
 

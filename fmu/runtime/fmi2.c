@@ -1,8 +1,11 @@
 /* FMI 2.0: the functions common to model exchange and co-simulation. */
 #include <stdlib.h>
 
-#include "fmi2Functions.h"
+#include "access.h"
 #include "fmi2_modes.h"
+#include "fmi2_status.h"
+#include "initialization.h"
+#include "sensitivity.h"
 #include "snapshot.h"
 
 /* -- information, creation, logging ----------------------------------------------------------- */
@@ -17,7 +20,7 @@ const char *fmi2GetVersion(void) {
 
 static void log_fmi2(const Instance *self, Status status, const char *category, const char *text) {
     const fmi2CallbackLogger logger = (fmi2CallbackLogger)self->host.logger;
-    logger(self->host.environment, self->name, (fmi2Status)status, category, text);
+    logger(self->host.environment, self->name, fmi2_status(status), category, text);
 }
 
 /* The resource location is not needed and not read; nothing is ever visible. */
@@ -37,8 +40,9 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         .allocate = own_memory ? calloc : functions->allocateMemory,
         .release = own_memory ? free : functions->freeMemory,
     };
-    const unsigned interface = fmuType == fmi2ModelExchange ? MODEL_EXCHANGE
-                               : fmuType == fmi2CoSimulation ? CO_SIMULATION : 0;
+    const unsigned interface = fmuType == fmi2ModelExchange  ? INTERFACE_ME
+                               : fmuType == fmi2CoSimulation ? INTERFACE_CS
+                                                             : 0;
     return create(&host, __func__, instanceName, fmuGUID, interface, loggingOn);
 }
 
@@ -50,25 +54,24 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
                                const fmi2String categories[]) {
     Instance *self = c;
     if (!allowed(self, IN_SET_DEBUG_LOGGING, __func__)) return fmi2Error;
-    return (fmi2Status)choose_categories(self, loggingOn, nCategories, categories);
+    return fmi2_status(choose_categories(self, loggingOn, nCategories, categories));
 }
 
 /* -- initialization, termination, reset ------------------------------------------------------- */
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
-                               fmi2Real startTime, fmi2Boolean stopTimeDefined,
-                               fmi2Real stopTime) {
+                               fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
     Instance *self = c;
     if (!allowed(self, IN_SETUP_EXPERIMENT, __func__)) return fmi2Error;
-    return (fmi2Status)set_up(self, toleranceDefined ? &tolerance : NULL, startTime,
-                              stopTimeDefined ? &stopTime : NULL);
+    return fmi2_status(set_up(self, toleranceDefined ? &tolerance : NULL, startTime,
+                              stopTimeDefined ? &stopTime : NULL));
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Instance *self = c;
     if (!allowed(self, IN_ENTER_INITIALIZATION_MODE, __func__)) return fmi2Error;
     if (!self->state.experiment_set)
-        return (fmi2Status)refuse(self, ERROR, "call fmi2SetupExperiment first");
+        return fmi2_status(refuse(self, ERROR, "call fmi2SetupExperiment first"));
     self->state.mode = INITIALIZATION_MODE;
     return fmi2OK;
 }
@@ -76,7 +79,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     Instance *self = c;
     if (!allowed(self, IN_EXIT_INITIALIZATION_MODE, __func__)) return fmi2Error;
-    return (fmi2Status)finish_initialization(self);
+    return fmi2_status(finish_initialization(self));
 }
 
 fmi2Status fmi2Terminate(fmi2Component c) {
@@ -99,20 +102,20 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
                        fmi2Real value[]) {
     Instance *self = c;
     if (!allowed(self, IN_GET_VALUES, __func__)) return fmi2Error;
-    return (fmi2Status)get_values(self, vr, nvr, value);
+    return fmi2_status(get_values(self, vr, nvr, value));
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        const fmi2Real value[]) {
     Instance *self = c;
     if (!allowed(self, IN_SET_REAL, __func__)) return fmi2Error;
-    return (fmi2Status)set_values(self, vr, nvr, value);
+    return fmi2_status(set_values(self, vr, nvr, value));
 }
 
 static fmi2Status no_variables(Instance *self, unsigned modes, const char *function, size_t nvr) {
     if (!allowed(self, modes, function)) return fmi2Error;
     if (nvr == 0) return fmi2OK;
-    return (fmi2Status)refuse(self, ERROR, "the model has no variable of this type");
+    return fmi2_status(refuse(self, ERROR, "the model has no variable of this type"));
 }
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
@@ -159,8 +162,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         fmi2Real dvUnknown[]) {
     Instance *self = c;
     if (!allowed(self, IN_GET_DIRECTIONAL_DERIVATIVE, __func__)) return fmi2Error;
-    return (fmi2Status)directional(self, vUnknown_ref, nUnknown, vKnown_ref, nKnown, dvKnown,
-                                   dvUnknown);
+    return fmi2_status(
+        directional(self, vUnknown_ref, nUnknown, vKnown_ref, nKnown, dvKnown, dvUnknown));
 }
 
 /* -- the FMU state ---------------------------------------------------------------------------- */
@@ -168,37 +171,37 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
     Instance *self = c;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return (fmi2Status)take_snapshot(self, FMUstate);
+    return fmi2_status(take_snapshot(self, FMUstate));
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
     Instance *self = c;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return (fmi2Status)restore_snapshot(self, FMUstate);
+    return fmi2_status(restore_snapshot(self, FMUstate));
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
     Instance *self = c;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return (fmi2Status)release_snapshot(self, FMUstate);
+    return fmi2_status(release_snapshot(self, FMUstate));
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
     Instance *self = c;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return (fmi2Status)snapshot_size(self, FMUstate, size);
+    return fmi2_status(snapshot_size(self, FMUstate, size));
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate,
-                                 fmi2Byte serializedState[], size_t size) {
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
+                                 size_t size) {
     Instance *self = c;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return (fmi2Status)serialize(self, FMUstate, serializedState, size);
+    return fmi2_status(serialize(self, FMUstate, serializedState, size));
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
                                    fmi2FMUstate *FMUstate) {
     Instance *self = c;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return (fmi2Status)deserialize(self, serializedState, size, FMUstate);
+    return fmi2_status(deserialize(self, serializedState, size, FMUstate));
 }

@@ -1,6 +1,6 @@
 /* FMI 2.0: the functions of co-simulation. Steps are computed while the importer waits. */
-#include "fmi2Functions.h"
 #include "fmi2_modes.h"
+#include "fmi2_status.h"
 #include "stepping.h"
 
 /* -- inputs and outputs between communication points ------------------------------------------ */
@@ -9,14 +9,14 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Instance *self = c;
     if (!allowed(self, IN_SET_INPUT_DERIVATIVES, __func__)) return fmi2Error;
-    return (fmi2Status)set_slopes(self, vr, nvr, order, value);
+    return fmi2_status(set_slopes(self, vr, nvr, order, value));
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
     Instance *self = c;
     if (!allowed(self, IN_GET_OUTPUT_DERIVATIVES, __func__)) return fmi2Error;
-    return (fmi2Status)get_rates(self, vr, nvr, order, value);
+    return fmi2_status(get_rates(self, vr, nvr, order, value));
 }
 
 /* -- steps ------------------------------------------------------------------------------------ */
@@ -27,7 +27,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
     Instance *self = c;
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, IN_DO_STEP, __func__)) return fmi2Error;
-    return (fmi2Status)do_step(self, currentCommunicationPoint, communicationStepSize);
+    return fmi2_status(do_step(self, currentCommunicationPoint, communicationStepSize));
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
@@ -45,7 +45,7 @@ static bool tells(Instance *self, const char *function, bool offered, const void
     else if (offered)
         *status = fmi2OK;
     else
-        *status = (fmi2Status)refuse(self, DISCARD, "there is no such status information");
+        *status = fmi2_status(refuse(self, DISCARD, "there is no such status information"));
     return *status == fmi2OK;
 }
 
@@ -53,7 +53,7 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
     Instance *self = c;
     fmi2Status status;
     if (tells(self, __func__, s == fmi2DoStepStatus, value, &status))
-        *value = (fmi2Status)self->state.step_status;
+        *value = fmi2_status(self->state.step_status);
     return status;
 }
 

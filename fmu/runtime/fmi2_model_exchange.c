@@ -1,6 +1,7 @@
 /* FMI 2.0: the functions of model exchange. The models have no events. */
-#include "fmi2Functions.h"
+#include "access.h"
 #include "fmi2_modes.h"
+#include "fmi2_status.h"
 
 /* -- modes ------------------------------------------------------------------------------------ */
 
@@ -21,7 +22,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) {
     Instance *self = c;
     if (!allowed(self, IN_NEW_DISCRETE_STATES, __func__)) return fmi2Error;
-    if (!fmi2eventInfo) return (fmi2Status)refuse(self, ERROR, "there is no room for the results");
+    if (!fmi2eventInfo) return fmi2_status(refuse(self, ERROR, "there is no room for the results"));
     *fmi2eventInfo = (fmi2EventInfo){0}; /* nothing to update, nothing changed, no event to come */
     return fmi2OK;
 }
@@ -34,7 +35,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c,
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, IN_COMPLETED_INTEGRATOR_STEP, __func__)) return fmi2Error;
     if (!enterEventMode || !terminateSimulation)
-        return (fmi2Status)refuse(self, ERROR, "there is no room for the results");
+        return fmi2_status(refuse(self, ERROR, "there is no room for the results"));
     *enterEventMode = *terminateSimulation = fmi2False;
     return fmi2OK;
 }
@@ -44,31 +45,31 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c,
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     Instance *self = c;
     if (!allowed(self, IN_SET_TIME, __func__)) return fmi2Error;
-    return (fmi2Status)set_time(self, time);
+    return fmi2_status(set_time(self, time));
 }
 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
     Instance *self = c;
     if (!allowed(self, IN_SET_CONTINUOUS_STATES, __func__)) return fmi2Error;
-    return (fmi2Status)set_states(self, x, nx);
+    return fmi2_status(set_states(self, x, nx));
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
     Instance *self = c;
     if (!allowed(self, IN_GET_CONTINUOUS_STATES, __func__)) return fmi2Error;
-    return (fmi2Status)get_block(self, FIRST_STATE, x, nx);
+    return fmi2_status(get_block(self, FIRST_STATE, x, nx));
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
     Instance *self = c;
     if (!allowed(self, IN_GET_DERIVATIVES, __func__)) return fmi2Error;
-    return (fmi2Status)get_block(self, FIRST_DERIVATIVE, derivatives, nx);
+    return fmi2_status(get_block(self, FIRST_DERIVATIVE, derivatives, nx));
 }
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
     Instance *self = c;
     if (!allowed(self, IN_GET_NOMINALS, __func__)) return fmi2Error;
-    return (fmi2Status)get_nominals(self, x_nominal, nx);
+    return fmi2_status(get_nominals(self, x_nominal, nx));
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
@@ -76,5 +77,5 @@ fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], s
     (void)eventIndicators;
     if (!allowed(self, IN_GET_EVENT_INDICATORS, __func__)) return fmi2Error;
     if (ni == 0) return fmi2OK;
-    return (fmi2Status)refuse(self, ERROR, "%zu asked, the model has no event indicators", ni);
+    return fmi2_status(refuse(self, ERROR, "%zu asked, the model has no event indicators", ni));
 }

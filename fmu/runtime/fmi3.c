@@ -1,8 +1,11 @@
 /* FMI 3.0: the functions common to model exchange and co-simulation. */
 #include <stdlib.h>
 
-#include "fmi3Functions.h"
+#include "access.h"
 #include "fmi3_modes.h"
+#include "fmi3_status.h"
+#include "initialization.h"
+#include "sensitivity.h"
 #include "snapshot.h"
 
 /* -- information, creation, logging ----------------------------------------------------------- */
@@ -13,7 +16,7 @@ const char *fmi3GetVersion(void) {
 
 static void log_fmi3(const Instance *self, Status status, const char *category, const char *text) {
     const fmi3LogMessageCallback logger = (fmi3LogMessageCallback)self->host.logger;
-    logger(self->host.environment, (fmi3Status)status, category, text);
+    logger(self->host.environment, fmi3_status(status), category, text);
 }
 
 static Host host_of(fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger) {
@@ -35,7 +38,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3LogMessageCallback logMessage) {
     (void)resourcePath, (void)visible;
     const Host host = host_of(instanceEnvironment, logMessage);
-    return create(&host, __func__, instanceName, instantiationToken, MODEL_EXCHANGE, loggingOn);
+    return create(&host, __func__, instanceName, instantiationToken, INTERFACE_ME, loggingOn);
 }
 
 /* No event mode and no intermediate updates: the model has no events. */
@@ -49,7 +52,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables;
     (void)intermediateUpdate;
     const Host host = host_of(instanceEnvironment, logMessage);
-    const unsigned interface = eventModeUsed ? 0 : CO_SIMULATION;
+    const unsigned interface = eventModeUsed ? 0 : INTERFACE_CS;
     return create(&host, __func__, instanceName, instantiationToken, interface, loggingOn);
 }
 
@@ -72,7 +75,7 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, siz
                                const fmi3String categories[]) {
     Instance *self = instance;
     if (!allowed(self, IN_SET_DEBUG_LOGGING, __func__)) return fmi3Error;
-    return (fmi3Status)choose_categories(self, loggingOn, nCategories, categories);
+    return fmi3_status(choose_categories(self, loggingOn, nCategories, categories));
 }
 
 /* -- initialization, termination, reset ------------------------------------------------------- */
@@ -85,13 +88,13 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
     const Status status = set_up(self, toleranceDefined ? &tolerance : NULL, startTime,
                                  stopTimeDefined ? &stopTime : NULL);
     if (status != ERROR) self->state.mode = INITIALIZATION_MODE;
-    return (fmi3Status)status;
+    return fmi3_status(status);
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
     Instance *self = instance;
     if (!allowed(self, IN_EXIT_INITIALIZATION_MODE, __func__)) return fmi3Error;
-    return (fmi3Status)finish_initialization(self);
+    return fmi3_status(finish_initialization(self));
 }
 
 fmi3Status fmi3Terminate(fmi3Instance instance) {
@@ -110,18 +113,12 @@ fmi3Status fmi3Reset(fmi3Instance instance) {
 
 /* -- variables: all are Float64 scalars ------------------------------------------------------- */
 
-static bool one_each(Instance *self, size_t values, size_t variables_asked) {
-    if (values == variables_asked) return true;
-    refuse(self, ERROR, "%zu values for %zu scalar variables", values, variables_asked);
-    return false;
-}
-
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, fmi3Float64 values[], size_t nValues) {
     Instance *self = instance;
     if (!allowed(self, IN_GET_VALUES, __func__)) return fmi3Error;
     if (!one_each(self, nValues, nValueReferences)) return fmi3Error;
-    return (fmi3Status)get_values(self, valueReferences, nValueReferences, values);
+    return fmi3_status(get_values(self, valueReferences, nValueReferences, values));
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[],
@@ -129,7 +126,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     Instance *self = instance;
     if (!allowed(self, IN_SET_FLOAT, __func__)) return fmi3Error;
     if (!one_each(self, nValues, nValueReferences)) return fmi3Error;
-    return (fmi3Status)set_values(self, valueReferences, nValueReferences, values);
+    return fmi3_status(set_values(self, valueReferences, nValueReferences, values));
 }
 
 /* -- derivatives with respect to variables ---------------------------------------------------- */
@@ -142,7 +139,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
     if (!allowed(self, IN_GET_DERIVATIVE, __func__)) return fmi3Error;
     if (!one_each(self, nSeed, nKnowns) || !one_each(self, nSensitivity, nUnknowns))
         return fmi3Error;
-    return (fmi3Status)directional(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity);
+    return fmi3_status(directional(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity));
 }
 
 /* -- the FMU state ---------------------------------------------------------------------------- */
@@ -150,37 +147,37 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
     Instance *self = instance;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return (fmi3Status)take_snapshot(self, FMUState);
+    return fmi3_status(take_snapshot(self, FMUState));
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState) {
     Instance *self = instance;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return (fmi3Status)restore_snapshot(self, FMUState);
+    return fmi3_status(restore_snapshot(self, FMUState));
 }
 
 fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
     Instance *self = instance;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return (fmi3Status)release_snapshot(self, FMUState);
+    return fmi3_status(release_snapshot(self, FMUState));
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
     Instance *self = instance;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return (fmi3Status)snapshot_size(self, FMUState, size);
+    return fmi3_status(snapshot_size(self, FMUState, size));
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
                                  fmi3Byte serializedState[], size_t size) {
     Instance *self = instance;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return (fmi3Status)serialize(self, FMUState, serializedState, size);
+    return fmi3_status(serialize(self, FMUState, serializedState, size));
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[],
                                    size_t size, fmi3FMUState *FMUState) {
     Instance *self = instance;
     if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return (fmi3Status)deserialize(self, serializedState, size, FMUState);
+    return fmi3_status(deserialize(self, serializedState, size, FMUState));
 }

@@ -1,12 +1,12 @@
 /* FMI 3.0: the functions of what these models do not have - variables of other types, clocks,
    structural parameters, model partitions. Without a variable asked, they do nothing. */
-#include "fmi3Functions.h"
 #include "fmi3_modes.h"
+#include "fmi3_status.h"
 
 static fmi3Status absent(Instance *self, unsigned modes, const char *function, size_t asked) {
     if (!allowed(self, modes, function)) return fmi3Error;
     if (asked == 0) return fmi3OK;
-    return (fmi3Status)refuse(self, ERROR, "the model has no variable of this type");
+    return fmi3_status(refuse(self, ERROR, "the model has no variable of this type"));
 }
 
 #define REFERENCES const fmi3ValueReference valueReferences[], size_t nValueReferences
@@ -53,7 +53,7 @@ fmi3Status fmi3SetBinary(fmi3Instance instance, REFERENCES, const size_t valueSi
 /* The modes of the standard's lists: clocks tick in events, intervals and shifts are settled
    in initialization mode too. */
 enum {
-    IN_CLOCKS = EVENT_MODE | MODEL_EXCHANGE,
+    IN_CLOCKS = EVENT_MODE | INTERFACE_ME,
     IN_INTERVALS = INITIALIZATION_MODE | EVENT_MODE | EITHER,
     IN_SHIFTS = INITIALIZATION_MODE | EITHER
 };
@@ -118,7 +118,7 @@ fmi3Status fmi3SetShiftFraction(fmi3Instance instance, REFERENCES, const fmi3UIn
 
 static fmi3Status denied(Instance *self, const char *function) {
     if (!allowed(self, ALWAYS, function)) return fmi3Error;
-    return (fmi3Status)refuse(self, ERROR, "the model does not offer this");
+    return fmi3_status(refuse(self, ERROR, "the model does not offer this"));
 }
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance,
@@ -132,8 +132,7 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
                                        size_t elementIndicesOfDependent[],
                                        fmi3ValueReference independents[],
                                        size_t elementIndicesOfIndependents[],
-                                       fmi3DependencyKind dependencyKinds[],
-                                       size_t nDependencies) {
+                                       fmi3DependencyKind dependencyKinds[], size_t nDependencies) {
     (void)dependent, (void)elementIndicesOfDependent, (void)independents;
     (void)elementIndicesOfIndependents, (void)dependencyKinds, (void)nDependencies;
     return denied(instance, __func__);

@@ -1,8 +1,9 @@
 /* FMI 3.0: adjoint derivatives, weights of results carried backwards. */
 #include <string.h>
 
-#include "fmi3Functions.h"
+#include "evaluation.h"
 #include "fmi3_modes.h"
+#include "fmi3_status.h"
 #include "sensitivity.h"
 
 /* Collect a weight of the start values on exact starts and parameters. The start rules are small:
@@ -56,8 +57,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
                                     fmi3Float64 sensitivity[], size_t nSensitivity) {
     Instance *self = instance;
     if (!allowed(self, IN_GET_DERIVATIVE, __func__)) return fmi3Error;
-    if (nSeed != nUnknowns || nSensitivity != nKnowns)
-        return (fmi3Status)refuse(self, ERROR, "%zu and %zu values for %zu and %zu scalar variables",
-                                  nSeed, nSensitivity, nUnknowns, nKnowns);
-    return (fmi3Status)adjoint(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity);
+    if (!one_each(self, nSeed, nUnknowns) || !one_each(self, nSensitivity, nKnowns))
+        return fmi3Error;
+    return fmi3_status(adjoint(self, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity));
 }

@@ -1,6 +1,6 @@
 /* FMI 3.0: the functions of co-simulation. Steps are computed without a stop in between. */
-#include "fmi3Functions.h"
 #include "fmi3_modes.h"
+#include "fmi3_status.h"
 #include "stepping.h"
 
 /* A step that fails is discarded: the instance is as it was before, and a shorter one may do.
@@ -14,11 +14,11 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, IN_DO_STEP, __func__)) return fmi3Error;
     if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
-        return (fmi3Status)refuse(self, ERROR, "there is no room for the results");
+        return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
     *lastSuccessfulTime = self->state.values[TIME];
-    return (fmi3Status)status;
+    return fmi3_status(status);
 }
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance,
@@ -27,10 +27,8 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance,
                                     fmi3Float64 values[], size_t nValues) {
     Instance *self = instance;
     if (!allowed(self, IN_GET_OUTPUT_DERIVATIVES, __func__)) return fmi3Error;
-    if (nValues != nValueReferences)
-        return (fmi3Status)refuse(self, ERROR, "%zu values for %zu scalar variables", nValues,
-                                  nValueReferences);
-    return (fmi3Status)get_rates(self, valueReferences, nValueReferences, orders, values);
+    if (!one_each(self, nValues, nValueReferences)) return fmi3Error;
+    return fmi3_status(get_rates(self, valueReferences, nValueReferences, orders, values));
 }
 
 /* Out of an event mode that co-simulation here does not enter. */

@@ -1,6 +1,7 @@
 /* FMI 3.0: the functions of model exchange. The models have no events. */
-#include "fmi3Functions.h"
+#include "access.h"
 #include "fmi3_modes.h"
+#include "fmi3_status.h"
 
 /* -- modes ------------------------------------------------------------------------------------ */
 
@@ -27,13 +28,12 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
                                     fmi3Boolean *terminateSimulation,
                                     fmi3Boolean *nominalsOfContinuousStatesChanged,
                                     fmi3Boolean *valuesOfContinuousStatesChanged,
-                                    fmi3Boolean *nextEventTimeDefined,
-                                    fmi3Float64 *nextEventTime) {
+                                    fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime) {
     Instance *self = instance;
     if (!allowed(self, IN_DISCRETE_STATES, __func__)) return fmi3Error;
     if (!discreteStatesNeedUpdate || !terminateSimulation || !nominalsOfContinuousStatesChanged ||
         !valuesOfContinuousStatesChanged || !nextEventTimeDefined || !nextEventTime)
-        return (fmi3Status)refuse(self, ERROR, "there is no room for the results");
+        return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     *discreteStatesNeedUpdate = *terminateSimulation = *nextEventTimeDefined = fmi3False;
     *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
     *nextEventTime = 0.0;
@@ -48,7 +48,7 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
     (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, IN_COMPLETED_INTEGRATOR_STEP, __func__)) return fmi3Error;
     if (!enterEventMode || !terminateSimulation)
-        return (fmi3Status)refuse(self, ERROR, "there is no room for the results");
+        return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     *enterEventMode = *terminateSimulation = fmi3False;
     return fmi3OK;
 }
@@ -58,35 +58,35 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
 fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
     Instance *self = instance;
     if (!allowed(self, IN_SET_TIME, __func__)) return fmi3Error;
-    return (fmi3Status)set_time(self, time);
+    return fmi3_status(set_time(self, time));
 }
 
 fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
                                    size_t nContinuousStates) {
     Instance *self = instance;
     if (!allowed(self, IN_SET_CONTINUOUS_STATES, __func__)) return fmi3Error;
-    return (fmi3Status)set_states(self, continuousStates, nContinuousStates);
+    return fmi3_status(set_states(self, continuousStates, nContinuousStates));
 }
 
 fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[],
                                    size_t nContinuousStates) {
     Instance *self = instance;
     if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return (fmi3Status)get_block(self, FIRST_STATE, continuousStates, nContinuousStates);
+    return fmi3_status(get_block(self, FIRST_STATE, continuousStates, nContinuousStates));
 }
 
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
                                              size_t nContinuousStates) {
     Instance *self = instance;
     if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return (fmi3Status)get_block(self, FIRST_DERIVATIVE, derivatives, nContinuousStates);
+    return fmi3_status(get_block(self, FIRST_DERIVATIVE, derivatives, nContinuousStates));
 }
 
 fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
                                              size_t nContinuousStates) {
     Instance *self = instance;
     if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return (fmi3Status)get_nominals(self, nominals, nContinuousStates);
+    return fmi3_status(get_nominals(self, nominals, nContinuousStates));
 }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[],
@@ -95,13 +95,13 @@ fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndica
     (void)eventIndicators;
     if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
     if (nEventIndicators == 0) return fmi3OK;
-    return (fmi3Status)refuse(self, ERROR, "%zu asked, the model has no event indicators",
-                              nEventIndicators);
+    return fmi3_status(
+        refuse(self, ERROR, "%zu asked, the model has no event indicators", nEventIndicators));
 }
 
 static fmi3Status count(Instance *self, const char *function, size_t number, size_t *result) {
     if (!allowed(self, IN_GET_COUNTS, function)) return fmi3Error;
-    if (!result) return (fmi3Status)refuse(self, ERROR, "there is no room for the number");
+    if (!result) return fmi3_status(refuse(self, ERROR, "there is no room for the number"));
     *result = number;
     return fmi3OK;
 }

@@ -6,15 +6,13 @@
 #include <string.h>
 
 #include "equations.h"
+#include "logging.h"
 
 #define MAGIC UINT64_C(0x636f73696d464d55)
 
-static const double TIGHTEST_TOLERANCE = 1e-13; /* about 500 rounding errors */
-static const double LOOSEST_TOLERANCE = 0.1;
-
 static WorkSize *const work_sizes[] = {
-    model_start_work, model_start_directional_work, model_algebraic_work, model_ode_work,
-    model_outputs_work, model_directional_work, model_jacobian_work,
+    model_start_work,   model_start_directional_work, model_algebraic_work, model_ode_work,
+    model_outputs_work, model_directional_work,       model_jacobian_work,
 #if HAS_ADJOINT
     model_adjoint_work,
 #endif
@@ -55,7 +53,7 @@ Instance *create(const Host *host, const char *function, const char *name, const
                  unsigned interface, bool logging) {
     Instance draft = {.host = *host, .name = name ? name : "", .categories = UINT32_MAX};
     draft.function = function;
-    if (interface != MODEL_EXCHANGE && interface != CO_SIMULATION) {
+    if (interface != INTERFACE_ME && interface != INTERFACE_CS) {
         log_text(&draft, ERROR, "the model offers model exchange and co-simulation only");
         return NULL;
     }
@@ -64,18 +62,19 @@ Instance *create(const Host *host, const char *function, const char *name, const
         return NULL;
     }
     if (!token || strcmp(token, MODEL_GUID) != 0) {
-        log_text(&draft, ERROR,
-                 "the model description is not this binary's: its GUID is %.80s, the binary's is %s",
-                 token ? token : "missing", MODEL_GUID);
+        log_text(
+            &draft, ERROR,
+            "the model description is not this binary's: its GUID is %.80s, the binary's is %s",
+            token ? token : "missing", MODEL_GUID);
         return NULL;
     }
 
     const Room room = work_room();
     const size_t name_size = strlen(name) + 1;
     const size_t jacobian = (NX + NZ) * (NX + NU);
-    const size_t size = sizeof(Instance) + jacobian * sizeof(double) + room.arg * sizeof *draft.arg +
-                        room.res * sizeof *draft.res + room.iw * sizeof *draft.iw +
-                        room.w * sizeof *draft.w + name_size;
+    const size_t size = sizeof(Instance) + jacobian * sizeof(double) +
+                        room.arg * sizeof *draft.arg + room.res * sizeof *draft.res +
+                        room.iw * sizeof *draft.iw + room.w * sizeof *draft.w + name_size;
     Instance *self = host->allocate(1, size);
     if (!self) {
         log_text(&draft, ERROR, "no memory for an instance of %zu bytes", size);
@@ -86,7 +85,8 @@ Instance *create(const Host *host, const char *function, const char *name, const
     self->categories = logging ? UINT32_MAX : 0;
     self->jacobian = (double *)(self + 1);
     self->w = self->jacobian + jacobian;
-    self->iw = (long long *)(self->w + room.w);
+    void *behind = self->w + room.w;
+    self->iw = behind;
     self->arg = (const double **)(self->iw + room.iw);
     self->res = (double **)(self->arg + room.arg);
     self->name = memcpy(self->res + room.res, name, name_size);
@@ -132,7 +132,7 @@ bool allowed(Instance *self, unsigned modes, const char *function) {
     self->function = function;
     if (!(self->state.interface & modes)) {
         refuse(self, ERROR, "not a function of %s",
-               self->state.interface == MODEL_EXCHANGE ? "model exchange" : "co-simulation");
+               self->state.interface == INTERFACE_ME ? "model exchange" : "co-simulation");
         return false;
     }
     if (!(self->state.mode & modes)) {
@@ -140,32 +140,4 @@ bool allowed(Instance *self, unsigned modes, const char *function) {
         return false;
     }
     return true;
-}
-
-/* Settle start time, stop time and tolerance; a null pointer leaves one undefined. */
-Status set_up(Instance *self, const double *tolerance, double start, const double *stop) {
-    if (!isfinite(start)) return refuse(self, ERROR, "start time %g is not finite", start);
-    if (stop && !(*stop >= start))
-        return refuse(self, ERROR, "stop time %g is not after start time %g", *stop, start);
-    if (tolerance && !(*tolerance > 0 && isfinite(*tolerance)))
-        return refuse(self, ERROR, "relative tolerance %g is not positive and finite", *tolerance);
-
-    State *state = &self->state;
-    state->values[TIME] = start;
-    state->stop_time = stop ? *stop : INFINITY;
-    state->tolerance = DEFAULT_TOLERANCE;
-    state->experiment_set = true;
-    if (!tolerance) return OK;
-    state->tolerance = fmin(fmax(*tolerance, TIGHTEST_TOLERANCE), LOOSEST_TOLERANCE);
-    if (state->tolerance == *tolerance) return OK;
-    return refuse(self, WARNING, "relative tolerance %g is out of reach; %g is used", *tolerance,
-                  state->tolerance);
-}
-
-/* Leave initialization mode; an error when the start values have no solution. */
-Status finish_initialization(Instance *self) {
-    if (refresh(self, START_VALUES | ALGEBRAICS) != OK)
-        return refuse(self, ERROR, "initialization failed; change start values or parameters");
-    self->state.mode = self->state.interface == MODEL_EXCHANGE ? EVENT_MODE : STEP_MODE;
-    return OK;
 }

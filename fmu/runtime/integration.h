@@ -2,17 +2,14 @@
 #ifndef INTEGRATION_H
 #define INTEGRATION_H
 
-#include "instance.h"
+#include "state.h"
+#include "visibility.h"
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden)
-#endif
+INSIDE_BEGIN
 
-/* Integrate up to `end`, or as far as it goes; time tells how far. Inputs move with their slopes. */
+/* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. */
 bool integrate_to(Instance *self, double end);
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility pop
-#endif
+INSIDE_END
 
 #endif

@@ -3,12 +3,15 @@
    A step goes on beyond a communication point where the inputs rest, and an interpolant gives the
    states there: so neither the work nor the result depends on the communication step. Inputs that
    move, or have just been changed, end a step at the communication point. */
+#include "integration.h"
+
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
+#include "dop853_coefficients.h"
 #include "equations.h"
-#include "integration.h"
+#include "evaluation.h"
 
 enum { MOST_TRIALS = 20000 }; /* of steps in a call: bounds its time */
 
@@ -19,26 +22,19 @@ static const double TIGHTEST = 1e-13; /* about 500 rounding errors */
 static const double ABSOLUTE = 0.01;  /* what is allowed at 0, in nominal values */
 
 typedef struct {
-    double tolerance;
-} Task;
-
-typedef struct {
     Instance *fmu;
     double began; /* the inputs' values are those of this time */
+    double tolerance;
     double z[ROOM(NZ)];
     int trials;
 } Problem;
 
-static int is_finite(const double *x) {
-    return all_finite(x, NX);
-}
-
 /* dx/dt; the algebraic unknowns are solved from their last values. */
-static int slope(Problem *self, double t, const double *x, double *dx, double *unused) {
+static int problem_slope(void *problem, double t, const double *x, double *dx) {
+    Problem *self = problem;
     Instance *fmu = self->fmu;
     const double *values = fmu->state.values;
     double u[ROOM(NU)] = {0}, z[ROOM(NZ)] = {0};
-    (void)unused;
     for (int i = 0; i < NU; i++)
         u[i] = values[FIRST_INPUT + i] + fmu->state.slopes[i] * (t - self->began);
     fmu->arg[0] = &t;
@@ -55,40 +51,27 @@ static int slope(Problem *self, double t, const double *x, double *dx, double *u
     return model_ode(fmu->arg, fmu->res, fmu->iw, fmu->w, 0);
 }
 
-#include "dop853.h"
-
-static double scale(const Task *task, int i, double x) {
-    return task->tolerance * (ABSOLUTE * variables[FIRST_STATE + i].nominal + fabs(x));
+static double problem_scale(const void *problem, int i, double x) {
+    const Problem *self = problem;
+    return self->tolerance * (ABSOLUTE * variables[FIRST_STATE + i].nominal + fabs(x));
 }
 
-/* What a run goes on from; part of the FMU state, all of it numbers. */
-typedef struct {
-    Interpolant piece; /* where the last step ended beyond a communication point */
-    double until;      /* end of the last step */
-    double end[NX], slope[NX];
-    double next;             /* size of the step that follows; 0: there was none before */
-    double rested;           /* 1: the inputs did not move during the last step */
-    double inputs[ROOM(NU)]; /* as it began */
-} Memory;
-
-_Static_assert(sizeof(Memory) == SOLVER_MEMORY * sizeof(double), "SOLVER_MEMORY is wrong");
-
 /* Start from the instance's own state. */
-static bool begin(Problem *self, const Task *task, Memory *memory, double ahead) {
-    const double *values = self->fmu->state.values;
+static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
+    const double *values = fmu->state.values;
     memory->until = values[TIME];
     memcpy(memory->end, values + FIRST_STATE, sizeof memory->end);
     Slopes k;
-    if (slope(self, memory->until, memory->end, k[0], NULL) || !is_finite(k[0])) return false;
+    if (slope(ode, memory->until, memory->end, k[0]) || !is_finite(k[0])) return false;
     memcpy(memory->slope, k[0], sizeof memory->slope);
     if (memory->next > 0) return true;
     const double span = fmin(ahead - memory->until, LARGEST_STEP);
-    memory->next = first_step(self, task, memory->until, span, memory->end, k);
+    memory->next = first_step(ode, memory->until, span, memory->end, k);
     return true;
 }
 
 /* One step on from the end of the last, no further than `ahead`; it may end beyond `end`. */
-static bool step(Problem *self, const Task *task, Memory *memory, double end, double ahead) {
+static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end, double ahead) {
     Slopes k;
     double x[NX];
     const double t = memory->until;
@@ -97,13 +80,13 @@ static bool step(Problem *self, const Task *task, Memory *memory, double end, do
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
         const bool final = t + 1.01 * memory->next >= ahead;
         const double h = final ? ahead - t : memory->next, after = final ? ahead : t + h;
-        const int lost = stages(self, t, h, memory->end, k, x);
-        const double error = lost ? NAN : error_of(task, h, memory->end, x, k);
-        if (!(error <= 1) || slope(self, after, x, k[END], NULL) || !is_finite(k[END])) {
+        const int lost = stages(ode, t, h, memory->end, k, x);
+        const double error = lost ? NAN : error_of(ode, h, memory->end, x, k);
+        if (!(error <= 1) || slope(ode, after, x, k[END]) || !is_finite(k[END])) {
             memory->next = h * (error > 1 ? growth(error, rejected) : 0.1);
             continue;
         }
-        if (after > end && (interpolate(self, t, h, memory->end, x, k, &memory->piece) ||
+        if (after > end && (interpolate(ode, t, h, memory->end, x, k, &memory->piece) ||
                             !all_finite(memory->piece.row[0], 8 * NX))) {
             memset(&memory->piece, 0, sizeof memory->piece);
             ahead = end;
@@ -121,7 +104,7 @@ static bool step(Problem *self, const Task *task, Memory *memory, double end, do
 }
 
 /* Move the instance to a time that has been reached. */
-static void settle(const Problem *self, const Memory *memory, double time) {
+static void settle(const Problem *self, const SolverMemory *memory, double time) {
     State *state = &self->fmu->state;
     double *values = state->values;
     if (time < memory->until)
@@ -129,8 +112,7 @@ static void settle(const Problem *self, const Memory *memory, double time) {
     else
         memcpy(values + FIRST_STATE, memory->end, sizeof memory->end);
     memcpy(values + FIRST_ALGEBRAIC, self->z, NZ * sizeof *values);
-    for (int i = 0; i < NU; i++)
-        values[FIRST_INPUT + i] += state->slopes[i] * (time - self->began);
+    for (int i = 0; i < NU; i++) values[FIRST_INPUT + i] += state->slopes[i] * (time - self->began);
     values[TIME] = time;
     state->stale |= AFTER_START;
 }
@@ -139,9 +121,14 @@ bool integrate_to(Instance *self, double end) {
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     const State *state = &self->state;
     const double *u = state->values + FIRST_INPUT;
-    Memory *memory = (Memory *)self->state.memory;
-    const Task task = {fmax(OF_TOLERANCE * state->tolerance, TIGHTEST)};
-    Problem problem = {.fmu = self, .began = state->values[TIME], .trials = MOST_TRIALS};
+    SolverMemory *memory = &self->state.memory;
+    Problem problem = {
+        .fmu = self,
+        .began = state->values[TIME],
+        .tolerance = fmax(OF_TOLERANCE * state->tolerance, TIGHTEST),
+        .trials = MOST_TRIALS,
+    };
+    const Ode ode = {problem_slope, problem_scale, &problem};
     memcpy(problem.z, state->values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
 
     bool resting = true;
@@ -150,7 +137,7 @@ bool integrate_to(Instance *self, double end) {
     const bool same = first || memcmp(memory->inputs, u, NU * sizeof *u) == 0;
     const double ahead = resting && same ? fmax(state->stop_time, end) : end;
     const bool goes_on = !first && resting && same && memory->rested > 0;
-    if (!goes_on && !begin(&problem, &task, memory, ahead)) {
+    if (!goes_on && !begin(&ode, self, memory, ahead)) {
         memset(memory, 0, sizeof *memory);
         return false;
     }
@@ -158,7 +145,7 @@ bool integrate_to(Instance *self, double end) {
     memcpy(memory->inputs, u, NU * sizeof *u);
 
     while (memory->until < end)
-        if (!step(&problem, &task, memory, end, ahead)) {
+        if (!step(&ode, &problem, memory, end, ahead)) {
             settle(&problem, memory, memory->until);
             return false;
         }

@@ -1,8 +1,10 @@
 /* Co-simulation by a generated solver, which starts anew in every communication step. */
+#include "integration.h"
+
 #include <string.h>
 
 #include "equations.h"
-#include "integration.h"
+#include "evaluation.h"
 
 /* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
    that the step ends within about 4^-5 of its length before what stops it. Attempts times the

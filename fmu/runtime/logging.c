@@ -1,9 +1,9 @@
 /* Messages to the importer's logger, by category. */
+#include "logging.h"
+
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "instance.h"
 
 enum { TEXT_SIZE = 512 };
 

@@ -8,6 +8,10 @@
 #include <math.h>
 #include <string.h>
 
+#include "access.h"
+#include "evaluation.h"
+#include "logging.h"
+
 bool starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }

@@ -1,13 +1,12 @@
-/* What the derivatives along a seed and the adjoint ones share. */
+/* Analytic derivatives of all results along a seed, and what the adjoint ones share. */
 #ifndef SENSITIVITY_H
 #define SENSITIVITY_H
 
 #include "equations.h"
-#include "instance.h"
+#include "state.h"
+#include "visibility.h"
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden)
-#endif
+INSIDE_BEGIN
 
 bool starting(const Instance *self);
 Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
@@ -17,8 +16,11 @@ Status gather(Instance *self, const uint32_t references[], size_t count, const d
               double values[]);
 Status spread_to_starts(Instance *self, double seed[]);
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility pop
-#endif
+Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                   const uint32_t knowns[], size_t n_knowns, const double seed[],
+                   double sensitivity[]);
+Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]);
+
+INSIDE_END
 
 #endif

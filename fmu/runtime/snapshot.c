@@ -7,6 +7,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "evaluation.h"
+#include "logging.h"
+
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
 enum { LAYOUT_VERSION = 2 };
@@ -61,8 +64,8 @@ static const char *foreign(const Instance *self, const Header *header) {
 
 static bool is_mode(uint32_t mode, uint32_t interface) {
     const uint32_t common = INSTANTIATED | INITIALIZATION_MODE | TERMINATED | FAULTY;
-    const uint32_t own = interface == MODEL_EXCHANGE ? EVENT_MODE | CONTINUOUS_TIME_MODE
-                                                     : STEP_MODE | STEP_FAILED;
+    const uint32_t own =
+        interface == INTERFACE_ME ? EVENT_MODE | CONTINUOUS_TIME_MODE : STEP_MODE | STEP_FAILED;
     return mode & (common | own) && !(mode & (mode - 1));
 }
 
@@ -76,8 +79,7 @@ static bool plausible(const Instance *self, const State *state) {
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     for (int i = 0; i < NU; i++)
         if (!isfinite(state->slopes[i])) return false;
-    for (int i = 0; i < SOLVER_MEMORY; i++)
-        if (!isfinite(state->memory[i])) return false;
+    if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;
         if (!result && !isfinite(state->values[i])) return false;

@@ -2,11 +2,10 @@
 #ifndef SNAPSHOT_H
 #define SNAPSHOT_H
 
-#include "instance.h"
+#include "state.h"
+#include "visibility.h"
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden)
-#endif
+INSIDE_BEGIN
 
 Status take_snapshot(Instance *self, void **snapshot);
 Status restore_snapshot(Instance *self, const void *snapshot);
@@ -15,8 +14,6 @@ Status snapshot_size(Instance *self, const void *snapshot, size_t *size);
 Status serialize(Instance *self, const void *snapshot, void *bytes, size_t size);
 Status deserialize(Instance *self, const void *bytes, size_t size, void **snapshot);
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility pop
-#endif
+INSIDE_END
 
 #endif

@@ -4,7 +4,10 @@
 #include <math.h>
 #include <string.h>
 
+#include "access.h"
 #include "integration.h"
+#include "logging.h"
+#include "sensitivity.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
@@ -45,8 +48,8 @@ Status do_step(Instance *self, double from, double length) {
 static Status check_orders(Instance *self, size_t count, const int32_t orders[]) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
     for (size_t i = 0; i < count; i++)
-        if (orders[i] < 1) return refuse(self, ERROR, "there is no derivative of order %d",
-                                         (int)orders[i]);
+        if (orders[i] < 1)
+            return refuse(self, ERROR, "there is no derivative of order %d", (int)orders[i]);
     return OK;
 }
 
@@ -68,8 +71,7 @@ Status set_slopes(Instance *self, const uint32_t references[], size_t count, con
                           variable->name);
     }
     drop_spent_slopes(self);
-    for (size_t i = 0; i < count; i++)
-        self->state.slopes[references[i] - FIRST_INPUT] = values[i];
+    for (size_t i = 0; i < count; i++) self->state.slopes[references[i] - FIRST_INPUT] = values[i];
     return OK;
 }
 

@@ -2,11 +2,10 @@
 #ifndef STEPPING_H
 #define STEPPING_H
 
-#include "instance.h"
+#include "state.h"
+#include "visibility.h"
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden)
-#endif
+INSIDE_BEGIN
 
 Status do_step(Instance *self, double from, double length);
 Status set_slopes(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
@@ -14,8 +13,6 @@ Status set_slopes(Instance *self, const uint32_t references[], size_t count, con
 Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                  double values[]);
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility pop
-#endif
+INSIDE_END
 
 #endif

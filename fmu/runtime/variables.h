@@ -4,6 +4,10 @@
 #define VARIABLES_H
 
 #include "model.h"
+#include "visibility.h"
+
+/* Length of an array that a model may not need: C knows no array of length 0. */
+#define ROOM(n) ((n) > 0 ? (n) : 1)
 
 typedef enum { TIME, STATE, DERIVATIVE, ALGEBRAIC, INPUT, PARAMETER, OUTPUT } Role;
 
@@ -29,14 +33,10 @@ enum {
     N_VARIABLES = FIRST_OUTPUT + NY
 };
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
-#endif
+INSIDE_BEGIN
 
 extern const VariableInfo variables[];
 
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility pop
-#endif
+INSIDE_END
 
 #endif

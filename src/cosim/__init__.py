@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from cosim.errors import CosimError
     from cosim.fmi.export.package import export_fmu
     from cosim.fmi.run.simulate import simulate_fmu
+    from cosim.integrate.ensemble import Ensemble
     from cosim.integrate.simulate import integrator, start_vectors
+    from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
     from cosim.model.inputs import InputSeries, read_inputs
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Comparison": "verify.comparison",
     "CosimError": "errors",
+    "Ensemble": "integrate.ensemble",
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
     "Trajectory": "trajectory",
@@ -46,6 +49,7 @@ _HOMES = {
     "run_scene": "api",
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
+    "simulate_many": "integrate.simulate_many",
     "start_vectors": "integrate.simulate",
     "tradeoff": "study.tradeoff.study",
 }
@@ -53,6 +57,7 @@ _HOMES = {
 __all__ = [
     "Comparison",
     "CosimError",
+    "Ensemble",
     "InputSeries",
     "Scene",
     "Trajectory",
@@ -70,6 +75,7 @@ __all__ = [
     "run_scene",
     "simulate",
     "simulate_fmu",
+    "simulate_many",
     "start_vectors",
     "tradeoff",
 ]

@@ -203,7 +203,7 @@ class Trajectory:
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""
-        pandas = _extra("pandas")
+        pandas = optional_package("pandas")
         frame = pandas.DataFrame(self.values, columns=self.names, index=self.time)
         frame.index.name = "time"
         frame.attrs = {"model": self.model, "units": self.units, "status": self.status}
@@ -211,7 +211,7 @@ class Trajectory:
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset` over time; unit and meaning in each variable's `attrs`."""
-        xarray = _extra("xarray")
+        xarray = optional_package("xarray")
         variables = {
             column.name: (
                 "time",
@@ -267,7 +267,12 @@ def repr_17(value: float) -> str:
     return f"{value:.17g}"
 
 
-def _extra(package: str) -> Any:
+def optional_package(package: str) -> Any:
+    """Return a package of the extra `data`.
+
+    Raises:
+        MissingTool: It is not installed.
+    """
     from importlib import import_module
 
     try:

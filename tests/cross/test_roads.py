@@ -12,7 +12,6 @@ import casadi_models
 import cosim
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.package import source_files, zipped
-from cosim.verify.crosscheck import default_tolerance
 
 EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
 INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
@@ -57,7 +56,7 @@ def test_fmu_agrees_with_our_integrators_over_a_short_run(name, interface, expor
 @INTERFACES
 def test_fmu_agrees_with_our_integrators_over_the_whole_run(name, interface, exported):
     dae = cosim.load(name)
-    tolerance = default_tolerance(dae)  # 1e-10; tighter for the chaotic pendulum
+    tolerance = dae.experiment.reference_tolerance  # 1e-10; tighter for the chaotic pendulum
     reference = cosim.simulate(dae, relative_tolerance=tolerance)
     run = cosim.simulate_fmu(exported(name), interface=interface, relative_tolerance=tolerance)
     assert len(run) == len(reference)

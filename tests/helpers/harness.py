@@ -23,6 +23,7 @@ from typing import Any
 import fmpy
 
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
+SOLVERS = RUNTIME.parent / "solvers"
 HERE = Path(__file__).parents[1] / "runtime"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
@@ -46,7 +47,7 @@ def sources(model: Path, version: int) -> list[Path]:
 def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Path) -> list[Path]:
     """Compile model (leniently) and runtime (strictly); return the object files."""
     folder.mkdir(parents=True, exist_ok=True)
-    include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
+    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", "-isystem", HEADERS]
     objects = []
     for source in [model / "model.c", *sources(model, version)]:
         target = folder / f"{source.stem}.o"
@@ -69,7 +70,7 @@ def program(
 ) -> Path:
     """Build a C program of this folder with model and runtime, under the sanitizers."""
     objects = compile_objects(model, version, flags, folder)
-    include = [f"-I{model}", f"-I{RUNTIME}", "-isystem", HEADERS]
+    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", "-isystem", HEADERS]
     target = folder / name
     source = HERE / f"{name}.c"
     run([compiler(), *STRICT, *flags, *include, source, *objects, "-o", target, "-lm", "-pthread"])

@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 from casadi import MX, SX
 
-from cosim.codegen.runge_kutta_c import dop853_text
+from cosim.codegen.runge_kutta_c import dop853_coefficients
 
 GUID = "{toy-guid}"
 
@@ -109,7 +109,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
     ]
     (folder / "model.h").write_text("\n".join(header) + "\n")
-    (folder / "dop853.h").write_text(dop853_text())
+    (folder / "dop853_coefficients.h").write_text(dop853_coefficients())
     generator = ca.CodeGenerator("model.c", {"with_export": False})
     for function in _contract(model):
         generator.add(function)

@@ -52,6 +52,12 @@ def test_every_name_of_the_catalogue_is_built(name):
     assert cosim.load(model).full_name == first
 
 
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_formulation_is_the_file_of_its_name_as_for_a_users_own(name):
+    path = Path(casadi_models.__file__).parent / f"{name}.py"
+    assert cosim.load(f"{path}:build").full_name == name
+
+
 @pytest.mark.parametrize(
     ("name", "told"),
     [

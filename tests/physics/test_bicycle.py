@@ -17,7 +17,8 @@ from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 import casadi_models
-from casadi_models import bicycle
+from casadi_models.bicycle import book
+from casadi_models.bicycle.stages import stages
 
 FORMULATIONS = ("independent", "book", "multipliers")
 FORCES = ("fx_P", "fy_P", "fz_P", "fx_Q", "fy_Q", "fz_Q")
@@ -211,7 +212,7 @@ def test_multipliers_stay_regular_where_the_dependent_speeds_are_not(bikes):
 
 
 def test_constants_are_those_of_the_books_table():
-    geometry = bicycle.constants()(**BENCHMARK)["geometry"].full().ravel()
+    geometry = book.constants()(**BENCHMARK)["geometry"].full().ravel()
     printed = {
         "xB": 0.3,
         "zB": 0.6,
@@ -226,8 +227,8 @@ def test_constants_are_those_of_the_books_table():
 
 
 def test_stages_called_one_by_one_lead_from_the_state_vector_to_its_derivative(bikes):
-    constants, stages = bicycle.constants(), bicycle.stages()
-    assert len(stages) == 10
+    constants, every = book.constants(), stages()
+    assert len(every) == 10
     rng = np.random.default_rng(25)
     for _ in range(20):
         state = random_state(rng)
@@ -235,7 +236,7 @@ def test_stages_called_one_by_one_lead_from_the_state_vector_to_its_derivative(b
         torques = [state[name] for name in ("roll_torque", "rear_wheel_torque", "steer_torque")]
         signals = constants(**{name: state[name] for name in BENCHMARK})
         signals |= {"y": y, "torques": torques}
-        for stage in stages.values():
+        for stage in every.values():
             signals |= stage(**{name: signals[name] for name in stage.name_in()})
         rates = at(bikes["book"], state)["rates"]
         expected = [rates[variable.name] for variable in bikes["book"].dae.states]
@@ -244,14 +245,14 @@ def test_stages_called_one_by_one_lead_from_the_state_vector_to_its_derivative(b
 
 
 def test_constraint_matrices_give_the_velocity_of_the_front_contact():
-    constants, stages = bicycle.constants(), bicycle.stages()
+    constants, every = book.constants(), stages()
     rng = np.random.default_rng(26)
     for _ in range(100):
         state = random_state(rng)
         u = rng.normal(size=6)  # the wheel slips
         signals = constants(**{name: state[name] for name in BENCHMARK}) | state
         for name in ("transformations", "constraints"):
-            stage = stages[name]
+            stage = every[name]
             signals |= stage(**{n: signals[n] for n in stage.name_in()})
         slip = signals["R_R2C"].T @ (signals["C_1"] @ u[:3] + signals["C_2"] @ u[3:])
         expected = demanded(state | dict.fromkeys(ACCELERATIONS, 0.0))["rolling"] @ u

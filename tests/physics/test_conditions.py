@@ -10,7 +10,8 @@ from scipy.optimize import brentq
 
 import casadi_models
 import cosim
-from casadi_models import bicycle
+from casadi_models.bicycle import book
+from casadi_models.bicycle.stages import stages
 
 SHAFT = ("shaft_v1", "shaft_v2", "shaft_v3", "shaft_w1", "shaft_w2", "omega")
 FRAME = ("frame_v1", "frame_v2", "frame_v3", "frame_w1", "frame_w2", "Omega")
@@ -119,8 +120,8 @@ def loads(name):
 
 def to_wheel_axes(values):
     """Return the rotation from N to heading, axle and downward axis of the front wheel."""
-    stage = bicycle.stages()["transformations"]
-    signals = bicycle.constants()(**{name: values[name] for name in BENCHMARK}) | values
+    stage = stages()["transformations"]
+    signals = book.constants()(**{name: values[name] for name in BENCHMARK}) | values
     signals = stage(**{name: signals[name] for name in stage.name_in()})
     down = signals["N_3"].full().ravel()
     w3 = np.array([down[0], 0.0, down[2]]) / np.hypot(down[0], down[2])

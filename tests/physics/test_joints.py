@@ -4,9 +4,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_models import rotations
 from casadi_models.dae import Model
-from casadi_models.joints import free_joint
+from casadi_models.mechanics import rotations
+from casadi_models.mechanics.joints import free_joint
 
 CYCLIC = {1: (2, 3, 1), 2: (3, 1, 2), 3: (1, 2, 3)}
 

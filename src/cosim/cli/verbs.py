@@ -177,7 +177,12 @@ def do_crosscheck(args: argparse.Namespace) -> int:
                 told = f"{row['model']}: {row['road']} against {row['against'] or 'others'}"
                 found = check.failure or f"{row['difference']:.1e}"
                 print(f"{told}: {found} {check.verdict}", file=sys.stderr, flush=True)
+                for why in dict.fromkeys(check.left_out.values()):
+                    names = " ".join(n for n, reason in check.left_out.items() if reason == why)
+                    print(f"  not compared: {names} ({why})", file=sys.stderr, flush=True)
     finally:  # an error or Ctrl-C leaves what has been compared
+        if not args.json and not any(row["left_out"] for row in rows):
+            rows = [{k: v for k, v in row.items() if k != "left_out"} for row in rows]
         show_table(rows, as_json=args.json)
     verdicts = {row["verdict"] for row in rows}
     return 1 if "FAILED" in verdicts else 4 if "DIFFERS" in verdicts else 0

@@ -1,10 +1,13 @@
 """Where the files are that come with the package, and where it may keep its own."""
 
 import os
+import re
 import sys
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+
+_INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
 
 
 def runtime_sources() -> tuple[Traversable, ...]:
@@ -14,9 +17,21 @@ def runtime_sources() -> tuple[Traversable, ...]:
     return tuple(sorted(found, key=lambda entry: entry.name))
 
 
-def solver_source(name: str) -> str:
-    """Return a C source of the explicit solvers, e.g. "dop853.h"."""
-    return (files("cosim._fmu") / "solvers" / name).read_text(encoding="utf-8")
+def solver_sources() -> tuple[Traversable, ...]:
+    """Return the headers of the explicit solvers, by name."""
+    found = (e for e in (files("cosim._fmu") / "solvers").iterdir() if e.name.endswith(".h"))
+    return tuple(sorted(found, key=lambda entry: entry.name))
+
+
+def solver_source(*names: str) -> str:
+    """Return headers of the explicit solvers, e.g. "dop853.h", and what they include, as one."""
+    texts = {e.name: e.read_text(encoding="utf-8") for e in solver_sources()}
+
+    def unfolded(found: re.Match[str]) -> str:
+        text = texts.pop(found[1], "")  # once
+        return _INCLUDE.sub(unfolded, text)
+
+    return _INCLUDE.sub(unfolded, "".join(f'#include "{name}"\n' for name in names))
 
 
 def cache_folder() -> Path:

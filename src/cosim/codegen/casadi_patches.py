@@ -51,7 +51,7 @@ def watched(code: str) -> str:
     `void cosim_report(double out[6])` tells what the thread's last run took and where it ended:
     steps, right-hand sides, Jacobians, the driver's status (0: success), time, step size.
     `void cosim_watch(void)` makes Ctrl-C end runs at their next right-hand side, `int
-    cosim_halted(void)` tells whether it did; see fmu/solvers/interrupt.c.
+    cosim_halted(void)` tells whether it did; see fmu/solvers/interrupt.h.
 
     Raises:
         UsageError: See `run_time_tolerances`.
@@ -71,7 +71,7 @@ def watched(code: str) -> str:
     )
     return (
         f"static _Thread_local double cosim_seen[{REPORT}];\n"
-        f"{solver_source('interrupt.c')}\n{code}\n"
+        f"{solver_source('interrupt.h')}\n{code}\n"
         "CASADI_SYMBOL_EXPORT void cosim_report(double *out) {\n"
         f"  {copy} out[i] = cosim_seen[i];\n}}\n"
     )

@@ -30,6 +30,11 @@ TIMEOUT = 600  # s, for one compiler call
 _SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
 _HIDDEN = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
 
+# Products and sums stay apart, so that a processor with fused instructions computes the numbers of
+# one without. GCC fuses alternating sums and differences of products (vfmaddsub) in straight-line
+# code whatever -ffp-contract says; its vectorizer of such code is what has to be switched off.
+_APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
+
 _HOW = "install gcc or clang, or the bundled one: pip install 'cosim-rigid[zig]'"
 
 
@@ -150,18 +155,19 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
 
 @cache
 def _own_processor() -> tuple[tuple[str, ...], str]:
-    """Return compiler options for this processor alone, and by what it is told from others.
+    """Return compiler options for this processor alone, and by what it is told from others."""
+    abilities = processor_abilities()
+    return (("-march=native", *_APART), abilities) if abilities else (_APART, "")
 
-    Products and sums stay apart, so that results are those of any x86-64, bit for bit.
-    """
+
+def processor_abilities() -> str:
+    """Return what an x86-64 processor says of itself to Linux; empty elsewhere."""
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
         known = []
     abilities = next((line for line in known if line.startswith("flags")), "")
-    if platform.machine() != "x86_64" or not abilities:
-        return (), ""
-    return ("-march=native", "-ffp-contract=off"), abilities
+    return abilities if platform.machine() == "x86_64" else ""
 
 
 def _words(command: str) -> list[str]:

@@ -3,19 +3,25 @@
 from collections.abc import Sequence
 
 from cosim.codegen import dop853
-from cosim.codegen.c_sources import solver_source
 
 
-def dop853_text() -> str:
-    """Return fmu/solvers/dop853.h behind the coefficients that it wants."""
+def dop853_coefficients() -> str:
+    """Return dop853_coefficients.h: what fmu/solvers/dop853.h wants beside it."""
     return "\n".join(
         (
-            numbers("node", dop853.NODES),
-            sums("stage_sum", dop853.A),
-            sums("dense_sum", dop853.DENSE),
-            _sum("error_5", dop853.ERROR_5),
-            _sum("error_3", dop853.ERROR_3),
-            solver_source("dop853.h"),
+            "/* Generated: the coefficients of dop853.h. */",
+            "#ifndef DOP853_COEFFICIENTS_H",
+            "#define DOP853_COEFFICIENTS_H",
+            '#include "dop853.h"',
+            numbers("pair_node", dop853.NODES),
+            sums("pair_stage", dop853.A),
+            sums("pair_dense", dop853.DENSE),
+            _sum("pair_error_5", dop853.ERROR_5),
+            _sum("pair_error_3", dop853.ERROR_3),
+            "static const Pair pair = {",
+            "    pair_node, pair_stage, pair_dense, pair_error_5, pair_error_3",
+            "};",
+            "#endif\n",
         )
     )
 

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 
 from cosim.errors import ExportError, MissingTool, UnknownName
 
@@ -24,6 +25,10 @@ _UNUSED_CODE_OUT = {
     "windows": ("-s", "-Wl,--gc-sections"),
     "darwin": ("-Wl,-dead_strip",),
 }
+# What every processor of the kind can do. Without it, the bundled compiler takes all that the
+# machine's own processor can, and some systems' compilers more than the first of the kind.
+_BASELINE = {"x86_64": "-march=x86-64", "aarch64": "-march=armv8-a"}
+_ZIG_BASELINE = "-mcpu=baseline"
 _SUFFIX = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 _FMI2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 
@@ -66,10 +71,22 @@ class Target:
             )
         return (sys.executable, "-m", "ziglang", "cc", "-target", self.triple)
 
-    def options(self, library: str) -> tuple[str, ...]:
-        """Return the compiler's options for a library of this name."""
+    def options(self, library: str, compiler: Sequence[str]) -> tuple[str, ...]:
+        """Return the compiler's options for a library of this name that runs on every processor.
+
+        Args:
+            library: File name.
+            compiler: Its command, e.g. `("cc",)` or `("zig", "cc")`.
+        """
         name = (f"-Wl,-install_name,@rpath/{library}",) if self.system == "darwin" else ()
-        return (*_PORTABLE, *_UNUSED_CODE_OUT[self.system], *name)
+        return (*_PORTABLE, *self._processors(compiler), *_UNUSED_CODE_OUT[self.system], *name)
+
+    def _processors(self, compiler: Sequence[str]) -> tuple[str, ...]:
+        if any(Path(word).stem.startswith("zig") for word in compiler):
+            return (_ZIG_BASELINE,)
+        if self.system == "darwin" and self.processor == "aarch64":
+            return ()  # whose first of the kind is what Apple's compiler takes
+        return (_BASELINE[self.processor],)
 
 
 # The oldest systems that the compiler's own libraries serve: glibc 2.17 (2012), macOS 10.15 and,

@@ -13,16 +13,11 @@ import casadi as ca
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.runge_kutta_c import dop853_text, numbers, sums
+from cosim.codegen.runge_kutta_c import dop853_coefficients, numbers, sums
 from cosim.codegen.tableau import METHODS, Tableau
 
 _sizing = Lock()
 
-_NO_PROJECTION = """\
-static int restore(const Problem *self, double *x) {
-    (void)self, (void)x;
-    return 0;
-}"""
 SETTINGS = 4  # number of output times, both tolerances, largest step
 
 
@@ -38,23 +33,17 @@ def explicit_library(rhs: ca.Function, solver: str, project: ca.Function | None 
         MissingTool: There is no compiler, or it fails.
     """
     sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
-    own = (
-        *(f"#define {name} {size}" for name, size in sizes),
-        solver_source("interrupt.c"),
-        solver_source("problem.c"),
-        *_method_text(solver, project),
-        solver_source("external.c"),
-    )
-    around = "\n".join(own)
+    before = "".join(f"#define {name} {size}\n" for name, size in sizes)
+    after = _solver_text(solver, project)
 
     def generate() -> str:
         generator = ca.CodeGenerator("equations", {"with_header": False})
         generator.add(rhs)
         if project is not None:
             generator.add(project)
-        return f"{generator.dump()}\n{around}"
+        return f"{before}{generator.dump()}\n{after}"
 
-    details = around if project is None else around + project.serialize()
+    details = before + after + ("" if project is None else project.serialize())
     return str(cached_library(cache_key(f"explicit {solver}", rhs, details.encode()), generate))
 
 
@@ -72,30 +61,33 @@ def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]
         return ca.external("run", path), library
 
 
-def _projection_text(project: ca.Function | None) -> list[str]:
-    if project is None:
-        return [_NO_PROJECTION]
-    sizes = {"ARG": project.sz_arg(), "RES": project.sz_res()}
-    sizes |= {"IW": project.sz_iw() + 1, "W": project.sz_w() + 1}  # C has no empty arrays
-    defined = (f"#define PROJECT_{name} {size}" for name, size in sizes.items())
-    return [*defined, solver_source("projection.c")]
+def _solver_text(solver: str, project: ca.Function | None = None) -> str:
+    """Return the code around the generated functions `rhs` and, where it is given, `project`."""
+    steps = "adaptive" if solver == "dop853" else "fixed"
+    own, work = ("NULL", "NULL") if project is None else ("project", "project_work")
+    parts = (
+        solver_source(f"{steps}.h", "external.h"),
+        _coefficients(solver),
+        f"static const Solver solver = {{rhs, {own}, rhs_work, {work}, integrate_{steps}}};\n",
+    )
+    return "\n".join(parts)
 
 
-def _method_text(solver: str, project: ca.Function | None = None) -> list[str]:
-    before = _projection_text(project)
+def _coefficients(solver: str) -> str:
     if solver == "dop853":
-        return [*before, dop853_text(), solver_source("adaptive.c")]
-    return [*before, *_fixed_step_code(METHODS[solver]), solver_source("fixed.c")]
+        return dop853_coefficients().replace('#include "dop853.h"\n', "")
+    return _fixed_step_code(METHODS[solver])
 
 
-def _fixed_step_code(tableau: Tableau) -> list[str]:
+def _fixed_step_code(tableau: Tableau) -> str:
     rows = [
         [(stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight]
         for row in (*tableau.a, tableau.b)
     ]
-    stages = len(tableau.b)
-    return [
-        f"enum {{ STAGES = {stages} }};",
-        numbers("node", tableau.c),
-        sums("stage_sum", rows),
-    ]
+    return "\n".join(
+        (
+            numbers("node", tableau.c),
+            sums("stage_sum", rows),
+            f"static const Method method = {{{len(tableau.b)}, node, stage_sum}};",
+        )
+    )

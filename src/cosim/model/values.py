@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, convert
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import kept_per_thread
 
@@ -109,11 +109,11 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     if not isinstance(overrides, Mapping | None):
         raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
     given = dict(overrides or {})
-    settable = {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs)}
+    known = settable(dae)
     for name, value in given.items():
-        if name not in settable:
-            raise _unknown(dae, name, settable)
-        given[name] = checked(dae, settable[name], value)
+        if name not in known:
+            raise _unknown(dae, name, known)
+        given[name] = checked(dae, known[name], value)
     x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
     p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
     u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
@@ -162,36 +162,65 @@ def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
     )
 
 
-def _unknown(dae: Dae, name: str, settable: Mapping[str, Variable]) -> UnknownName:
+def _unknown(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
     if any(v.name == name for v in dae.variables):
         return UnknownName(
             f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "
             "set a state's start, a parameter or an input"
         )
-    return UnknownName.of_model(dae.full_name, "state, parameter or input", name, settable)
+    return UnknownName.of_model(dae.full_name, "state, parameter or input", name, known)
+
+
+def settable(dae: Dae) -> dict[str, Variable]:
+    """Return what can be given a number, by name: states, parameters, inputs."""
+    return {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs)}
 
 
 @kept_per_thread(16)
-def _inertia_function(dae: Dae) -> ca.Function:
-    return ca.Function("inertias", [dae.p], [matrix for _, matrix in dae.inertias])
+def _inertia_function(dae: Dae, variants: int) -> ca.Function:
+    matrices = ca.horzcat(*(ca.vec(matrix) for _, matrix in dae.inertias))
+    function = ca.Function("inertias", [dae.p], [ca.densify(matrices)])
+    return function if variants == 1 else function.map(variants)
+
+
+def inertias(dae: Dae, p: Vector) -> Vector:
+    """Return the inertia of every body, (variants, bodies, 3, 3), for parameters (variants, np)."""
+    blocks = np.array(_inertia_function(dae, len(p))(p.T))
+    return blocks.T.reshape(len(p), len(dae.inertias), 3, 3)
+
+
+def unphysical(matrices: Vector) -> Truths:
+    """Tell of each variant, (variants, bodies, 3, 3), whether a body is none: (variants,).
+
+    That is one whose moments are negative, or where one exceeds the sum of the others.
+    """
+    finite: Truths = np.logical_and.reduce(np.isfinite(matrices), axis=(2, 3))
+    whole = np.where(finite[:, :, None, None], matrices, 0.0)
+    moments = np.linalg.eigvalsh((whole + whole.swapaxes(2, 3)) / 2)
+    slack = 1e-9 * np.abs(moments).max(axis=2)
+    low, middle, high = np.moveaxis(moments, 2, 0)
+    none = (low < -slack) | (high > low + middle + slack)
+    result: Truths = (none | ~finite).any(axis=1)
+    return result
 
 
 def _check_inertias(dae: Dae, p: Vector) -> None:
     """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
     if not dae.inertias:
         return
-    blocks = _inertia_function(dae).call([p])
-    for (body, _), block in zip(dae.inertias, blocks, strict=True):
-        matrix = np.array(block)
+    blocks = inertias(dae, p[None])
+    if not unphysical(blocks).any():
+        return
+    for (body, _), matrix in zip(dae.inertias, blocks[0], strict=True):
+        if not unphysical(matrix[None, None]).any():
+            continue
         if not np.isfinite(matrix).all():
             raise ParameterError(
                 f"{dae.full_name}: the inertia of {body} is not finite; give smaller parameters"
             )
         moments = np.linalg.eigvalsh((matrix + matrix.T) / 2)
-        slack = 1e-9 * np.abs(moments).max()
-        if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack:
-            raise ParameterError(
-                f"{dae.full_name}: the inertia of {body} has principal moments "
-                f"{moments[0]:.6g}, {moments[1]:.6g}, {moments[2]:.6g} kg.m2, which no body has; "
-                "none may be negative or exceed the sum of the other two"
-            )
+        raise ParameterError(
+            f"{dae.full_name}: the inertia of {body} has principal moments "
+            f"{moments[0]:.6g}, {moments[1]:.6g}, {moments[2]:.6g} kg.m2, which no body has; "
+            "none may be negative or exceed the sum of the other two"
+        )

@@ -4,7 +4,6 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from cosim.errors import UnknownName, UsageError
@@ -78,6 +77,8 @@ def show(figures: Sequence[Figure]) -> None:
 
 
 def _pages(figures: Sequence[Figure]) -> bytes:
+    from matplotlib.backends.backend_pdf import PdfPages  # takes longer than a PNG to draw
+
     content = io.BytesIO()
     with PdfPages(content, metadata=UNDATED["pdf"]) as pdf:
         for figure in figures:

@@ -10,9 +10,6 @@ from cosim.model.catalogue import formulations, load, no_such_output, observable
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 
-# The book leaves the pitch rate out of the contact point's velocity (docs/bicycle.md).
-DIFFERENT_BY_DESIGN = {"bicycle/book": frozenset({"xP", "yP"})}
-
 
 def variant(scene: Scene, name: str) -> tuple[Scene, Road]:
     """Return a scene and a road that compute the same in another way, to compare with.

@@ -1,7 +1,7 @@
 """The same run on every road and in every formulation, and how far the results are apart."""
 
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,11 @@ from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
 from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
-from cosim.scene.variants import DIFFERENT_BY_DESIGN, fitting_formulations
+from cosim.scene.variants import fitting_formulations
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Comparison, compare
 
 BOUND = 1e-6  # of the nominal value
-TOLERANCE = 1e-10
-# The pendulum's motion multiplies what a solver is wrong by in a step by about 1e4 in 10 s.
-SENSITIVE = {"double_pendulum": 1e-11}
 _FAILURES = (SolverError, FmuError, InitialConditionError)  # of one run, not of what was asked
 
 
@@ -36,6 +33,7 @@ class Check:
         comparison: The differences; None where the run failed.
         stats: Of the second run: wall_time [s], rhs_calls.
         failure: Why the run failed.
+        left_out: Names that are not compared, and why: they mean something else.
     """
 
     model: str
@@ -44,6 +42,7 @@ class Check:
     comparison: Comparison | None
     stats: dict[str, Any] = field(default_factory=dict)
     failure: str = ""
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -68,6 +67,7 @@ class Check:
             "verdict": self.verdict,
             "wall_time": self.stats.get("wall_time"),
             "rhs_calls": self.stats.get("rhs_calls"),
+            "left_out": " ".join(self.left_out) or None,
         }
 
 
@@ -90,8 +90,8 @@ def crosscheck(
             first, then every other one that has the scene's outputs and takes its values. The
             whole catalogue when None.
         stop_time, output_interval: s; each model's or scene's own when None.
-        relative_tolerance: Of every solver; 1e-10, or 1e-11 for a sensitive model, when None. A
-            scene's own solver and tolerances do not count.
+        relative_tolerance: Of every solver; the model's `reference_tolerance` when None. A scene's
+            own solver and tolerances do not count.
         bound: Largest difference that counts as agreement, in nominal values.
 
     Raises:
@@ -108,14 +108,14 @@ def crosscheck(
         if isinstance(item, str) and ".py:" not in item:
             formulations(item)  # refuses an unknown name before the first run
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
-        first: Trajectory | None = None
+        first: tuple[Trajectory, Dae] | None = None
         for scene in _members(item):
             own = scene.settings
             settings = Settings(
                 start_time=own.start_time,
                 stop_time=own.stop_time if stop_time is None else stop_time,
                 output_interval=own.output_interval if output_interval is None else output_interval,
-                relative_tolerance=default_tolerance(scene.dae)
+                relative_tolerance=scene.dae.experiment.reference_tolerance
                 if relative_tolerance is None
                 else relative_tolerance,
             )
@@ -127,19 +127,25 @@ def crosscheck(
                 continue
             yield from _roads(scene, run, bound)
             if first is None:
-                first = run
-            else:
-                pair = (first.model, run.model)
-                without = frozenset().union(*(DIFFERENT_BY_DESIGN.get(m, ()) for m in pair))
-                if without.issuperset(run.names):
-                    continue
-                difference = compare(first, run, bound=bound, without=without)
-                yield Check(run.model, Road.NATIVE, first.model, difference, dict(run.stats))
+                first = run, scene.dae
+            elif check := _against(first, run, scene.dae, bound):
+                yield check
 
 
-def default_tolerance(dae: Dae) -> float:
-    """Return the relative tolerance with which the roads of a model meet its bound."""
-    return SENSITIVE.get(dae.name, TOLERANCE)
+def _against(
+    first: tuple[Trajectory, Dae], run: Trajectory, dae: Dae, bound: float
+) -> Check | None:
+    """Compare a formulation with the first one, in what both mean by the same name."""
+    other, other_dae = first
+    own = other_dae.own_meanings | dae.own_meanings
+    common = [name for name in other.names if name in run.names]
+    left_out = {name: own[name] for name in common if name in own}
+    if len(left_out) == len(common):
+        return None
+    difference = compare(other, run, bound=bound, without=left_out)
+    return Check(
+        run.model, Road.NATIVE, other.model, difference, dict(run.stats), left_out=left_out
+    )
 
 
 def _members(item: str | Scene) -> Iterator[Scene]:

@@ -29,7 +29,7 @@ from cosim.integrate.simulate import simulate
 from cosim.scene.roads import FMU_ROADS
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import compare
-from cosim.verify.crosscheck import BOUND, Check, default_tolerance
+from cosim.verify.crosscheck import BOUND, Check
 
 REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
@@ -50,7 +50,7 @@ def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) 
         CosimError: See `export_fmu`, `simulate`, `simulate_fmu`.
     """
     refuse_unwritable(target)
-    tolerance = default_tolerance(dae)
+    tolerance = dae.experiment.reference_tolerance
     with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
         plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
         run = _reference(dae, tolerance)

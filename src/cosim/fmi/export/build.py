@@ -51,7 +51,8 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
     """
     library = f"{name}{target.suffix}"
     given = target.command()
-    command, options = given or find_compiler(), target.options(library)
+    command = given or find_compiler()
+    options = target.options(library, command)
     maker = version("ziglang") if given else ""
     digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
     for file in sorted(sources):

@@ -50,9 +50,8 @@ const VariableInfo variables[] = {{
 
 # Compilers of other people do not get our options; system headers must stay outside.
 _HEAD = """#include <math.h>
-#if defined __GNUC__ && !defined _WIN32
-#pragma GCC visibility push(hidden) /* only the FMI functions leave the library */
-#endif
+#include "visibility.h"
+INSIDE_BEGIN
 #define CASADI_SYMBOL_EXPORT
 #if defined __GNUC__
 #define SMALL __attribute__((cold)) /* compiled for size */

@@ -11,8 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder, runtime_sources
-from cosim.codegen.runge_kutta_c import dop853_text
+from cosim.codegen.c_sources import cache_folder, runtime_sources, solver_sources
+from cosim.codegen.runge_kutta_c import dop853_coefficients
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
@@ -29,6 +29,7 @@ from cosim.model.values import A_DAE, listed, number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 VERSIONS = {2: fmi2_xml, 3: fmi3_xml}
+_DOP853 = ("dop853.h", "interpolant.h", "ode.h")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
 
@@ -108,7 +109,8 @@ def source_files(
         "equations.c": equations(dae, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
-        code["dop853.h"] = dop853_text().encode()
+        code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}
+        code["dop853_coefficients.h"] = dop853_coefficients().encode()
     compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
     draft = Identity(name, "", f"cosim-rigid {version('cosim-rigid')}", compiled, tolerance)
     depends = dependencies(dae)

@@ -13,7 +13,7 @@ from cosim.model.catalogue import no_such_output, observable
 from cosim.model.reduction.reduce import reduce, size
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
-from cosim.scene.variants import DIFFERENT_BY_DESIGN, fitting_formulations
+from cosim.scene.variants import fitting_formulations
 from cosim.study.tradeoff.configuration import Configuration
 from cosim.trajectory import Trajectory
 
@@ -42,10 +42,10 @@ def kept_outputs(scenes: Sequence[Scene]) -> tuple[str, ...]:
     """
     if scenes[0].outputs:
         return scenes[0].outputs
-    shared = list(scenes[0].dae.observed)
+    own = scenes[0].dae.own_meanings if len(scenes) > 1 else {}
+    shared = [name for name in scenes[0].dae.observed if name not in own]
     for scene in scenes[1:]:
-        different = DIFFERENT_BY_DESIGN.get(scene.dae.full_name, frozenset())
-        known = set(observable(scene.dae)) - different
+        known = set(observable(scene.dae)) - scene.dae.own_meanings.keys()
         shared = [name for name in shared if name in known]
     if not shared:
         raise UsageError(f"{scenes[0].name}: the formulations have no output in common")

@@ -1,0 +1,1 @@
+"""Tools that make equations of motion: Kane's method, rotations, joints, condition monitors."""

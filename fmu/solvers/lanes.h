@@ -1,0 +1,104 @@
+/* Vectors of doubles, one system in each lane, and the functions that equations are made of.
+ *
+ * GCC's and Clang's vector types; every operation works on each lane by itself, so that what a
+ * lane computes depends on nothing in its neighbours. LANES is the number of lanes, 1 to 8.
+ */
+#ifndef COSIM_LANES_H
+#define COSIM_LANES_H
+
+#include <math.h>
+#include <string.h>
+#if defined(__AVX512F__) || defined(__AVX__)
+#include <immintrin.h>
+#endif
+
+#ifndef LANES
+#define LANES 1
+#endif
+
+typedef double V __attribute__((vector_size(LANES * 8)));
+typedef long long M __attribute__((vector_size(LANES * 8))); /* all bits of a lane, or none */
+
+#define FOR_LANES for (int l = 0; l < LANES; ++l)
+
+/* The same number in every lane. */
+static inline V every(double a) {
+    V r;
+    FOR_LANES r[l] = a;
+    return r;
+}
+
+static inline V pick(M where, V yes, V no) { return (V)((where & (M)yes) | (~where & (M)no)); }
+static inline V truth(M where) { return pick(where, every(1), every(0)); }
+static inline V magnitude(V a) { return (V)((M)a & ~(M)every(-0.0)); }
+
+static inline V with_sign(V a, V b) {
+    return (V)(((M)a & ~(M)every(-0.0)) | ((M)b & (M)every(-0.0)));
+}
+
+static inline V sign_of(V a) { return pick(a < 0, every(-1), pick(a > 0, every(1), a)); }
+static inline V smaller(V a, V b) { return pick(a < b, a, pick(b == b, b, a)); } /* as fmin */
+static inline V larger(V a, V b) { return pick(a > b, a, pick(b == b, b, a)); }
+
+static inline V root(V a) {
+#if LANES == 8 && defined(__AVX512F__)
+    return (V)_mm512_sqrt_pd((__m512d)a);
+#elif LANES == 4 && defined(__AVX__)
+    return (V)_mm256_sqrt_pd((__m256d)a);
+#else
+    FOR_LANES a[l] = sqrt(a[l]);
+    return a;
+#endif
+}
+
+#define ONE_BY_ONE(name)                                                                           \
+    static inline V each_##name(V a) {                                                             \
+        FOR_LANES a[l] = name(a[l]);                                                               \
+        return a;                                                                                  \
+    }
+#define TWO_BY_TWO(name)                                                                           \
+    static inline V each_##name(V a, V b) {                                                        \
+        FOR_LANES a[l] = name(a[l], b[l]);                                                         \
+        return a;                                                                                  \
+    }
+ONE_BY_ONE(sin)
+ONE_BY_ONE(cos)
+ONE_BY_ONE(tan)
+ONE_BY_ONE(asin)
+ONE_BY_ONE(acos)
+ONE_BY_ONE(atan)
+ONE_BY_ONE(sinh)
+ONE_BY_ONE(cosh)
+ONE_BY_ONE(tanh)
+ONE_BY_ONE(asinh)
+ONE_BY_ONE(acosh)
+ONE_BY_ONE(atanh)
+ONE_BY_ONE(exp)
+ONE_BY_ONE(expm1)
+ONE_BY_ONE(log)
+ONE_BY_ONE(log1p)
+ONE_BY_ONE(erf)
+ONE_BY_ONE(floor)
+ONE_BY_ONE(ceil)
+TWO_BY_TWO(pow)
+TWO_BY_TWO(fmod)
+TWO_BY_TWO(remainder)
+TWO_BY_TWO(atan2)
+TWO_BY_TWO(hypot)
+
+/* Sine and cosine of a whole vector, where the machine's library has them. */
+typedef V Elementary(V);
+static Elementary *vector_sin = each_sin, *vector_cos = each_cos;
+
+#ifdef _WIN32
+#define LANES_SHARED __declspec(dllexport)
+#else
+#define LANES_SHARED __attribute__((visibility("default")))
+#endif
+
+LANES_SHARED void lanes_use(Elementary *sine, Elementary *cosine) {
+    vector_sin = sine;
+    vector_cos = cosine;
+}
+
+#endif

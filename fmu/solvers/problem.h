@@ -1,0 +1,69 @@
+/* The right-hand side as CasADi generates it, called by a solver over a grid and counted. */
+#ifndef PROBLEM_H
+#define PROBLEM_H
+
+#include <stddef.h>
+
+#include "ode.h"
+
+#ifndef NZ
+#define NZ 1 /* algebraic unknowns; see NX in ode.h */
+#define NU 1 /* inputs */
+#define NC 1 /* constants */
+#endif
+
+/* Codes 0 to 3 are those of CasADi's own integrators. */
+enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED };
+
+/* A function as CasADi writes it, and what it needs to work. */
+typedef int Equations(const double **arg, double **res, long long *iw, double *w, int mem);
+typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
+
+typedef struct {
+    Equations *rhs;          /* (t, x, z guess, u, c) -> (dx/dt, z) */
+    Equations *project;      /* see projection.h; NULL where nothing is corrected */
+    const double *z, *u, *c; /* what every call is given */
+    const double **arg;      /* CasADi's work space */
+    double **res;
+    long long *iw;
+    double *w;
+    long long steps, calls;
+    double relative, absolute; /* error that each step may have */
+} Problem;
+
+/* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */
+static inline int equations_at(Problem *self, double t, const double *x, double *dx, double *z) {
+    self->arg[0] = &t;
+    self->arg[1] = x;
+    self->arg[2] = self->z;
+    self->arg[3] = self->u;
+    self->arg[4] = self->c;
+    self->res[0] = dx;
+    self->res[1] = z;
+    ++self->calls;
+    return self->rhs(self->arg, self->res, self->iw, self->w, 0);
+}
+
+static inline int problem_slope(void *problem, double t, const double *x, double *dx) {
+    return equations_at(problem, t, x, dx, NULL);
+}
+
+static inline double problem_scale(const void *problem, int i, double x) {
+    const Problem *self = problem;
+    (void)i;
+    return self->absolute + self->relative * fabs(x);
+}
+
+/* The output times, and the longest step. */
+typedef struct {
+    const double *times;
+    long long points;
+    double largest;
+} Grid;
+
+/* Where a run ended, and the size of its last step. */
+typedef struct {
+    double reached, last;
+} Course;
+
+#endif

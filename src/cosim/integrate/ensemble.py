@@ -1,0 +1,129 @@
+"""`Ensemble`: what many runs of one model return."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Truths, Vector
+from cosim.errors import UnknownName
+from cosim.trajectory import Column, Trajectory, optional_package
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Whole = NDArray[np.int64]
+
+
+class RunState(StrEnum):
+    """How a run ended."""
+
+    COMPLETE = "complete"
+    FAILED = "failed"  # the solver gave up
+    STOPPED = "stopped"  # it left the model's limits, and was to stop there
+    REFUSED = "refused"  # its values, or the start that follows from them, are impossible
+    INTERRUPTED = "interrupted"  # by Ctrl-C
+    LOST = "lost"  # with the process that computed it
+
+
+@dataclass(frozen=True, eq=False)  # arrays have no single truth value
+class Ensemble:
+    """Values of variables over time for many runs of one model, in SI units.
+
+    Attributes:
+        model: `MODEL/FORMULATION`, or the name in an FMU.
+        time: Output times, s, (times,).
+        columns: The variables.
+        values: (runs, times, columns); not a number beyond the last good time of a run.
+        start_values: What was given, by name, (runs,) each.
+        states: How each run ended.
+        reasons: Why, by run, where it is not complete.
+        invalid: Where a run left the model's limits, by run.
+        reached: Number of good output times of each run, (runs,).
+        steps, rhs_calls: What each run took, (runs,).
+        error: Sum of the estimated errors of each run's steps, relative to the states' size, in
+            the solver's norm, (runs,); not a number where the solver estimates none.
+        stats: What all of it took: solver, relative_tolerance, solve_time [s], wall_time [s], ...
+    """
+
+    model: str
+    time: Vector
+    columns: tuple[Column, ...]
+    values: Vector
+    start_values: Mapping[str, Vector]
+    states: tuple[RunState, ...]
+    reasons: Mapping[int, str]
+    invalid: Mapping[int, str]
+    reached: Whole
+    steps: Whole
+    rhs_calls: Whole
+    error: Vector
+    stats: Mapping[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the variables, without time."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def status(self) -> str:
+        """How many runs ended how, in words."""
+        counts = {state: self.states.count(state) for state in RunState if state in self.states}
+        return ", ".join(f"{count} {state}" for state, count in counts.items())
+
+    @property
+    def complete(self) -> Truths:
+        """Which runs reached their stop time, (runs,)."""
+        return np.array([state is RunState.COMPLETE for state in self.states], dtype=bool)
+
+    def __getitem__(self, name: str) -> Vector:
+        """Return the values of a variable, (runs, times), or "time", (times,).
+
+        Raises:
+            UnknownName: It was not recorded.
+        """
+        if name == "time":
+            return self.time
+        if name not in self.names:
+            raise UnknownName.among(f"{self.model}: ensemble", "variable", name, self.names)
+        return self.values[:, :, self.names.index(name)]
+
+    def run(self, i: int) -> Trajectory:
+        """Return one run up to its last good time."""
+        n = int(self.reached[i])
+        stats = {"solver": self.stats.get("solver"), "steps": int(self.steps[i])}
+        stats |= {"rhs_calls": int(self.rhs_calls[i])}
+        if i in self.invalid:
+            stats["invalid"] = [self.invalid[i]]
+        status = "complete" if self.states[i] is RunState.COMPLETE else self.reasons[i]
+        return Trajectory(
+            self.model, self.time[:n], self.columns, self.values[i, :n], stats, status
+        )
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return an `xarray.Dataset` over run and time; what was given are coordinates of run."""
+        xarray = optional_package("xarray")
+        variables: dict[str, Any] = {
+            column.name: (
+                ("run", "time"),
+                self.values[:, :, i],
+                {"units": column.unit, "long_name": column.meaning},
+            )
+            for i, column in enumerate(self.columns)
+        }
+        variables["status"] = ("run", np.array([str(state) for state in self.states]))
+        given = {
+            f"{name}_start" if name in variables else name: ("run", values)
+            for name, values in self.start_values.items()
+        }
+        coordinates = {"time": ("time", self.time, {"units": "s"}), **given}
+        dataset: xr.Dataset = xarray.Dataset(variables, coordinates, {"model": self.model})
+        return dataset

@@ -1,0 +1,119 @@
+"""Numbers for many variants of one model at once: checked as one by one, refused row by row."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from warnings import catch_warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_models.dae import Dae, Start
+from cosim.arrays import Truths, Vector
+from cosim.errors import CosimError, ParameterError, UsageError
+from cosim.model.values import assign, inertias, settable, unphysical
+
+
+@dataclass(frozen=True)
+class ManyValues:
+    """Numbers of every run for every state (guesses included), parameter and input.
+
+    Attributes:
+        given: What the user gave, by name, (runs,).
+        x, p, u: (runs, number of them).
+        refused: Why, by run, where a value cannot be.
+    """
+
+    given: Mapping[str, Vector]
+    x: Vector
+    p: Vector
+    u: Vector
+    refused: Mapping[int, str]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, Vector]:
+    """Return arrays of one length; a single number stands for all runs.
+
+    Raises:
+        ParameterError: Something is no column of numbers, or the lengths differ.
+        UsageError: These are no values by name.
+    """
+    if not isinstance(values, Mapping | None):
+        raise UsageError.of_type(owner, values, "arrays by name, e.g. {'phi': [0.1, 0.2]}")
+    columns: dict[str, Vector] = {}
+    for name, value in (values or {}).items():
+        try:
+            columns[name] = np.array(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ParameterError(f"{owner}: {name}: {error}; give numbers") from error
+        if columns[name].ndim > 1:
+            raise ParameterError(
+                f"{owner}: {name} has the shape {columns[name].shape}; give one number per run"
+            )
+    lengths = {name: len(column) for name, column in columns.items() if column.ndim}
+    runs = max(lengths.values(), default=1)
+    for name, length in lengths.items():
+        if length != runs:
+            raise ParameterError(
+                f"{owner}: {name} has {length} values where others have {runs}; "
+                "give one per run, or one for all"
+            )
+    return {
+        name: np.ascontiguousarray(np.broadcast_to(column, runs))
+        for name, column in columns.items()
+    }
+
+
+def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> ManyValues:
+    """Put arrays of numbers in place of the model's start values, parameters and inputs.
+
+    A value that is impossible refuses its run alone, in the words of `assign`.
+
+    Raises:
+        UnknownName: A name is no state, parameter or input of the model.
+        ParameterError: The arrays differ in length or hold no numbers.
+        InitialConditionError: A start value is given that follows from others.
+        UsageError: This is no model, or these are no values by name.
+    """
+    base = assign(dae)
+    given = as_arrays(dae.full_name, overrides)
+    runs = len(next(iter(given.values()))) if given else 1
+    table = {id(rows): np.tile(rows, (runs, 1)) for rows in (base.x, base.p, base.u)}
+    bad = np.zeros(runs, dtype=bool)
+    known = settable(dae)
+    for name, column in given.items():
+        if name not in known or known[name].start_kind is Start.CALCULATED:
+            assign(dae, {name: 0.0})  # says what is wrong
+        variable = known[name]
+        bad |= ~((column >= variable.minimum) & (column <= variable.maximum))
+        bad |= ~np.isfinite(column)
+        for variables, rows in (
+            (dae.states, base.x),
+            (dae.parameters, base.p),
+            (dae.inputs, base.u),
+        ):
+            if variable in variables:
+                table[id(rows)][:, variables.index(variable)] = column
+    x, p, u = (table[id(rows)] for rows in (base.x, base.p, base.u))
+    bad |= _unphysical(dae, given, p)
+    refused = {int(i): _reason(dae, given, int(i)) for i in np.flatnonzero(bad)}
+    return ManyValues(given, x, p, u, refused)
+
+
+def _unphysical(dae: Dae, given: Mapping[str, Vector], p: Vector) -> Truths:
+    """Tell which runs have an inertia that no body has; only what is given can have made it."""
+    names = {v.name for v in dae.parameters} & set(given)
+    if not names or not dae.inertias:
+        return np.zeros(len(p), dtype=bool)
+    return unphysical(inertias(dae, p))
+
+
+def _reason(dae: Dae, given: Mapping[str, Vector], run: int) -> str:
+    try:
+        with catch_warnings(action="ignore"):
+            assign(dae, {name: float(column[run]) for name, column in given.items()})
+    except CosimError as error:
+        return str(error)
+    return "its values are impossible"

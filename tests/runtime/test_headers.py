@@ -1,0 +1,71 @@
+"""The C files as parts: each header stands alone, and no part needs one that needs it."""
+
+import re
+import subprocess
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+from helpers.harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+
+FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir()]
+INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
+
+
+def includes(files: list[Path]) -> dict[str, set[str]]:
+    """Return by part, a source and the header of its name, the parts of ours that it includes."""
+    parts = {path.stem for path in files}
+    needs: dict[str, set[str]] = {part: set() for part in parts}
+    for path in files:
+        needs[path.stem] |= (set(INCLUDE.findall(path.read_text())) & parts) - {path.stem}
+    return needs
+
+
+def compiled(header: Path, include: list[str]) -> subprocess.CompletedProcess[str]:
+    call = [compiler(), *STRICT, *include, "-include", str(header), "-fsyntax-only", "-xc", "-"]
+    something = "typedef int something;\n"  # C knows no empty file
+    return subprocess.run(call, input=something, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("header", sorted(SOLVERS.glob("*.h")), ids=lambda path: path.name)
+def test_a_solver_header_compiles_alone(header):
+    done = compiled(header, [])
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("solver", ["step", "dop853"], indirect=True, scope="session")
+@pytest.mark.parametrize("header", sorted(RUNTIME.glob("*.h")), ids=lambda path: path.name)
+def test_a_header_of_the_runtime_compiles_with_nothing_but_a_model(header, model):
+    done = compiled(header, [f"-I{model}", f"-I{SOLVERS}", f"-isystem{HEADERS}"])
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_part_needs_one_that_needs_it():
+    needs = includes(FILES)
+    assert needs["evaluation"] >= {"logging", "state"}  # the graph is not empty
+    list(TopologicalSorter(needs).static_order())
+
+
+def test_a_circle_is_found(tmp_path):
+    (tmp_path / "upper.c").write_text('#include "lower.h"\n')
+    (tmp_path / "lower.h").write_text("")
+    (tmp_path / "lower.c").write_text('#include "upper.h"\n')
+    with pytest.raises(CycleError):
+        list(TopologicalSorter(includes(list(tmp_path.iterdir()))).static_order())
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("solver", ["step", "dop853"], indirect=True, scope="session")
+def test_every_function_is_declared_in_a_header(model, version):
+    """So that the graph of includes is that of calls."""
+    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", f"-isystem{HEADERS}"]
+    for source in sources(model, version):
+        done = subprocess.run(
+            [compiler(), *STRICT, "-Wmissing-prototypes", *include, "-fsyntax-only", str(source)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
