@@ -16,7 +16,8 @@ os.environ["MPLBACKEND"] = "Agg"  # before any test module imports matplotlib
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep compiled code in a folder of this session, shared by its tests."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("COSIM_CACHE", str(tmp_path_factory.mktemp("cosim_cache")))
+        kept = os.environ.get("COSIM_TEST_CACHE")  # of many sessions, while one works on the tests
+        patch.setenv("COSIM_CACHE", kept or str(tmp_path_factory.mktemp("cosim_cache")))
         yield
 
 
