@@ -26,7 +26,7 @@ FOLDERS = {
 TABLE = """
 cosim._fmu
 casadi_models
-cosim.errors | cosim.memo | cosim.arrays
+cosim.errors | cosim.memo | cosim.arrays | cosim.tables
 cosim.files | cosim.plotting
 cosim.trajectory
 cosim.model | cosim.codegen
@@ -36,7 +36,7 @@ cosim.verify
 cosim.study
 cosim.api
 cosim.present
-cosim | cosim.cli
+cosim cosim.solvers | cosim.cli
 cosim.__main__
 """
 LAYERS = {
@@ -144,7 +144,7 @@ def test_only_one_module_knows_where_the_c_sources_are():
         pytest.param("cosim.errors", "def f():\n    import cosim.cli.main", id="in a function"),
         pytest.param("cosim.errors", "from importlib import import_module as m, import_module\n"
                      "import_module('cosim.cli.main')", id="by name"),
-        pytest.param("cosim.integrate.simulate.call", "import cosim.fmi.ssp", id="roads"),
+        pytest.param("cosim.integrate.call", "import cosim.fmi.ssp", id="roads"),
         pytest.param("cosim.fmi.ssp", "import cosim.integrate.solvers", id="roads, back"),
         pytest.param("cosim.codegen.compiler", "import cosim.model.values", id="same layer"),
         pytest.param("cosim.fmi.ssp", "from . import archive", id="relative"),

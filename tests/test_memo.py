@@ -4,11 +4,11 @@ from threading import Thread
 
 import numpy as np
 import pytest
+from helpers.engines import build
 from helpers.oscillators import WAYS, oscillator
 
 import cosim
-from cosim.integrate.engine import build
-from cosim.integrate.solvers import Tolerance
+from cosim.integrate.solver import Tolerance
 from cosim.model.time_grid import time_grid
 
 GRID = time_grid(0, 1, 0.1)

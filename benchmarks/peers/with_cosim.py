@@ -12,7 +12,7 @@ from problem import Problem
 import cosim
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.integrate import call, engine
-from cosim.integrate.solvers import Tolerance
+from cosim.integrate.solvers import chosen_solver, engine_of
 
 PACKAGES = ("cosim-rigid", "casadi")
 EMPTY_CACHES: list[tempfile.TemporaryDirectory[str]] = []  # removed at exit
@@ -26,7 +26,8 @@ def solvers(problem: Problem) -> Iterator[Solver]:
 
     def prepared(solver: str) -> Solver:
         def prepare(tolerance: float) -> Run:
-            built = engine.build(dae, grid, solver, Tolerance(tolerance), compiled=True)
+            wanted = engine.Problem(dae, grid.tobytes(), compiled=True)
+            built = engine_of(wanted, chosen_solver(dae, solver, tolerance))
             return lambda: call.call(built, *values).states.T
 
         return Solver(f"cosim {solver}", prepare)

@@ -88,6 +88,20 @@ class Dae:
         return f"{self.name}/{self.formulation}" if self.formulation else self.name
 
     @property
+    def arguments(self) -> list[SX]:
+        """`[t, x, z, u, p]`: the arguments of functions that are made of its expressions."""
+        return [self.t, self.x, self.z, self.u, self.p]
+
+    @property
+    def casadi(self) -> dict[str, SX]:
+        """What `casadi.integrator` takes: t, x, z, u, p, ode and alg by these names."""
+        return {
+            **dict(zip(("t", "x", "z", "u", "p"), self.arguments, strict=True)),
+            "ode": self.ode,
+            "alg": self.alg,
+        }
+
+    @property
     def variables(self) -> tuple[Variable, ...]:
         """All variables: states, algebraics, outputs, inputs, parameters."""
         return self.states + self.algebraics + self.output_variables + self.inputs + self.parameters

@@ -8,12 +8,13 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cosim import solvers
     from cosim.api import run_scene, simulate
     from cosim.errors import CosimError
     from cosim.fmi.export.package import export_fmu
     from cosim.fmi.run.simulate import simulate_fmu
     from cosim.integrate.ensemble import Ensemble
-    from cosim.integrate.simulate import integrator, start_vectors
+    from cosim.integrate.integrator import integrator, start_vectors
     from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
@@ -40,7 +41,7 @@ _HOMES = {
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
     "from_dae_builder": "model.dae_builder",
-    "integrator": "integrate.simulate",
+    "integrator": "integrate.integrator",
     "load": "model.catalogue",
     "read_inputs": "model.inputs",
     "read_scene": "scene.scene_file",
@@ -50,7 +51,7 @@ _HOMES = {
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
-    "start_vectors": "integrate.simulate",
+    "start_vectors": "integrate.integrator",
     "tradeoff": "study.tradeoff.study",
 }
 
@@ -76,6 +77,7 @@ __all__ = [
     "simulate",
     "simulate_fmu",
     "simulate_many",
+    "solvers",
     "start_vectors",
     "tradeoff",
 ]
@@ -84,6 +86,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version("cosim-rigid")
+    if name == "solvers":
+        return import_module("cosim.solvers")
     if name not in _HOMES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'")
     value = getattr(import_module(f"cosim.{_HOMES[name]}"), name)

@@ -101,7 +101,7 @@ def test_interrupted_command_ends_with_130(debug, monkeypatch, capsys):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cosim.cli.verbs.run_scene", interrupt)
+    monkeypatch.setattr("cosim.cli.running.run_scene", interrupt)
     assert main(["simulate", "crank_shaft", *["--debug"] * debug]) == 130
     assert capsys.readouterr().err == "interrupted\n"
 
@@ -123,7 +123,7 @@ def test_fault_of_our_own_is_one_line_unless_debugging(monkeypatch, capsys):
     def fail(*_, **__):
         raise ZeroDivisionError("what\nnobody thought of")
 
-    monkeypatch.setattr("cosim.cli.verbs.run_scene", fail)
+    monkeypatch.setattr("cosim.cli.running.run_scene", fail)
     assert main(["simulate", "crank_shaft"]) == 1
     told = "cosim simulate failed with ZeroDivisionError: what nobody thought of; show where with"
     assert capsys.readouterr().err == f"{told}: --debug\n"

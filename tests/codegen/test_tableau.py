@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from helpers.order_conditions import density, stage_weights, trees
 
-from cosim.codegen.tableau import METHODS, ODE8, RK4, step_function
+from cosim.codegen.tableau import ODE8, RK4, Tableau, step_function
+
+METHODS = {"rk4": RK4, "ode8": ODE8}
 
 NUMBER_OF_TREES = [1, 1, 2, 4, 9, 20, 48, 115]  # with 1 to 8 nodes
 
@@ -71,3 +73,26 @@ def test_step_uses_time_inputs_and_parameters():
     for tableau in METHODS.values():
         end = float(step_function(rhs, tableau)(1.0, 2.0, 0.5, 3.0, 4.0))
         assert end == pytest.approx(1 + (2.5**4 - 2**4) + 1.5, rel=1e-15)
+
+
+THIRD = Fraction(1, 3)
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        ((((), (1,)), (THIRD, THIRD)), "weights of the step add up to 0.66"),
+        ((((), (1,)), (0, 1), (0, THIRD)), "weights of stage 2 add up to 1.0, its node is 0.33"),
+        ((((), (0, 1)), (0, 1)), "weights of earlier stages only"),
+        ((((),), (0, 1)), "give a row per stage"),
+    ],
+)
+def test_tableau_with_a_wrong_number_is_refused(parts, reason):
+    with pytest.raises(ValueError, match=reason):
+        Tableau(2, *parts)
+
+
+def test_wrong_digit_in_the_coefficients_of_ode8_is_found():
+    row = (*ODE8.a[6][:3], Fraction(77736539, 692538347), *ODE8.a[6][4:])
+    with pytest.raises(ValueError, match="weights of stage 7"):
+        Tableau(8, (*ODE8.a[:6], row, *ODE8.a[7:]), ODE8.b, ODE8.nodes)

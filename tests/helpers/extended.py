@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import find_compiler
 from cosim.codegen.tableau import Tableau
-from cosim.integrate.simulate import start_vectors
+from cosim.integrate.integrator import start_vectors
 
 Long = np.longdouble
 Vector = NDArray[np.longdouble]

@@ -14,7 +14,7 @@ Vector = NDArray[np.float64]
 K, X0, V0 = 4.0, 1.0, 0.5
 
 ADAPTIVE = tuple(name for name, method in SOLVERS.items() if method.adaptive)
-INTERPRETED = tuple(name for name in SOLVERS if name != "dop853")  # which exists as C code only
+INTERPRETED = tuple(name for name, method in SOLVERS.items() if not method.compiled_only)
 WAYS = tuple((name, False) for name in INTERPRETED) + tuple((name, True) for name in SOLVERS)
 
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.integrate.simulate import start_vectors
+from cosim.integrate.integrator import start_vectors
 
 ROOT = Path(__file__).parents[2]
 SEEN = ("phi", "delta", "phi_dot", "delta_dot")

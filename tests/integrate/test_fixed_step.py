@@ -9,15 +9,18 @@ from helpers.extended import Long, final_state, has_extended_precision, right_ha
 from helpers.oscillators import oscillator
 
 from casadi_models.dae import Model
-from cosim.codegen.tableau import METHODS, Tableau
+from cosim.codegen.tableau import ODE8, RK4, Tableau
 from cosim.errors import SolverError
-from cosim.integrate.simulate import simulate, start_vectors
+from cosim.integrate.fixed_step import Rk4
+from cosim.integrate.integrator import start_vectors
+from cosim.integrate.simulate import simulate
 from cosim.model.catalogue import load
 from cosim.scene.scene import Scene, Settings
 from cosim.study.tradeoff.convergence import observed_order
 from cosim.study.tradeoff.stability import largest_stable_step, stability_function, stability_limit
 from cosim.verify.reference import reference
 
+METHODS = {"rk4": RK4, "ode8": ODE8}
 POUND_FOOT_SECOND = 1.3558179483314004  # ft.lbf.s/rad in N.m.s/rad
 
 
@@ -76,7 +79,7 @@ def test_order_8_shows_over_four_halvings_where_rounding_is_small(name, stop, st
     """From each halving to the next, not as the slope of a fit."""
     dae = load(name)
     f, x = right_hand_side(dae, tmp_path), start_vectors(dae)["x0"].astype(Long)
-    ends = [final_state(f, x, METHODS["ode8"], stop, steps * 2**k) for k in range(6)]
+    ends = [final_state(f, x, ODE8, stop, steps * 2**k) for k in range(6)]
     apart = [float(np.abs(b - a).max()) for a, b in pairwise(ends)]
     observed = [np.log2(a / b) for a, b in pairwise(apart)]
     assert len(observed) == 4
@@ -85,9 +88,8 @@ def test_order_8_shows_over_four_halvings_where_rounding_is_small(name, stop, st
 
 
 def test_wrong_coefficient_shows_as_a_lower_order(monkeypatch):
-    right = METHODS["rk4"]
-    wrong = Tableau(4, right.a, (*right.b[:2], right.b[2] + right.b[3], 0))
-    monkeypatch.setitem(METHODS, "rk4", wrong)
+    wrong = Tableau(4, RK4.a, (*RK4.b[:2], RK4.b[2] + RK4.b[3], 0))
+    monkeypatch.setattr(Rk4, "tableau", wrong)
     spring = Scene("oscillator", oscillator().dae)
     found = observed_order(spring, reference(spring), "rk4")
     assert found.observed == pytest.approx(1, abs=0.2)  # measured 1.0
@@ -102,7 +104,7 @@ def test_stability_functions_are_taylor_polynomials_up_to_the_order():
 
 @pytest.mark.parametrize(("mode", "limit"), [(-1, 2.78529), (-1e-9 + 1j, 8**0.5)])
 def test_rk4_has_its_published_limits_on_the_real_and_the_imaginary_axis(mode, limit):
-    polynomial = stability_function(METHODS["rk4"])
+    polynomial = stability_function(RK4)
     assert largest_stable_step(polynomial, mode) == pytest.approx(limit, rel=1e-5)
 
 

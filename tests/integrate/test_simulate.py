@@ -12,7 +12,8 @@ import cosim
 from casadi_models.dae import Model
 from cosim.codegen.compiler import MissingTool
 from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
-from cosim.integrate.simulate import simulate, start_vectors
+from cosim.integrate.integrator import start_vectors
+from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.inputs import InputSeries
 
@@ -405,7 +406,7 @@ def test_two_runs_are_bit_equal():
     ids=str,
 )
 def test_wrong_option_is_refused_in_one_sentence_before_anything_runs(options, kind, monkeypatch):
-    monkeypatch.setattr("cosim.integrate.simulate.call", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("cosim.integrate.solution.call", lambda *_: pytest.fail("it ran"))
     with pytest.raises(kind) as caught:
         simulate(oscillator().dae, compiled=False, **options)
     assert issubclass(kind, CosimError)

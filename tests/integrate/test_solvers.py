@@ -1,14 +1,28 @@
 """Names and tolerances of the integrators."""
 
+import inspect
 import math
+from dataclasses import FrozenInstanceError, dataclass
+from fractions import Fraction
 
+import numpy as np
 import pytest
+from helpers.engines import build
+from helpers.oscillators import oscillator
 
 import cosim
+from cosim import solvers
+from cosim.codegen.tableau import Tableau
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.integrate.engine import build
-from cosim.integrate.solvers import SOLVERS, Tolerance, method
+from cosim.integrate import simulate as native
+from cosim.integrate.fixed_step import FixedStep
+from cosim.integrate.solver import Tolerance
+from cosim.integrate.solvers import SOLVERS, solver_class
 from cosim.model.time_grid import time_grid
+from cosim.scene.scene import Scene
+from cosim.study.tradeoff.configuration import Selection
+from cosim.study.tradeoff.convergence import observed_order
+from cosim.verify.reference import reference
 
 GRID = time_grid(0, 1, 0.1)
 
@@ -29,8 +43,8 @@ def test_names_are_those_of_the_contract():
 
 
 def test_default_is_cvodes_and_idas_for_algebraic_unknowns(ode, dae):
-    assert method(ode, None)[0] == "cvodes"
-    assert method(dae, None)[0] == "idas"
+    assert solver_class(ode, None).name == "cvodes"
+    assert solver_class(dae, None).name == "idas"
 
 
 @pytest.mark.parametrize(
@@ -39,7 +53,7 @@ def test_default_is_cvodes_and_idas_for_algebraic_unknowns(ode, dae):
 )
 def test_unknown_solver_is_refused_with_near_names(ode, name, hint):
     with pytest.raises(UnknownName, match=f"cosim has no solver '{name}'; .*{hint}"):
-        method(ode, name)
+        solver_class(ode, name)
 
 
 @pytest.mark.parametrize("name", [n for n, m in SOLVERS.items() if not m.solves_dae])
@@ -102,3 +116,147 @@ def test_legal_tolerances_keep_the_meaning_of_sundials():
     assert Tolerance(1e-6, 0).pair == (1e-6, 0)
     assert Tolerance(0, 1e-6).pair == (0, 1e-6)
     assert Tolerance(0.1).relative == 0.1
+
+
+# -- solvers as values ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "shorthand"),
+    [
+        (solvers.Cvodes(relative_tolerance=1e-6), {"solver": "cvodes", "relative_tolerance": 1e-6}),
+        (solvers.Erk(relative_tolerance=1e-6, absolute_tolerance=1e-9),
+         {"solver": "erk", "relative_tolerance": 1e-6, "absolute_tolerance": 1e-9}),
+        (solvers.Ode8(step_size=0.05), {"solver": "ode8", "step_size": 0.05}),
+        (solvers.Rk4(), {"solver": "rk4"}),
+    ],
+)  # fmt: skip
+def test_value_and_shorthand_are_the_same_run(ode, value, shorthand):
+    one, two = (
+        cosim.simulate(ode, stop_time=0.5, compiled=False, **options)
+        for options in ({"solver": value}, shorthand)
+    )
+    np.testing.assert_array_equal(one.values, two.values)
+    assert one.stats["solver"] == value.name
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: solvers.Dop853(relative_tolerance=0.5), "relative_tolerance = 0.5 is not within"),
+        (lambda: solvers.Idas(absolute_tolerance=-1), "absolute_tolerance = -1 is negative"),
+        (lambda: solvers.Ode8(step_size=0), "step_size = 0 is not positive"),
+        (lambda: solvers.Rk4(step_size=math.nan), "is not finite"),
+    ],
+)
+def test_constructor_refuses_what_cannot_be(make, reason):
+    with pytest.raises(ParameterError, match=reason):
+        make()
+
+
+def test_adaptive_value_has_no_step_size_and_no_value_changes():
+    with pytest.raises(TypeError, match="step_size"):
+        solvers.Dop853(step_size=0.1)
+    with pytest.raises(FrozenInstanceError):
+        solvers.Dop853().relative_tolerance = 1e-3
+
+
+def test_numbers_beside_a_value_are_refused(ode):
+    with pytest.raises(UsageError, match=r"relative_tolerance given beside Erk.*into Erk\("):
+        cosim.simulate(ode, solver=solvers.Erk(), relative_tolerance=1e-6)
+
+
+def test_class_facts_are_those_of_the_methods():
+    facts = {name: (s.order, s.adaptive, s.solves_dae) for name, s in SOLVERS.items()}
+    assert facts == {
+        "cvodes": (5, True, False),
+        "cvodes_adams": (12, True, False),
+        "idas": (5, True, True),
+        "erk": (5, True, False),
+        "rosenbrock": (5, True, True),
+        "rk4": (4, False, False),
+        "ode8": (8, False, False),
+        "dop853": (8, True, True),
+    }
+    assert [name for name, s in SOLVERS.items() if s.compiled_only] == ["dop853"]
+    assert [name for name, s in SOLVERS.items() if s.projects] == ["rk4", "ode8", "dop853"]
+
+
+def test_every_solver_is_a_public_value():
+    assert [getattr(solvers, solver.__name__) for solver in SOLVERS.values()] == [*SOLVERS.values()]
+    assert {solver.__name__ for solver in SOLVERS.values()} <= {*solvers.__all__}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heun(FixedStep):
+    """Heun's method of order 3: all that a file of a new solver holds."""
+
+    name = "heun"
+    order = 3
+    tableau = Tableau(
+        3,
+        ((), (Fraction(1, 3),), (0, Fraction(2, 3))),
+        (Fraction(1, 4), 0, Fraction(3, 4)),
+        (0, Fraction(1, 3), Fraction(2, 3)),
+    )
+
+
+def test_solver_is_added_by_a_class_and_a_line_in_the_table(monkeypatch):
+    """It runs compiled and interpreted, projects, is offered, refused, and measured like others."""
+    monkeypatch.setitem(SOLVERS, "heun", Heun)
+    known = oscillator()
+    options = {"solver": "heun", "step_size": 0.01}
+    for compiled in (True, False):
+        run = cosim.simulate(known.dae, compiled=compiled, **options)
+        assert np.abs(run["x"] - known.solution(run.time)[0]).max() < 1e-5  # measured 1.6e-6
+        assert run.stats["steps"] == 500
+    dae = cosim.load("disk_two_bars/reduced")
+    with pytest.raises(UsageError, match="heun"):
+        cosim.simulate(cosim.load("crank_shaft/multipliers"), solver="heun")
+    with pytest.raises(UnknownName, match="did you mean heun"):
+        cosim.simulate(dae, solver="hoin")
+    measured = Selection(solvers=("heun",), roads=("compiled",)).configurations(dae, None, 1, 0.1)
+    assert {each.solver for each in measured} == {"heun"}
+    scene = Scene("oscillator", known.dae)
+    found = observed_order(scene, reference(scene), "heun")
+    assert found.expected == 3
+    assert found.observed == pytest.approx(3, abs=0.15)
+
+
+# -- what a call takes ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("call", [cosim.simulate, native.simulate])
+def test_simulate_has_at_most_twelve_parameters_each_of_them_documented(call):
+    names = list(inspect.signature(call).parameters)
+    assert len(names) <= 12
+    for name in names:
+        assert f"        {name}: " in call.__doc__
+    more = native.Shorthand.__optional_keys__
+    assert all(f"`{name}`" in call.__doc__ for name in more)
+
+
+def test_start_is_another_name_of_start_values(ode):
+    short = {"stop_time": 0.1, "compiled": False}
+    one, two = (
+        cosim.simulate(ode, **{n: {"omega": 3.0}}, **short) for n in ("start", "start_values")
+    )
+    assert one["omega"][0] == two["omega"][0] == 3.0
+    with pytest.raises(UsageError, match="two names of one thing"):
+        cosim.simulate(ode, start={"omega": 3.0}, start_values={"omega": 3.0})
+
+
+def test_unknown_keyword_is_refused_as_python_does(ode):
+    for call in (cosim.simulate, native.simulate):
+        with pytest.raises(TypeError, match=r"simulate\(\) got an unexpected keyword .*'tol'"):
+            call(ode, tol=1e-6)
+
+
+def test_stats_are_attributes_and_a_mapping(ode):
+    stats = cosim.simulate(ode, solver="rk4", stop_time=0.1, compiled=False).stats
+    assert stats.steps == stats["steps"] == 10
+    assert "relative_tolerance" not in stats
+    assert dict(stats)["solver"] == "rk4"
+    assert stats.get("invalid", ()) == ()
+    with pytest.raises(KeyError):
+        stats["invalid"]

@@ -11,7 +11,7 @@ import casadi_models
 import cosim
 from casadi_models.dae import Model, Start
 from cosim.errors import InitialConditionError, ParameterError, UnknownName
-from cosim.model.values import assign, number, quantity
+from cosim.model.values import assign, number
 
 
 @pytest.fixture(scope="module")
@@ -22,46 +22,6 @@ def crank():
 @pytest.fixture(scope="module")
 def bicycle():
     return cosim.load("bicycle")
-
-
-# -- texts ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "unit", "expected"),
-    [
-        ("60deg", "rad", math.pi / 3),
-        ("-1.5e-3", "m", -1.5e-3),
-        ("6 in", "m", 6 * 0.0254),
-        (".5ft", "m", 0.1524),
-        ("300rpm", "rad/s", 10 * math.pi),
-        ("2lbf", "N", 2 * 4.4482216152605),
-        ("0.02ft.lbf.s/rad", "N.m.s/rad", 0.02 * 1.3558179483314004),
-        ("+7", "1", 7.0),
-        ("5.kg", "kg", 5.0),
-    ],
-)
-def test_quantity_is_converted_to_the_variable_s_unit(text, unit, expected):
-    assert quantity("q", text, unit) == pytest.approx(expected, rel=4e-16)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("", "not a number with a unit"),
-        ("deg", "not a number with a unit"),
-        ("one", "not a number with a unit"),
-        ("--1", "not a number with a unit"),
-        ("0x10", "unit 'x10' is unknown"),
-        ("1,5", "write a decimal point"),
-        ("1_000", "unit '_000' is unknown"),
-        ("1furlong", "unit 'furlong' is unknown; fitting: rad, deg, rev$"),
-        ("1kg", "'kg' cannot be converted to 'rad': not the same kind of unit"),
-    ],
-)
-def test_text_that_is_no_quantity_is_refused_with_the_variable(text, reason):
-    with pytest.raises(ParameterError, match=f"^phi.*{reason}"):
-        quantity("phi", text, "rad")
 
 
 # -- numbers --------------------------------------------------------------------------------------

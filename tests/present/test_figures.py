@@ -269,7 +269,7 @@ def test_unknown_road_is_exit_code_3(tmp_path, capsys):
 
 
 def test_unknown_ending_is_told_before_anything_is_computed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cosim.cli.verbs.run_scene", None)
+    monkeypatch.setattr("cosim.cli.running.run_scene", None)
     target = tmp_path / "x.bmp"
     assert main(["plot", "bicycle_model_1.toml", "--output-file", str(target)]) == 3
     assert "no picture format 'bmp'" in capsys.readouterr().err
@@ -282,7 +282,7 @@ def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
     def fail(*_arguments, **_options):
         raise SolverError("it stopped", partial)
 
-    monkeypatch.setattr("cosim.cli.verbs.run_scene", fail)
+    monkeypatch.setattr("cosim.cli.running.run_scene", fail)
     target = tmp_path / "x.png"
     assert main(["plot", "crank_shaft", "--output-file", str(target)]) == 1
     assert target.exists()
@@ -298,7 +298,7 @@ def test_window_needs_no_file(monkeypatch):
 
 
 def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
-    monkeypatch.setattr("cosim.cli.verbs.run_scene", None)
+    monkeypatch.setattr("cosim.cli.running.run_scene", None)
     assert main(["plot", "crank_torque.toml"]) == 2
     assert "there is no screen" in capsys.readouterr().err
 

@@ -39,6 +39,19 @@ def test_check_tells_what_is_worst_and_what_the_run_took():
     assert row["wall_time"] > 0
 
 
+def test_checks_are_kept_and_show_their_table():
+    checks = crosscheck("crank_shaft/driven", **SHORT)
+    first = next(checks)
+    assert [check.road for check in checks] == ["fmpy ModelExchange", "fmpy CoSimulation"]
+    assert next(iter(checks)) is first  # computed once
+    assert next(checks).road == "fmpy CoSimulation"
+    shown = repr(checks).splitlines()
+    assert shown[0].split()[:3] == ["model", "road", "against"]
+    assert len(shown) == 3
+    assert "<td>fmpy CoSimulation</td>" in checks._repr_html_()
+    assert checks.agree
+
+
 def test_difference_beyond_the_bound_is_a_verdict_of_its_own():
     checks = list(crosscheck(["crank_shaft/driven"], bound=1e-16, **SHORT))
     assert "DIFFERS" in {check.verdict for check in checks}

@@ -7,7 +7,7 @@ from typing import Any
 from casadi_models.dae import Dae
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.catalogue import load
-from cosim.model.values import quantity
+from cosim.model.quantities import quantity
 from cosim.scene.goals import GOALS, OVERRULED
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene

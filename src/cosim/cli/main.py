@@ -10,13 +10,11 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
-from cosim.cli.parser import Parser, command_line
+from cosim.cli.options import Parser
+from cosim.cli.parser import command_line
 from cosim.errors import CosimError
-
-_OWN_MODULE = ("extremes", "tradeoff")  # of their name; the other verbs stand in `verbs`
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,9 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not args.debug:
                 warnings.showwarning = _warn
             _refuse_unwritable(args)
-            module = args.verb if args.verb in _OWN_MODULE else "verbs"
-            verb = getattr(import_module(f"cosim.cli.{module}"), f"do_{args.verb}")
-            code: int = verb(args)
+            code: int = args.run(args)
         sys.stdout.flush()
         return code
     except CosimError as error:

@@ -7,6 +7,7 @@ import casadi as ca
 from casadi import MX
 
 F = Fraction
+_ROUNDED = 1e-15  # sources print fractions that are rounded to double precision
 
 
 @dataclass(frozen=True)
@@ -17,11 +18,35 @@ class Tableau:
         order: Of consistency.
         a: Weights of the earlier stages, row by row.
         b: Weights of the stages in the step.
+        nodes: Where in the step each stage lies, where its source says so; the rows' sums if not.
+
+    Raises:
+        ValueError: A stage uses itself or a later one, or its weights do not add up to its node;
+            or the weights of the step do not add up to 1.
     """
 
     order: int
     a: tuple[tuple[Fraction | int, ...], ...]
     b: tuple[Fraction | int, ...]
+    nodes: tuple[Fraction | int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.a) != len(self.b) or any(len(row) > i for i, row in enumerate(self.a)):
+            raise ValueError(
+                f"tableau of {len(self.a)} rows and {len(self.b)} weights: give a row per stage, "
+                "with weights of earlier stages only"
+            )
+        for i, (row, node) in enumerate(zip(self.a, self.nodes, strict=True) if self.nodes else ()):
+            if abs(float(sum(row) - node)) > _ROUNDED:
+                raise ValueError(
+                    f"tableau: weights of stage {i + 1} add up to {float(sum(row))}, its node is "
+                    f"{float(node)}; a weight is wrong"
+                )
+        if abs(float(sum(self.b) - 1)) > _ROUNDED:
+            raise ValueError(
+                f"tableau: weights of the step add up to {float(sum(self.b))}, not to 1; one is "
+                "wrong"
+            )
 
     @property
     def c(self) -> tuple[float, ...]:
@@ -29,7 +54,12 @@ class Tableau:
         return tuple(float(sum(row)) for row in self.a)
 
 
-RK4 = Tableau(4, ((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)), (F(1, 6), F(1, 3), F(1, 3), F(1, 6)))
+RK4 = Tableau(
+    4,
+    ((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)),
+    (F(1, 6), F(1, 3), F(1, 3), F(1, 6)),
+    (0, F(1, 2), F(1, 2), 1),
+)
 
 # Prince & Dormand, High order embedded Runge-Kutta formulae, J. Comp. Appl. Math. 7 (1981):
 # RK8(7)13M, the solution of order 8; MATLAB's and Simulink's ode8.
@@ -133,9 +163,11 @@ _ODE8_B = (
     F(-528747749, 2220607170),
     F(1, 4),
 )
-ODE8 = Tableau(8, _ODE8_A, _ODE8_B)
-
-METHODS = {"rk4": RK4, "ode8": ODE8}
+_ODE8_NODES = (
+    *(0, F(1, 18), F(1, 12), F(1, 8), F(5, 16), F(3, 8), F(59, 400), F(93, 200)),
+    *(F(5490023248, 9719169821), F(13, 20), F(1201146811, 1299019798), 1, 1),
+)
+ODE8 = Tableau(8, _ODE8_A, _ODE8_B, _ODE8_NODES)
 
 
 def step_function(rhs: ca.Function, tableau: Tableau) -> ca.Function:

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from threading import current_thread, main_thread
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.integrate.engine import Engine
+from cosim.integrate.engine import Counts, Engine
 
 INTERRUPTED = "interrupted"
 
@@ -24,14 +23,14 @@ class Reached:
 
     Attributes:
         states, algebraics: At the output times up to the last finite one, (nx, n) and (nz, n).
-        stats: What it took.
+        counts: What it took.
         reason: Why it stopped before the last output time, `INTERRUPTED` after Ctrl-C; empty where
             it did not.
     """
 
     states: Vector
     algebraics: Vector
-    stats: dict[str, Any]
+    counts: Counts
     reason: str
 
 
@@ -45,7 +44,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         call_on_arrays(engine.parameters, [p], [extended])
         p = extended
     arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
-    stats: dict[str, Any] = {}
+    counts = Counts()
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
     with redirect_stderr(told), _interruptible(engine.library) as interrupts:
         try:
@@ -53,8 +52,8 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         except RuntimeError as error:  # CasADi has no narrower type
             reason = _flag(str(error))
         else:
-            stats = engine.stats()
-            cause = stats.pop("cause", "step size too small, or too many steps")
+            counts = engine.counts()
+            cause = counts.cause or "step size too small, or too many steps"
             reason = "" if succeeded else cause
     finite = np.isfinite(states)
     reached = n if finite.all() else int(np.argmin(finite.all(axis=1)))
@@ -65,7 +64,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         reason += f" ({last})" if last else ""
     elif reached < n:
         reason = "a state is not finite"
-    return Reached(states[:reached].T, algebraics[:reached].T, stats, reason)
+    return Reached(states[:reached].T, algebraics[:reached].T, counts, reason)
 
 
 def call_on_arrays(

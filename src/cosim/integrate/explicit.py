@@ -1,93 +1,71 @@
-"""Explicit Runge-Kutta methods in C around generated equations: `dop853`, `rk4`, `ode8`.
+"""Explicit methods in C around generated equations: the engine of all, and `dop853`."""
 
-The hand-written part, fmu/solvers, knows no model. The generated part is the right-hand side, its
-sizes, and the coefficients of the method as straight-line code. Output times, tolerances and steps
-are arguments, so that nothing is compiled anew when they change.
-"""
-
-import ctypes
-from threading import Lock
+from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
+from casadi import MX
 
-from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key
-from cosim.codegen.compiler import cached_library
-from cosim.codegen.runge_kutta_c import dop853_coefficients, numbers, sums
-from cosim.codegen.tableau import METHODS, Tableau
+from cosim.codegen.explicit_library import (
+    MethodText,
+    dop853_method,
+    explicit_function,
+    explicit_library,
+)
+from cosim.codegen.functions import driven, equations, prepared, symbols_of
+from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.projection import projection_step
+from cosim.integrate.engine import Engine, Problem, reported
+from cosim.integrate.solver import AdaptiveSolver
 
-_sizing = Lock()
 
-SETTINGS = 4  # number of output times, both tolerances, largest step
+@dataclass(frozen=True, kw_only=True)
+class Dop853(AdaptiveSolver):
+    """Hairer's pair of order 8(5,3) with an interpolant of order 7."""
+
+    name = "dop853"
+    order = 8
+    solves_dae = True
+    compiled_only = True
+    projects = True
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem."""
+        inputs = problem.inputs
+        longest = np.inf if inputs is None else float(np.diff(inputs.time).min())
+        return explicit_engine(problem, self.name, dop853_method(), (*self.tolerance.pair, longest))
 
 
-def explicit_library(rhs: ca.Function, solver: str, project: ca.Function | None = None) -> str:
-    """Return the path of a compiled solver.
+def explicit_engine(
+    problem: Problem, name: str, method: MethodText, settings: tuple[float, float, float]
+) -> Engine:
+    """Return the engine of an explicit method in C.
+
+    Algebraic unknowns are solved for within the right-hand side.
 
     Args:
-        rhs: `rhs(t, x, z, u, c) -> (dx/dt, z)`; z is a guess of the algebraic unknowns.
-        solver: "dop853", "rk4" or "ode8".
-        project: `project(x, c) -> (x, change)`, applied after each step; nothing is when None.
-
-    Raises:
-        MissingTool: There is no compiler, or it fails.
+        problem: What it is for.
+        name: Of the method.
+        method: Its C text; see `explicit_library`.
+        settings: Relative and absolute tolerance, and the largest step, s.
     """
-    sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
-    before = "".join(f"#define {name} {size}\n" for name, size in sizes)
-    after = _solver_text(solver, project)
-
-    def generate() -> str:
-        generator = ca.CodeGenerator("equations", {"with_header": False})
-        generator.add(rhs)
-        if project is not None:
-            generator.add(project)
-        return f"{before}{generator.dump()}\n{after}"
-
-    details = before + after + ("" if project is None else project.serialize())
-    return str(cached_library(cache_key(f"explicit {solver}", rhs, details.encode()), generate))
-
-
-def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]:
-    """Return `run(x0, z0, p, u) -> (xf, zf)` of a compiled solver, and its library.
-
-    Args:
-        path: Of the library.
-        points: Number of output times; p = (c, points, relative and absolute tolerance, largest
-            step, output times).
-    """
-    library = ctypes.CDLL(path)
-    with _sizing:  # CasADi reads the sizes while it makes the function
-        library.cosim_points(ctypes.c_longlong(points))
-        return ca.external("run", path), library
-
-
-def _solver_text(solver: str, project: ca.Function | None = None) -> str:
-    """Return the code around the generated functions `rhs` and, where it is given, `project`."""
-    steps = "adaptive" if solver == "dop853" else "fixed"
-    own, work = ("NULL", "NULL") if project is None else ("project", "project_work")
-    parts = (
-        solver_source(f"{steps}.h", "external.h"),
-        _coefficients(solver),
-        f"static const Solver solver = {{rhs, {own}, rhs_work, {work}, integrate_{steps}}};\n",
-    )
-    return "\n".join(parts)
-
-
-def _coefficients(solver: str) -> str:
-    if solver == "dop853":
-        return dop853_coefficients().replace('#include "dop853.h"\n', "")
-    return _fixed_step_code(METHODS[solver])
-
-
-def _fixed_step_code(tableau: Tableau) -> str:
-    rows = [
-        [(stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight]
-        for row in (*tableau.a, tableau.b)
-    ]
-    return "\n".join(
-        (
-            numbers("node", tableau.c),
-            sums("stage_sum", rows),
-            f"static const Method method = {{{len(tableau.b)}, node, stage_sum}};",
-        )
-    )
+    dae, inputs = problem.dae, problem.inputs
+    if dae.algebraics:
+        function = equations(dae, sensitivities=False)
+        constants = ca.Function("constants", [dae.p], [dae.p])
+        t, x, z, u, c = symbols = symbols_of(function)
+        solved = algebraic_function(dae)(t, x, z, driven(dae, inputs, t, u), c)
+    else:
+        function, constants = prepared(dae)
+        t, x, z, u, c = symbols = symbols_of(function)
+        solved = z
+    ode, _ = function(t, x, solved, driven(dae, inputs, t, u), c)
+    projection = projection_step(dae, c.numel()) if problem.project else None
+    rhs = ca.Function("rhs", symbols, [ode, solved])
+    path = explicit_library(rhs, name, method, projection)
+    grid = problem.grid
+    run, library = explicit_function(path, len(grid))
+    p = MX.sym("p", dae.p.numel())
+    extended = ca.vertcat(constants(p), len(grid), *settings, ca.DM(grid))
+    parameters = ca.Function("parameters", [p], [extended])
+    return Engine(run, parameters, False, reported(library, 0.0, 1.0), True, library)

@@ -1,30 +1,36 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
 from time import perf_counter
-from typing import Any
-
-import casadi as ca
-import numpy as np
-from casadi import MX
-from numpy.typing import ArrayLike
+from typing import Any, TypedDict, Unpack
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
-from cosim.integrate import engine
-from cosim.integrate.call import INTERRUPTED, call
+from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
-from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.outputs import all_columns, observe, wanted_names, watching
-from cosim.integrate.solvers import SOLVERS, Tolerance, method
-from cosim.integrate.validity import ON_INVALID, Breach, breaches, too_coarse
+from cosim.integrate.engine import Problem
+from cosim.integrate.explicit import Dop853
+from cosim.integrate.outputs import all_columns, wanted_names, watching
+from cosim.integrate.run_stats import RunStats
+from cosim.integrate.solution import Solution, solve
+from cosim.integrate.solver import Solver
+from cosim.integrate.solvers import NUMBERS, chosen_solver
+from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
-from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import Values, assign, listed, number
+from cosim.model.time_grid import time_grid
+from cosim.model.values import assign, listed, number
 from cosim.trajectory import Trajectory
+
+
+class Shorthand(TypedDict, total=False):
+    """Other ways to say what `solver` and `start_values` say; see `simulate`."""
+
+    relative_tolerance: float | None
+    absolute_tolerance: float | None
+    step_size: float | None
+    start: Mapping[str, float] | None
 
 
 def simulate(
@@ -33,16 +39,14 @@ def simulate(
     start_time: float = 0.0,
     stop_time: float | None = None,
     output_interval: float | None = None,
-    solver: str | None = None,
-    relative_tolerance: float | None = None,
-    absolute_tolerance: float | None = None,
-    step_size: float | None = None,
-    start: Mapping[str, float] | None = None,
+    solver: str | Solver | None = None,
+    start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
     compiled: bool | None = None,
     on_invalid: str = "warn",
     drift_control: str | None = None,
+    **shorthand: Unpack[Shorthand],
 ) -> Trajectory:
     """Integrate a DAE with CVODES, or with IDAS when it has algebraic unknowns.
 
@@ -52,11 +56,9 @@ def simulate(
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.
-        solver: A name of `SOLVERS`; CVODES, or IDAS for a DAE, when None.
-        relative_tolerance: Error per step relative to each state's size (1); 1e-8 when None.
-        absolute_tolerance: Error per step in SI units; a hundredth of the relative when None.
-        step_size: Largest step of `rk4` and `ode8`, s; the output interval when None.
-        start: Values by name that replace starts of states, parameters, or inputs.
+        solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
+            the name of one; CVODES, or IDAS for a DAE, when None.
+        start_values: Values by name that replace starts of states, parameters, or inputs.
         inputs: Time series of some inputs, piecewise linear; the others keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
         compiled: Whether to compile the equations; if a compiler is there when None.
@@ -65,15 +67,20 @@ def simulate(
             "ignore" looks at neither.
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
+        shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
+            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in SI
+            units, a hundredth of the relative one when None; `step_size`, largest step of `rk4`
+            and `ode8`, s, the output interval when None. And `start`, another name of
+            `start_values`.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
 
     Raises:
-        UnknownName: `start`, `outputs`, `solver`, `on_invalid` or `drift_control` holds a name that
-            does not exist.
+        UnknownName: `start_values`, `outputs`, `solver`, `on_invalid` or `drift_control` holds a
+            name that does not exist.
         ParameterError: A value is not finite or out of its bounds, or asks for what cannot be.
-        UsageError: The solver cannot integrate the model.
+        UsageError: The solver cannot integrate the model, or something is said twice.
         InitialConditionError: The start values contradict the constraints.
         SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the run up
             to there.
@@ -84,51 +91,73 @@ def simulate(
         Hindmarsh et al., SUNDIALS, ACM TOMS 2005, doi:10.1145/1089014.1089020.
     """
     began = perf_counter()
+    refuse_unknown(shorthand, Shorthand.__optional_keys__)
     if not isinstance(on_invalid, str) or on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     dae, project = controlled(dae, drift_control)
-    values = assign(dae, start)
+    values = assign(dae, one_of(dae, start_values, shorthand.get("start")))
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
     names = wanted_names(dae, wanted)
     grid = output_times(dae, start_time, stop_time, output_interval)
     if not isinstance(compiled, bool | None):
         raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
+    if project and solver is None:
+        solver = Dop853.name
+    numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
+    chosen = chosen_solver(dae, solver, **numbers)  # type: ignore[arg-type]  # all are numbers
     if compiled is None:
         compiled = has_compiler()
-    relative = Tolerance().relative if relative_tolerance is None else relative_tolerance
-    task = _Task(
-        dae,
-        method(dae, "dop853" if project and solver is None else solver)[0],
-        Tolerance(relative, absolute_tolerance),
-        step_size,
-        compiled,
-        values,
-        inputs,
-        on_invalid,
-        project,
-    )
-    solution = first = task.solve(grid)
+    problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
+    solution = first = solve(problem, chosen, values, on_invalid)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
-        solution = task.solve(grid[: len(solution.table)])
+        shorter = problem.until(len(solution.table))
+        solution = solve(shorter, chosen, values, on_invalid)
     time = grid[: len(solution.table)]
     status = "complete"
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
-    stats = {"solver": task.solver, "relative_tolerance": relative, **solution.stats}
-    stats |= {"compiled": task.compiled, "wall_time": perf_counter() - began}
-    if first.invalid:
-        stats["invalid"] = [breach.text for breach in first.invalid]
+    stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
     every = Trajectory(dae.full_name, time, all_columns(dae), solution.table, stats, status)
     run = every.select(names)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
-        raise SolverError(task.explain(every), run)
+        raise SolverError(
+            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}); look for a "
+            "singularity near that state, or use another tolerance or step, formulation or solver",
+            run,
+        )
     return run
+
+
+def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
+    """Refuse keywords that a call does not have, as Python does.
+
+    Raises:
+        TypeError: There is one.
+    """
+    for name in given:
+        if name not in known:
+            raise TypeError(f"simulate() got an unexpected keyword argument '{name}'")
+
+
+def one_of(
+    dae: Dae, start_values: Mapping[str, float] | None, start: Mapping[str, float] | None
+) -> Mapping[str, float] | None:
+    """Return the start values, given by one of their two names.
+
+    Raises:
+        UsageError: Both are given.
+    """
+    if start_values is not None and start is not None:
+        raise UsageError(
+            f"{dae.full_name}: start_values and start are two names of one thing; give one of them"
+        )
+    return start if start_values is None else start_values
 
 
 def output_times(
@@ -148,178 +177,19 @@ def output_times(
     )
 
 
-def integrator(
-    dae: Dae,
-    grid: ArrayLike,
-    *,
-    solver: str | None = None,
-    relative_tolerance: float = 1e-8,
-    absolute_tolerance: float | None = None,
-    step_size: float | None = None,
-    compiled: bool | None = None,
-) -> ca.Function:
-    """Return the bare function of CasADi's integrator API, to embed, map or differentiate.
-
-    Args:
-        dae: The model.
-        grid: Increasing output times, s, the start first, (n,).
-        solver, relative_tolerance, absolute_tolerance, step_size, compiled: See `simulate`.
-
-    Returns:
-        `(x0, z0, p, u, ...) -> (xf, zf, ...)` with one column per time of the grid, in the order
-        of `dae.x`, `dae.z`, `dae.p`, `dae.u`. What is not given is 0: see `start_vectors`.
-        Compiled `erk`, `rosenbrock`, `rk4` and `ode8` have no derivatives; pass `compiled=False`
-        where an optimizer needs them.
-
-    Raises:
-        ParameterError: The grid is not increasing or not finite.
-        UnknownName, UsageError, MissingTool: See `simulate`.
-    """
-    times = checked_grid(grid)
-    built = engine.build(
-        dae,
-        times,
-        solver,
-        Tolerance(relative_tolerance, absolute_tolerance),
-        step_size=step_size,
-        compiled=has_compiler() if compiled is None else compiled,
+def _stats(
+    solver: Solver, first: Solution, last: Solution, compiled: bool, wall_time: float
+) -> RunStats:
+    steps, rhs_calls, jacobian_calls, _ = last.counts
+    return RunStats(
+        solver=solver.name,
+        relative_tolerance=getattr(solver, "relative_tolerance", None),
+        step_size=getattr(solver, "step_size", None),
+        solve_time=last.solve_time,
+        steps=steps,
+        rhs_calls=rhs_calls,
+        jacobian_calls=jacobian_calls,
+        compiled=compiled,
+        wall_time=wall_time,
+        invalid=tuple(breach.text for breach in first.invalid),
     )
-    if built.parameters is None:
-        return built.function
-    x0, z0, p, u = (
-        MX.sym(n, v.numel()) for n, v in (("x0", dae.x), ("z0", dae.z), ("p", dae.p), ("u", dae.u))
-    )
-    result = built.function(x0=x0, z0=z0, p=built.parameters(p), u=u)
-    names = ["x0", "z0", "p", "u"]
-    return ca.Function(
-        "integrator", [x0, z0, p, u], [result["xf"], result["zf"]], names, ["xf", "zf"]
-    )
-
-
-def start_vectors(dae: Dae, start: Mapping[str, float] | None = None) -> dict[str, Vector]:
-    """Return consistent `x0`, `z0`, `p`, `u` to call an `integrator` with.
-
-    Raises:
-        UnknownName, ParameterError, InitialConditionError: See `simulate`.
-    """
-    values = assign(dae, start)
-    x0 = start_values(dae, values)
-    return {"x0": x0, "z0": algebraic_values(dae, 0.0, x0, values), "p": values.p, "u": values.u}
-
-
-@dataclass(frozen=True)
-class _Solution:
-    """Rows of everything observable up to the last good time of a grid, and why it ended."""
-
-    grid: Vector
-    table: Vector
-    stats: dict[str, Any]
-    reason: str
-    invalid: list[Breach]
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What a run needs besides its output times."""
-
-    dae: Dae
-    solver: str
-    tolerance: Tolerance
-    step_size: float | None
-    compiled: bool
-    values: Values
-    inputs: InputSeries | None
-    on_invalid: str
-    project: bool
-
-    def solve(self, grid: Vector) -> _Solution:
-        dae, values = self.dae, self.values
-        x0 = start_values(dae, values)
-        u = _input_values(dae, grid, values, self.inputs)
-        z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
-        states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
-        stats: dict[str, Any] = {}
-        reason, found = "", list[Breach]()
-        if len(grid) > 1 and dae.states:
-            engine = self.engine(grid, self.step_size)
-            ready = perf_counter()
-            reached = call(engine, x0, z0, values.p, values.u)
-            started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
-            if self.solver == "idas" and not started:
-                # IDACalcIC gave up on a start that is consistent already
-                slopes = self.slopes(grid[0], x0, z0, u[:, 0])
-                reached = call(self.engine(grid, None, slopes), x0, z0, values.p, values.u)
-            stats = {"solve_time": perf_counter() - ready, **reached.stats}
-            states, guesses, reason = reached.states, reached.algebraics, reached.reason
-            if not SOLVERS[self.solver].adaptive and not reason and self.on_invalid != "ignore":
-                found, reason = self.step_check(grid, states, z0)
-        n = states.shape[1]
-        table, margins = observe(dae, grid[:n], states, guesses, u[:, :n], values.p, self.compiled)
-        bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-        if bad.size:
-            n = int(bad[0])
-            name = all_columns(dae)[int(np.argmin(np.isfinite(table[n])))].name
-            reason = reason or f"{name} is not finite at {grid[n]:g} s"
-        if self.on_invalid != "ignore":
-            found = sorted([*found, *breaches(dae, grid[:n], margins[:n])])
-            if found and self.on_invalid == "stop":
-                n, reason = found[0]
-        return _Solution(grid, table[:n], stats, reason, found)
-
-    def slopes(self, t: float, x: Vector, z: Vector, u: Vector) -> Vector:
-        """Return dx/dt at a consistent state, (nx,)."""
-        ode, _ = engine.equations(self.dae)(t, x, z, u, self.values.p)
-        return np.array(ode).ravel()
-
-    def engine(
-        self, grid: Vector, step_size: float | None, slopes: Vector | None = None
-    ) -> engine.Engine:
-        return engine.build(
-            self.dae,
-            grid,
-            self.solver,
-            self.tolerance,
-            step_size=step_size,
-            inputs=self.inputs,
-            compiled=self.compiled,
-            sensitivities=False,
-            project=self.project,
-            slopes=slopes,
-        )
-
-    def step_check(self, grid: Vector, states: Vector, z0: Vector) -> tuple[list[Breach], str]:
-        """Repeat a run of fixed steps with half of them; say where the states part.
-
-        Returns:
-            What is found, and whether that was interrupted (then nothing is).
-        """
-        step = float(np.diff(grid).max()) if self.step_size is None else self.step_size
-        engine = self.engine(grid, step / 2)
-        finer = call(engine, states[:, 0], z0, self.values.p, self.values.u)
-        if finer.reason == INTERRUPTED:
-            return [], INTERRUPTED
-        return too_coarse(self.dae, grid, states, finer.states, step), ""
-
-    def explain(self, run: Trajectory) -> str:
-        settings = "rtol {:g}, atol {:g}".format(*self.tolerance.pair)
-        if not SOLVERS[self.solver].adaptive:
-            step = "output interval" if self.step_size is None else f"{self.step_size:g} s"
-            settings = f"step: {step}"
-        return (
-            f"{self.dae.full_name}: {self.solver} {run.status} ({settings}); look for a "
-            "singularity near that state, or use another tolerance or step, formulation or solver"
-        )
-
-
-def _input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
-    """Return every input at the output times, (nu, n)."""
-    table = np.tile(values.u[:, None], len(grid))
-    if not isinstance(inputs, InputSeries | None):
-        raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, "what read_inputs returns")
-    if inputs is not None:
-        known = [variable.name for variable in dae.inputs]
-        for name, row in zip(inputs.names, inputs.at(grid), strict=True):
-            if name not in known:
-                raise UnknownName.among(dae.full_name, "input", name, known)
-            table[known.index(name)] = row
-    return table

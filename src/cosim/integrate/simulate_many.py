@@ -13,8 +13,10 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.integrate.ensemble import Ensemble
+from cosim.integrate.explicit import Dop853
 from cosim.integrate.outputs import wanted_names, watching
-from cosim.integrate.solvers import Tolerance, method
+from cosim.integrate.solver import Solver
+from cosim.integrate.solvers import chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.integrate.variants import in_lanes, one_by_one
 from cosim.model.inputs import InputSeries
@@ -32,7 +34,7 @@ def simulate_many(
     output_interval: float | None = None,
     times: ArrayLike | None = None,
     outputs: Sequence[str] | None = None,
-    solver: str | None = None,
+    solver: str | Solver | None = None,
     relative_tolerance: float | None = None,
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
@@ -93,13 +95,14 @@ def simulate_many(
         first = 0
     else:
         grid, first = _times(start_time, times)
-    relative = Tolerance().relative if relative_tolerance is None else relative_tolerance
-    tolerance = Tolerance(relative, absolute_tolerance)
-    chosen = solver or ("dop853" if _fits(dae, inputs, step_size, grid) else method(dae, None)[0])
-    lean = chosen == "dop853" and _fits(dae, inputs, step_size, grid)
-    if lean:
+    fits = _fits(dae, inputs, step_size, grid)
+    if solver is None and fits:
+        solver = Dop853.name
+    chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
+    if isinstance(chosen, Dop853) and fits:
+        tolerance, most = chosen.tolerance, threads or processors()
         ensemble, interrupted = in_lanes(
-            dae, values, names, grid, tolerance, on_invalid, threads or processors(), lanes
+            dae, values, names, grid, tolerance, on_invalid, most, lanes
         )
     else:
         if lanes is not None:
@@ -107,17 +110,11 @@ def simulate_many(
                 f"{dae.full_name}: lanes are for explicit forms and dop853, compiled, without "
                 "input series; leave lanes out"
             )
-        settings = {
-            "solver": chosen,
-            "relative_tolerance": relative_tolerance,
-            "absolute_tolerance": absolute_tolerance,
-            "step_size": step_size,
-            "inputs": inputs,
-            "on_invalid": on_invalid,
-        }
+        settings = {"solver": chosen, "inputs": inputs, "on_invalid": on_invalid}
         ensemble, interrupted = one_by_one(dae, values, names, grid, settings)
     ensemble = _without_first(ensemble, first)
-    stats = {"solver": chosen, "relative_tolerance": relative, **ensemble.stats}
+    numbers = {name: value for name, value in vars(chosen).items() if value is not None}
+    stats = {"solver": chosen.name, **numbers, **ensemble.stats}
     ensemble = replace(ensemble, stats=stats | {"wall_time": perf_counter() - began})
     if interrupted:
         done = int(ensemble.complete.sum())

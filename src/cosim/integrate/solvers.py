@@ -1,76 +1,35 @@
-"""The integrators of road one by name, and their tolerances."""
-
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
-
-import numpy as np
+"""The solvers of road one by name."""
 
 from casadi_models.dae import Dae
-from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.model.values import A_DAE, number
+from cosim.codegen.compiler import find_compiler
+from cosim.errors import UnknownName, UsageError
+from cosim.integrate.casadi_rk import Erk, Rosenbrock
+from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.explicit import Dop853
+from cosim.integrate.fixed_step import FixedStep, Ode8, Rk4
+from cosim.integrate.solver import Solver, Tolerance
+from cosim.integrate.sundials import Cvodes, CvodesAdams, Idas
+from cosim.memo import kept_per_thread
+from cosim.model.values import A_DAE
 
-
-@dataclass(frozen=True)
-class Method:
-    """What is known of a solver.
-
-    Attributes:
-        plugin: CasADi's integrator; empty for our own methods.
-        solves_dae: Whether it takes algebraic unknowns.
-        adaptive: Whether it chooses its steps.
-        options: Of the plugin.
-    """
-
-    plugin: str
-    solves_dae: bool
-    adaptive: bool = True
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-
-_COMMON = {"show_eval_warnings": False, "max_num_steps": 100_000}  # steps per output interval
-_ADAMS = {"linear_multistep_method": "adams", "nonlinear_solver_iteration": "functional"}
-SOLVERS: dict[str, Method] = {
-    "cvodes": Method("cvodes", False, options=_COMMON),
-    "cvodes_adams": Method("cvodes", False, options=_COMMON | _ADAMS),
-    "idas": Method("idas", True, options=_COMMON),
-    "erk": Method("erk", False, options=_COMMON),
-    "rosenbrock": Method("rosenbrock", True, options=_COMMON),
-    "rk4": Method("", False, adaptive=False),
-    "ode8": Method("", False, adaptive=False),
-    "dop853": Method("", True),
+NUMBERS = ("relative_tolerance", "absolute_tolerance", "step_size")
+SOLVERS: dict[str, type[Solver]] = {
+    solver.name: solver
+    for solver in (
+        Cvodes,
+        CvodesAdams,
+        Idas,
+        Erk,
+        Rosenbrock,
+        Rk4,
+        Ode8,
+        Dop853,
+    )
 }
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """Error per step that an adaptive solver may make: relative, and absolute in SI units."""
-
-    relative: float = 1e-8
-    absolute: float | None = None
-
-    def __post_init__(self) -> None:
-        relative = number("solver", "relative_tolerance", self.relative)
-        if relative != 0 and not 100 * np.finfo(float).eps <= relative <= 0.1:
-            raise ParameterError(
-                f"relative_tolerance = {relative:g} is not within 2.2e-14 ... 0.1; "
-                "double precision carries no less, and more is no accuracy"
-            )
-        if self.absolute is not None and number("solver", "absolute_tolerance", self.absolute) < 0:
-            raise ParameterError(
-                f"absolute_tolerance = {self.absolute:g} is negative; give 0 or more"
-            )
-        if relative == 0 and not self.absolute:
-            raise ParameterError("both tolerances are 0; give one of them a positive value")
-
-    @property
-    def pair(self) -> tuple[float, float]:
-        """Relative and absolute; the absolute one is a hundredth of the relative by default."""
-        return self.relative, 0.01 * self.relative if self.absolute is None else self.absolute
-
-
-def method(dae: Dae, solver: str | None) -> tuple[str, Method]:
-    """Return the solver's name and method: CVODES for an ODE, IDAS for a DAE when None.
+def solver_class(dae: Dae, solver: str | Solver | None) -> type[Solver]:
+    """Return the class of a solver: CVODES for an ODE, IDAS for a DAE when None.
 
     Raises:
         UnknownName: There is no such solver.
@@ -78,13 +37,73 @@ def method(dae: Dae, solver: str | None) -> tuple[str, Method]:
     """
     if not isinstance(dae, Dae):
         raise UsageError.of_type("a solver", dae, A_DAE)
-    default = "idas" if dae.algebraics else "cvodes"
-    name = default if solver is None else solver
-    if not isinstance(name, str) or name not in SOLVERS:
-        raise UnknownName.among("cosim", "solver", name, SOLVERS)
-    if dae.algebraics and not SOLVERS[name].solves_dae:
+    default = Idas if dae.algebraics else Cvodes
+    if isinstance(solver, Solver):
+        found = type(solver)
+    elif solver is None:
+        found = default
+    elif isinstance(solver, str) and solver in SOLVERS:
+        found = SOLVERS[solver]
+    else:
+        raise UnknownName.among("cosim", "solver", str(solver), SOLVERS)
+    if dae.algebraics and not found.solves_dae:
         able = " or ".join(key for key, value in SOLVERS.items() if value.solves_dae)
         raise UsageError(
-            f"{dae.full_name} has algebraic unknowns, which {name} cannot integrate; use {able}"
+            f"{dae.full_name} has algebraic unknowns, which {found.name} cannot integrate; "
+            f"use {able}"
         )
-    return name, SOLVERS[name]
+    return found
+
+
+def chosen_solver(
+    dae: Dae,
+    solver: str | Solver | None = None,
+    relative_tolerance: float | None = None,
+    absolute_tolerance: float | None = None,
+    step_size: float | None = None,
+) -> Solver:
+    """Return a solver as a value: itself, or what a name and its numbers stand for.
+
+    Raises:
+        UnknownName, UsageError: See `solver_class`; or the numbers are not those of the solver.
+        ParameterError: A number is out of its range.
+    """
+    found = solver_class(dae, solver)
+    numbers = (relative_tolerance, absolute_tolerance, step_size)
+    given = {k: v for k, v in zip(NUMBERS, numbers, strict=True) if v is not None}
+    if isinstance(solver, Solver):
+        if given:
+            raise UsageError(
+                f"{dae.full_name}: {' and '.join(given)} given beside {solver}; write them into "
+                f"{found.__name__}(...)"
+            )
+        return solver
+    if issubclass(found, FixedStep):
+        Tolerance(given.pop("relative_tolerance", Tolerance().relative))  # of no use to it
+        if "absolute_tolerance" in given:
+            raise UsageError(f"{found.name} has no error control; leave absolute_tolerance out")
+    elif "step_size" in given:
+        fixed = " or ".join(name for name, other in SOLVERS.items() if not other.adaptive)
+        raise UsageError(f"{found.name} chooses its own steps; leave step_size out or use {fixed}")
+    return found(**given)
+
+
+@kept_per_thread(32)
+def engine_of(problem: Problem, solver: Solver) -> Engine:
+    """Return the engine of a solver for a problem; the thread's latest ones are kept.
+
+    Raises:
+        UsageError, ParameterError, MissingTool: See `Solver.engine`.
+    """
+    if problem.project and not (solver.projects and problem.compiled):
+        able = ", ".join(name for name, other in SOLVERS.items() if other.projects)
+        raise UsageError(
+            f"{solver.name} does not project its steps; {able} do, compiled: use one of them, or "
+            "another drift control"
+        )
+    if solver.compiled_only and not problem.compiled:
+        find_compiler()  # says what is missing
+        raise UsageError(
+            f"{solver.name} exists as compiled code only; use erk for interpreted runs"
+        )
+    return solver.engine(problem)

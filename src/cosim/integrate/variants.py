@@ -21,7 +21,7 @@ from cosim.integrate.initial_values import start_values
 from cosim.integrate.lanes import CAUSES, HALTED, OUTSIDE, LaneResults, lane_starts, run_lanes
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.simulate import simulate
-from cosim.integrate.solvers import Tolerance
+from cosim.integrate.solver import Tolerance
 from cosim.model.many_values import ManyValues
 from cosim.model.values import Values
 from cosim.trajectory import Column, Trajectory

@@ -1,6 +1,5 @@
 """Numbers that users give: checked against what the model says of each variable."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite, pi
@@ -12,16 +11,11 @@ import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae, Start, Variable
-from casadi_models.units import UNITS, convert
 from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import kept_per_thread
 
 A_DAE = "a Dae, as cosim.load('bicycle') returns"
-
-_QUANTITY = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan))\s*(\S*)\s*"
-)
 
 
 @dataclass(frozen=True)
@@ -31,34 +25,6 @@ class Values:
     x: Vector
     p: Vector
     u: Vector
-
-
-def quantity(name: str, text: str, unit: str) -> float:
-    """Read `VALUE[UNIT]`, e.g. "60deg", as a number in a variable's own unit.
-
-    Args:
-        name: The variable, for messages.
-        text: What the user wrote.
-        unit: The variable's unit.
-
-    Raises:
-        ParameterError: It is not a number, or its unit does not fit.
-    """
-    match = _QUANTITY.fullmatch(text)
-    if not match:
-        raise ParameterError(
-            f"{name}: '{text}' is not a number with a unit; write e.g. 1.5{unit.strip('1')}"
-        )
-    value, written = float(match[1]), match[2]
-    if written.startswith(","):
-        raise ParameterError(f"{name} = {text}: write a decimal point, and no other comma")
-    if written and written not in UNITS:
-        fitting = ", ".join(u for u, other in UNITS.items() if other.measures_like(UNITS[unit]))
-        raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
-    try:
-        return convert(value, written, unit) if written else value
-    except ValueError as error:
-        raise ParameterError(f"{name} = {text}: {error}") from error
 
 
 def number(owner: str, name: str, value: Any, *, positive: bool = False) -> float:

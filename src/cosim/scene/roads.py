@@ -10,7 +10,7 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.integrate.simulate import simulate
-from cosim.integrate.solvers import method
+from cosim.integrate.solvers import solver_class
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
 from cosim.scene.scene import Scene
@@ -116,7 +116,8 @@ def native_settings(scene: Scene, dae: Dae) -> dict[str, Any]:
         UsageError: A tolerance is given for a solver without error control.
     """
     settings = scene.settings
-    if settings.relative_tolerance is not None and not method(dae, settings.solver)[1].adaptive:
+    solver = solver_class(dae, settings.solver)
+    if settings.relative_tolerance is not None and not solver.adaptive:
         raise UsageError(f"{settings.solver} has no error control; leave relative_tolerance out")
     return {
         "start_time": settings.start_time,

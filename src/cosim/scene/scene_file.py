@@ -7,10 +7,12 @@ from typing import Any
 
 from casadi_models.dae import Dae, Variable
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.solvers import SOLVERS, Tolerance
+from cosim.integrate.solver import Tolerance
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, no_such_output, observable
 from cosim.model.inputs import InputSeries, read_inputs
-from cosim.model.values import checked, number, quantity
+from cosim.model.quantities import quantity
+from cosim.model.values import checked, number
 from cosim.scene.goals import GOALS
 from cosim.scene.library import shipped_scenes
 from cosim.scene.scene import Scene, Settings

@@ -15,6 +15,7 @@ from cosim.model.values import number
 from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.variants import fitting_formulations
+from cosim.tables import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Comparison, compare
 
@@ -71,6 +72,55 @@ class Check:
         }
 
 
+class Checks(Iterator[Check]):
+    """Checks of runs, computed as they are asked for and kept.
+
+    `for check in checks` and `next(checks)` compute one after the other; a second loop sees the
+    same ones. Shown at a prompt or in a notebook, they are a table of all of them, for which those
+    that are left are computed.
+    """
+
+    def __init__(self, checks: Iterator[Check]) -> None:
+        self._left = checks
+        self._done: list[Check] = []
+        self._given = 0  # to next()
+
+    def __iter__(self) -> Iterator[Check]:
+        position = 0
+        while self._reaches(position):
+            yield self._done[position]
+            position += 1
+
+    def __next__(self) -> Check:
+        if not self._reaches(self._given):
+            raise StopIteration
+        self._given += 1
+        return self._done[self._given - 1]
+
+    @property
+    def agree(self) -> bool:
+        """Whether every check found agreement; computes all of them."""
+        return all(check.verdict == "ok" for check in self)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return every check as plain values, for `pandas.DataFrame(checks.rows())`."""
+        return [check.row() for check in self]
+
+    def __repr__(self) -> str:
+        return text_table(self.rows(), most=MOST_LINES) or "no check"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows())
+
+    def _reaches(self, position: int) -> bool:
+        while len(self._done) <= position:
+            try:
+                self._done.append(next(self._left))
+            except StopIteration:
+                return False
+        return True
+
+
 def crosscheck(
     models: str | Scene | Sequence[str | Scene] | None = None,
     *,
@@ -78,7 +128,7 @@ def crosscheck(
     output_interval: float | None = None,
     relative_tolerance: float | None = None,
     bound: float = BOUND,
-) -> Iterator[Check]:
+) -> Checks:
     """Run models on every road and compare, one check at a time.
 
     Every formulation runs through CVODES or IDAS; the FMU made from the same equations runs through
@@ -94,6 +144,9 @@ def crosscheck(
             own solver and tolerances do not count.
         bound: Largest difference that counts as agreement, in nominal values.
 
+    Returns:
+        The checks, each computed when it is asked for; shown, they are a table of all of them.
+
     Raises:
         UnknownName: A model does not exist.
         UsageError, ParameterError: A number or a scene makes no sense.
@@ -107,6 +160,16 @@ def crosscheck(
     for item in models or ():
         if isinstance(item, str) and ".py:" not in item:
             formulations(item)  # refuses an unknown name before the first run
+    return Checks(_checks(models, stop_time, output_interval, relative_tolerance, bound))
+
+
+def _checks(
+    models: Collection[str | Scene] | None,
+    stop_time: float | None,
+    output_interval: float | None,
+    relative_tolerance: float | None,
+    bound: float,
+) -> Iterator[Check]:
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
         first: tuple[Trajectory, Dae] | None = None
         for scene in _members(item):

@@ -31,7 +31,6 @@ from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no costly method is tried
-COSTLY = ("rosenbrock", "idas")  # their Jacobians take long to compile
 _FORMAT = "reference-3"
 
 
@@ -161,7 +160,7 @@ def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
     reasons: list[str] = []
     best: Reference | None = None
     for way in _ways(dae):
-        if way.solver in COSTLY and best is not None and best.error() <= ENOUGH:
+        if SOLVERS[way.solver].uses_jacobian and best is not None and best.error() <= ENOUGH:
             break
         try:
             runs[way] = way.run(scene, dae)
@@ -177,8 +176,9 @@ def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
 
 def _ways(dae: Dae) -> Iterator[Way]:
     for way in WAYS:
-        possible = SOLVERS[way.solver].solves_dae or not dae.algebraics
-        if possible and (way.solver != "dop853" or has_compiler()):
+        solver = SOLVERS[way.solver]
+        possible = solver.solves_dae or not dae.algebraics
+        if possible and (has_compiler() or not solver.compiled_only):
             yield way
 
 

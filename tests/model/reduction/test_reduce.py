@@ -5,8 +5,10 @@ import pytest
 import casadi_models
 from casadi_models.dae import Dae, Model
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.simulate import simulate, start_vectors
-from cosim.model.reduction.reduce import reduce, size
+from cosim.integrate.integrator import start_vectors
+from cosim.integrate.simulate import simulate
+from cosim.model.reduction.reduce import reduce
+from cosim.model.reduction.size import size
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
-from cosim.fmi.export.variables import Dependencies, FmuVariable, Pattern, Role, rate_unit
+from cosim.fmi.export.variables import Dependencies, FmuVariable, Role, rate_unit
+from cosim.model.reduction.structure import Pattern
 
 LOG_CATEGORIES = {
     "logStatusWarning": "what was done although it may not be meant",

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf
 
-import casadi as ca
 import numpy as np
 from casadi import SX
-from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, Unit
-
-Pattern = NDArray[np.bool_]
+from cosim.model.reduction.structure import Pattern, matching, pattern
 
 
 class Role(Enum):
@@ -128,9 +125,9 @@ class Dependencies:
 def dependencies(dae: Dae) -> Dependencies:
     """Return the dependencies, algebraic unknowns being solved for."""
     known = [dae.t, dae.x, dae.u, dae.p]
-    direct = _stack([_pattern(e, *known) for e in (dae.ode, SX(0, 1), dae.outputs)], dae.algebraics)
-    through = _solved_for(dae) @ _pattern(dae.alg, *known)  # z on what is known
-    for_z = [_pattern(e, dae.z) for e in (dae.ode, dae.outputs)]
+    direct = _stack([pattern(e, *known) for e in (dae.ode, SX(0, 1), dae.outputs)], dae.algebraics)
+    through = _solved_for(dae) @ pattern(dae.alg, *known)  # z on what is known
+    for_z = [pattern(e, dae.z) for e in (dae.ode, dae.outputs)]
     nx, nz = len(dae.states), len(dae.algebraics)
     direct[:nx] |= for_z[0] @ through
     direct[nx : nx + nz] = through
@@ -149,11 +146,6 @@ def dependencies(dae: Dae) -> Dependencies:
     return Dependencies(direct[:, : 1 + nx + nu], initial)
 
 
-def _pattern(expression: SX, *variables: SX) -> Pattern:
-    sparsity = ca.jacobian_sparsity(expression, ca.vertcat(*variables))
-    return np.array(ca.DM.ones(sparsity).full(), dtype=bool).reshape(sparsity.shape)
-
-
 def _stack(patterns: Sequence[Pattern], algebraics: Sequence[Variable]) -> Pattern:
     ode, _, outputs = patterns
     return np.vstack((ode, np.zeros((len(algebraics), ode.shape[1]), dtype=bool), outputs))
@@ -168,11 +160,8 @@ def _solved_for(dae: Dae) -> Pattern:
     count = len(dae.algebraics)
     if not count:
         return np.zeros((0, 0), dtype=bool)
-    pattern = _pattern(dae.alg, dae.z)
-    _, rows, columns, *_ = ca.jacobian_sparsity(dae.alg, dae.z).btf()
-    equation = np.empty(count, dtype=int)
-    equation[list(columns)] = list(rows)
-    reach = pattern[equation] | np.eye(count, dtype=bool)
+    equation = matching(dae)
+    reach = pattern(dae.alg, dae.z)[equation] | np.eye(count, dtype=bool)
     for _ in range(count.bit_length()):
         reach = reach @ reach
     own = np.zeros((count, count), dtype=bool)
@@ -183,14 +172,14 @@ def _solved_for(dae: Dae) -> Pattern:
 def _start_pattern(dae: Dae) -> Pattern:
     """Return what each state's start depends on: the starts that are given, the parameters."""
     nx = len(dae.states)
-    pattern = np.hstack((np.eye(nx, dtype=bool), np.zeros((nx, len(dae.parameters)), dtype=bool)))
+    result = np.hstack((np.eye(nx, dtype=bool), np.zeros((nx, len(dae.parameters)), dtype=bool)))
     for rule in dae.start_rules:
-        law = _pattern(rule.expression, dae.x, dae.p)
+        law = pattern(rule.expression, dae.x, dae.p)
         own = list(rule.states)
         on_x = law[:, :nx]
         if rule.implicit:
             on_x[:, own] = False
-        needs = on_x @ pattern
+        needs = on_x @ result
         needs[:, nx:] |= law[:, nx:]
-        pattern[own] = needs.any(axis=0) if rule.implicit else needs
-    return pattern
+        result[own] = needs.any(axis=0) if rule.implicit else needs
+    return result

@@ -10,6 +10,7 @@ from itertools import product
 from math import nan, pi
 
 from casadi_models.units import DEGREE, FOOT_POUND
+from cosim.integrate.solvers import SOLVERS
 
 # Relative errors that a run with the default tolerance of 1e-8 may have. A fixed step has no
 # tolerance: what is accurate there is what `integrate.validity.STEP_DOUBT` does not object to.
@@ -70,6 +71,7 @@ PENDULUM = tuple(
 )
 EXPLICIT = ("cvodes", "erk", "rosenbrock", "dop853", "rk4", "ode8")
 IMPLICIT = ("idas", "rosenbrock")
+FIXED_STEPS = [name for name, solver in SOLVERS.items() if not solver.adaptive]
 SINGULAR = ("cvodes", "erk", "dop853", "rk4", "ode8")  # what is sent to singularities
 FACTORS = (1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
 
@@ -78,7 +80,7 @@ def catalogue() -> Iterator[Case]:
     """Yield every case."""
     for family in (_crank, _bar, _bicycle, _disk, _pendulum, _masses, _tolerances, _hours):
         for case in family():
-            fixed = case.oracle == "reference" and case.solver in ("rk4", "ode8")
+            fixed = case.oracle == "reference" and case.solver in FIXED_STEPS
             yield replace(case, bound=FIXED_STEP) if fixed else case
 
 
@@ -114,7 +116,7 @@ def _bar() -> Iterator[Case]:
             10.0,
             references=(other,),
             solver=solver,
-            step_size=0.01 if solver in ("rk4", "ode8") else None,
+            step_size=0.01 if solver in FIXED_STEPS else None,
         )
     for theta, (model, solver) in product((0.0, pi / 2, pi), runs):
         values = {"theta": theta, "theta_dot": 0.0, "Omega_dot": 0.0}

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from casadi_models.dae import Dae
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.drift_control import DRIFT_CONTROLS, controllable
-from cosim.integrate.engine import PROJECTING
-from cosim.integrate.solvers import SOLVERS, Tolerance
+from cosim.integrate.solver import Tolerance
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.values import number
 from cosim.scene.roads import Road
 
@@ -136,8 +136,10 @@ class Selection:
         unable = [s for s in solvers if dae.algebraics and not SOLVERS[s].solves_dae]
         if unable and any(road.native for road in roads):
             yield f"{dae.full_name} {', '.join(unable)}", "cannot integrate algebraic unknowns"
-        if Road.INTERPRETED in roads and "dop853" in solvers:
-            yield f"{dae.full_name} {Road.INTERPRETED} dop853", "exists as compiled code only"
+        compiled = [s for s in solvers if SOLVERS[s].compiled_only]
+        if Road.INTERPRETED in roads and compiled:
+            what = f"{dae.full_name} {Road.INTERPRETED} {', '.join(compiled)}"
+            yield what, "exists as compiled code only"
         fixed = [s for s in solvers if not SOLVERS[s].adaptive and s not in unable]
         if Road.INTERPRETED in roads and fixed and not self.steps:
             what = f"{dae.full_name} {Road.INTERPRETED} {', '.join(fixed)} in smaller steps"
@@ -145,7 +147,7 @@ class Selection:
         if refused := [c for c in self.drift_controls if not controllable(dae, c)]:
             yield f"{dae.full_name} {', '.join(refused)}", "the model cannot drift or be controlled"
         if "projection" in self.drift_controls:
-            others = [s for s in solvers if s not in PROJECTING]
+            others = [s for s in solvers if not SOLVERS[s].projects]
             yield f"{dae.full_name} projection, {', '.join(others)}", "do not project their steps"
 
     def _drift_controls(self, dae: Dae, plain: Configuration) -> Iterator[str | None]:
@@ -153,7 +155,7 @@ class Selection:
         if not self.drift_controls:
             yield None
         for control in self.drift_controls:
-            able = plain.solver in PROJECTING and plain.road == Road.NATIVE
+            able = SOLVERS[plain.solver].projects and plain.road is Road.NATIVE
             if controllable(dae, control) and (able or control != "projection"):
                 yield control
 
@@ -163,7 +165,7 @@ class Selection:
         for name in self.solvers or SOLVERS:
             if dae.algebraics and not SOLVERS[name].solves_dae:
                 continue
-            if name == "dop853" and road == Road.INTERPRETED:
+            if SOLVERS[name].compiled_only and road is Road.INTERPRETED:
                 continue
             if SOLVERS[name].adaptive:
                 for tolerance in self.tolerances or TOLERANCES:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.codegen.tableau import METHODS
 from cosim.errors import CosimError
 from cosim.integrate.simulate import simulate
+from cosim.integrate.solvers import SOLVERS
 from cosim.scene.scene import Scene
 from cosim.study.tradeoff.measurement import at_times
 from cosim.study.tradeoff.variants import span
@@ -65,7 +65,7 @@ def observed_order(scene: Scene, truth: Reference, solver: str) -> Order:
     Args:
         scene: A model without algebraic unknowns.
         truth: Its reference.
-        solver: "rk4" or "ode8".
+        solver: Name of one with fixed steps.
     """
     dae, (begin, end) = scene.configured(), span(scene)
     names = [variable.name for variable in dae.states]
@@ -74,7 +74,7 @@ def observed_order(scene: Scene, truth: Reference, solver: str) -> Order:
     length = (end - begin) / outputs
     steps: list[float] = []
     errors: list[float] = []
-    expected = METHODS[solver].order
+    expected = SOLVERS[solver].order
     for halvings in range(_MOST):
         step = length / 2**halvings
         if (end - begin) / step > _LONGEST:

@@ -15,7 +15,9 @@ from numpy.polynomial import Polynomial
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.tableau import METHODS, Tableau, step_function
+from cosim.codegen.tableau import Tableau, step_function
+from cosim.integrate.fixed_step import tableau_of
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
 from cosim.verify.reference import Reference
@@ -61,14 +63,15 @@ def stability_limit(scene: Scene, truth: Reference, solver: str) -> StabilityLim
     Args:
         scene: A model without algebraic unknowns.
         truth: Its reference.
-        solver: "rk4" or "ode8".
+        solver: Name of one with fixed steps.
 
     Returns:
         None where no mode decays, or the motion has not become steady: there is no limit then.
     """
     dae = scene.configured()
     rhs = _right_hand_side(scene, dae)
-    polynomial = stability_function(METHODS[solver])
+    tableau = tableau_of(SOLVERS[solver])
+    polynomial = stability_function(tableau)
     modes = []
     for row in np.linspace(0.9 * len(truth.run), len(truth.run) - 1, 5).astype(int):
         t = truth.run.time[row]
@@ -78,7 +81,7 @@ def stability_limit(scene: Scene, truth: Reference, solver: str) -> StabilityLim
     if not mode or max(abs(other - mode) for other in modes) > _CHANGE * abs(mode):
         return None
     predicted = largest_stable_step(polynomial, mode)
-    step = step_function(rhs, METHODS[solver])
+    step = step_function(rhs, tableau)
     nominal = np.array([variable.nominal for variable in dae.states])
     measured = _measured(step, t, x, vectors, nominal, predicted)
     return StabilityLimit(dae.full_name, solver, mode, predicted, measured)

@@ -7,8 +7,8 @@ from time import perf_counter
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.compiler import find_compiler, has_compiler
-from cosim.codegen.tableau import METHODS
 from cosim.errors import CosimError, UsageError
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
@@ -150,7 +150,8 @@ def _fixed_step_solvers(scene: Scene, selection: Selection) -> tuple[str, ...]:
     """Return the selected solvers of fixed steps; none for a DAE, which they cannot integrate."""
     if scene.dae.algebraics or not any(road.native for road in selection.ways):
         return ()
-    return tuple(name for name in METHODS if name in (selection.solvers or METHODS))
+    wanted = selection.solvers or SOLVERS
+    return tuple(n for n, solver in SOLVERS.items() if n in wanted and not solver.adaptive)
 
 
 def _possible(selection: Selection, tell: Tell) -> Selection:

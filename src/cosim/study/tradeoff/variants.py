@@ -10,7 +10,8 @@ from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.integrate.simulate import simulate
 from cosim.model.catalogue import no_such_output, observable
-from cosim.model.reduction.reduce import reduce, size
+from cosim.model.reduction.reduce import reduce
+from cosim.model.reduction.size import size
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.scene.variants import fitting_formulations

@@ -1,17 +1,17 @@
 """The verb `cosim tradeoff`: error against cost as a table, a file and a figure."""
 
+from __future__ import annotations
+
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cosim.cli.arguments import scene_from
-from cosim.cli.tables import show_table, write_text
-from cosim.errors import UnknownName
-from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
-from cosim.study.tradeoff.measurement import COSTS
-from cosim.study.tradeoff.result import Tradeoff
-from cosim.study.tradeoff.study import tradeoff
+from cosim.cli.options import add_output_file, common, run_options, value_options
+
+if TYPE_CHECKING:
+    from cosim.cli.options import Verbs
+    from cosim.study.tradeoff.result import Tradeoff
 
 _SHOWN = (
     *("model", "reduced", "road", "solver", "tolerance", "step", "error", "worst", "rhs_calls"),
@@ -19,8 +19,34 @@ _SHOWN = (
 )
 
 
-def do_tradeoff(args: argparse.Namespace) -> int:
-    """Measure error against cost: `cosim tradeoff MODEL|SCENE.toml`."""
+def add_parser(verbs: Verbs) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "tradeoff",
+        parents=[common(), run_options(), value_options()],
+        help="error against cost, on every road",
+    )
+    parser.add_argument("model", metavar="MODEL|SCENE.toml")
+    parser.add_argument("--solvers", metavar="A,B", help="all, and the FMU, by default")
+    parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
+    parser.add_argument("--steps", metavar="A,B", help="s; of rk4 and ode8")
+    parser.add_argument("--roads", metavar="A,B", help="native, native-interpreted, fmu-me, fmu-cs")
+    parser.add_argument(
+        "--drift-controls", metavar="A,B", help="none, baumgarte, projection; the model's own"
+    )
+    parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs; 5")
+    parser.add_argument("--resume", action="store_true", help="go on after an interruption")
+    add_output_file(parser, "FILE", "CSV or JSON, with provenance")
+    parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure error against cost."""
+    from cosim.cli.arguments import scene_from
+    from cosim.errors import UnknownName
+    from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
+    from cosim.study.tradeoff.study import tradeoff
+
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
@@ -61,6 +87,8 @@ def do_tradeoff(args: argparse.Namespace) -> int:
 
 
 def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
+    from cosim.cli.tables import write_text
+
     if args.output_file:
         text = study.to_csv() if args.output_file.endswith(".csv") else study.to_json()
         write_text(args.output_file, text)
@@ -76,6 +104,9 @@ def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
 
 
 def _print(study: Tradeoff) -> None:
+    from cosim.cli.tables import show_table
+    from cosim.study.tradeoff.measurement import COSTS
+
     done = [row for row in study.rows() if row["status"] == "complete"]
     control = ("drift_control",) if any(row["drift_control"] for row in done) else ()
     show_table([{key: row[key] for key in (*control, *_SHOWN)} for row in done], as_json=False)

@@ -1,18 +1,39 @@
 """The verb `cosim extremes`: every model at its limits as a table, a file and a map."""
 
+from __future__ import annotations
+
 import argparse
 import csv
 import io
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cosim.cli.tables import show_table, write_text
-from cosim.study.extremes.campaign import WRONG, Finding, explore, select_cases, summary
+from cosim.cli.options import add_output_file, common
+
+if TYPE_CHECKING:
+    from cosim.cli.options import Verbs
+    from cosim.study.extremes.campaign import Finding
 
 
-def do_extremes(args: argparse.Namespace) -> int:
-    """Run the limit cases: `cosim extremes [MODEL...]`."""
+def add_parser(verbs: Verbs) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "extremes", parents=[common()], help="every model at its limits, and how each case ends"
+    )
+    parser.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
+    parser.add_argument("--long", action="store_true", help="with hours of simulated time")
+    parser.add_argument(
+        "--timeout", type=float, default=120.0, metavar="S", help="for one case, s; 120"
+    )
+    add_output_file(parser, "FILE", "every case, as CSV")
+    parser.add_argument("--figure", metavar="FILE", help="the map as PNG, SVG or PDF")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the limit cases."""
+    from cosim.study.extremes.campaign import WRONG, explore, select_cases
+
     if args.figure:
         from cosim.present.picture_files import picture_format
 
@@ -28,6 +49,8 @@ def do_extremes(args: argparse.Namespace) -> int:
 
 
 def _tell(finding: Finding, count: str, *, every: bool) -> None:
+    from cosim.study.extremes.campaign import WRONG
+
     row = finding.row()
     wrong = row["outcome"] in WRONG
     if every or wrong:
@@ -39,6 +62,9 @@ def _tell(finding: Finding, count: str, *, every: bool) -> None:
 
 
 def _deliver(args: argparse.Namespace, findings: Sequence[Finding]) -> None:
+    from cosim.cli.tables import show_table, write_text
+    from cosim.study.extremes.campaign import summary
+
     rows = [finding.row() for finding in findings]
     if args.output_file:
         write_text(args.output_file, _csv(rows))

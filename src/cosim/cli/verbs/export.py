@@ -1,0 +1,68 @@
+"""`cosim export MODEL|SCENE.toml -o FILE.fmu`: a model or a scene as an FMU."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from cosim.cli.options import add_accuracy, add_output_file, common
+
+if TYPE_CHECKING:
+    from cosim.cli.options import Verbs
+
+
+def add_parser(verbs: Verbs) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser("export", parents=[common()], help="write a model as an FMU")
+    parser.add_argument("model", metavar="MODEL|SCENE.toml")
+    add_output_file(parser, "FILE.fmu", "MODEL.fmu by default")
+    parser.add_argument("--fmi", default="2", metavar="2|3", help="version of FMI; 2")
+    parser.add_argument(
+        "--platform",
+        default="native",
+        metavar="A,B",
+        help="native, linux64, win64, darwin64, aarch64-linux, all; native by default",
+    )
+    parser.add_argument("--outputs", metavar="A,B", help="what to compute; all by default")
+    parser.add_argument(
+        "--solver",
+        dest="fmu_solver",
+        metavar="NAME",
+        help="of co-simulation: dop853 (default), rosenbrock (default of stiff models), erk",
+    )
+    add_accuracy(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write a model or a scene as an FMU."""
+    from cosim.cli.arguments import names_in, scene_from
+    from cosim.errors import UnknownName
+    from cosim.scene.roads import scene_dae
+    from cosim.verify.reference_result import export_with_proof
+
+    if args.fmi not in ("2", "3"):
+        raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
+    scene = scene_from(args)
+    dae = scene_dae(scene)
+    name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
+    target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
+    options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
+    options["platforms"] = names_in(args.platform)
+    if accuracy is None:
+        path = export_with_proof(dae, target, **options)
+    else:
+        from cosim.study.accuracy.fmu import export_accurate
+
+        made = export_accurate(dae, target, accuracy, **options)
+        path = made.path
+        if not args.quiet:
+            print(made, file=sys.stderr)
+    if args.verbose:
+        print(*dae.report, sep="\n", file=sys.stderr)
+    if scene.inputs and not args.quiet:
+        told = ", ".join(scene.inputs.names)
+        print(f"{told}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
+    if not args.quiet:
+        print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
+    return 0

@@ -1,0 +1,102 @@
+"""CasADi's own integrators; compiled, the whole integration is one C function."""
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from casadi import MX
+
+from cosim.arrays import Vector
+from cosim.codegen.casadi_library import cache_key
+from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, watched
+from cosim.codegen.compiler import cached_library
+from cosim.codegen.functions import CALL, driven, prepared, symbols_of
+from cosim.integrate.engine import Engine, Problem, reported
+from cosim.integrate.plugin import COMMON, plugin_engine
+from cosim.integrate.solver import AdaptiveSolver
+from cosim.integrate.sundials import tolerances
+
+_NAMES = ("n_steps", "n_rhs", "n_jac")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OwnOfCasadi(AdaptiveSolver):
+    order = 5
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem."""
+        if problem.compiled:
+            return self._generated(problem)
+        options = COMMON | tolerances(self) | {"control_group_size": [len(problem.grid)]}
+        return plugin_engine(problem, self.name, options, _NAMES)
+
+    def _generated(self, problem: Problem) -> Engine:
+        """CasADi's generated integrator on the unit interval; span and tolerances come with `p`."""
+        dae, grid, inputs = problem.dae, problem.grid, problem.inputs
+        start, length = grid[0], grid[-1] - grid[0]
+        unit_grid = _unit_grid(grid)
+        function, constants = prepared(dae)
+        s, x, z, u, c = symbols_of(function)
+        span = MX.sym("span", 4)  # start, length, relative and absolute tolerance
+        t = span[0] + span[1] * s
+        ode, alg = function(t, x, z, driven(dae, inputs, t, u), c)
+        symbols = [s, x, z, u, ca.vertcat(c, span)]
+        system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
+        options: dict[str, Any] = COMMON | {"control_group_size": [len(grid)]}
+        if inputs is not None:
+            options["max_step_size"] = float(np.diff(inputs.time).min() / length)
+        original = ca.Function("driven", symbols, [system["ode"], alg])
+
+        def generate() -> str:
+            run = ca.integrator("run", self.name, system, 0.0, list(unit_grid), options)
+            generator = ca.CodeGenerator("code", {"with_header": False})
+            generator.add(run)
+            first = c.numel() + 2
+            code = run_time_tolerances(
+                str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
+            )
+            return self.finished(watched(code))
+
+        details = (unit_grid.tobytes(), repr(sorted(options.items())).encode())
+        key = cache_key(f"generated-6 {self.name}", original, *details)
+        path = str(cached_library(key, generate))
+        p = MX.sym("p", dae.p.numel())
+        extended = ca.vertcat(constants(p), start, length, *self.tolerance.pair)
+        library = ctypes.CDLL(path)
+        parameters = ca.Function("parameters", [p], [extended])
+        run = ca.external("run", path)
+        return Engine(run, parameters, False, reported(library, start, length), True, library)
+
+    @staticmethod
+    def finished(code: str) -> str:
+        """Return the generated code as it is compiled."""
+        return code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Erk(_OwnOfCasadi):
+    """Dormand and Prince's explicit pair 5(4), the class of the book's ode45."""
+
+    name = "erk"
+
+    @staticmethod
+    def finished(code: str) -> str:
+        """Return the generated code as it is compiled."""
+        return in_one_piece(code)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rosenbrock(_OwnOfCasadi):
+    """A linearly implicit method, L-stable: for what is stiff, and for DAEs."""
+
+    name = "rosenbrock"
+    solves_dae = True
+    uses_jacobian = True
+
+
+def _unit_grid(grid: Vector) -> Vector:
+    unit = (grid - grid[0]) / (grid[-1] - grid[0])
+    even: Vector = np.arange(len(grid)) / (len(grid) - 1)
+    return even if np.allclose(unit, even, rtol=0, atol=1e-12) else unit

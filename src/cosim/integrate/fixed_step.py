@@ -1,0 +1,119 @@
+"""Explicit Runge-Kutta methods with steps of one size within each output interval."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+from casadi import MX
+
+from cosim.codegen.explicit_library import fixed_step_method
+from cosim.codegen.functions import driven, prepared, symbols_of
+from cosim.codegen.tableau import ODE8, RK4, Tableau, step_function
+from cosim.errors import ParameterError, UsageError
+from cosim.integrate.engine import Counts, Engine, Problem
+from cosim.integrate.explicit import explicit_engine
+from cosim.integrate.solver import Solver
+from cosim.model.values import number
+
+MOST_STEPS = 2_000_000  # interpreted, CasADi unrolls them
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedStep(Solver):
+    """A method without error control.
+
+    Args:
+        step_size: Largest step, s; the output interval when None.
+
+    Raises:
+        ParameterError: The step size is not positive.
+    """
+
+    adaptive = False
+    projects = True
+    tableau: ClassVar[Tableau]
+    step_size: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.step_size is not None:
+            number("solver", "step_size", self.step_size, positive=True)
+
+    @property
+    def settings(self) -> str:
+        """Its step."""
+        return f"step: {'output interval' if self.step_size is None else f'{self.step_size:g} s'}"
+
+    def step(self, problem: Problem) -> float:
+        """Return the largest step, s."""
+        return float(np.diff(problem.grid).max()) if self.step_size is None else self.step_size
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem."""
+        grid, largest = problem.grid, self.step(problem)
+        if float(grid[-1] - grid[0]) / largest > MOST_STEPS:
+            raise ParameterError(
+                f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; "
+                "give a larger one"
+            )
+        if not problem.compiled:
+            return self._unrolled(problem, largest)
+        method = fixed_step_method(self.tableau)
+        return explicit_engine(problem, self.name, method, (0.0, 0.0, largest))
+
+    def _unrolled(self, problem: Problem, largest: float) -> Engine:
+        dae, grid = problem.dae, problem.grid
+        intervals = np.diff(grid)
+        parts = np.maximum(1, np.ceil(intervals / largest * (1 - 1e-12))).astype(int)
+        full, constants = prepared(dae)
+        t, x, z, u, c = symbols_of(full)
+        ode, _ = full(t, x, z, driven(dae, problem.inputs, t, u), c)
+        rhs = ca.Function("rhs", [t, x, u, c], [ode])
+        step = step_function(rhs, self.tableau)
+        sizes = np.repeat(intervals / parts, parts)
+        within = np.arange(len(sizes)) - np.repeat(np.cumsum(parts) - parts, parts)
+        begins = np.repeat(grid[:-1], parts) + within * sizes
+        total = len(sizes)
+        run = step.mapaccum("steps", total, {"base": 100}) if total > 1 else step
+        x0, p, u0 = (MX.sym(n, v.numel()) for n, v in (("x0", dae.x), ("p", dae.p), ("u", dae.u)))
+        repeated = (ca.repmat(u0, 1, total), ca.repmat(constants(p), 1, total))
+        states = run(x0, ca.DM(begins).T, ca.DM(sizes).T, *repeated)
+        kept = (np.cumsum(parts) - 1).tolist()
+        function = ca.Function(
+            self.name,
+            [x0, MX.sym("z0", 0), p, u0],
+            [ca.horzcat(x0, states[:, kept]), MX(0, len(grid))],
+            ["x0", "z0", "p", "u"],
+            ["xf", "zf"],
+        )
+        counts = Counts(total, total * len(self.tableau.b), 0)
+        return Engine(function, None, False, lambda: counts, False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rk4(FixedStep):
+    """The classical method of order 4."""
+
+    name = "rk4"
+    order = RK4.order
+    tableau = RK4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ode8(FixedStep):
+    """Prince and Dormand's 13 stages of order 8: the book's Simulink setting."""
+
+    name = "ode8"
+    order = ODE8.order
+    tableau = ODE8
+
+
+def tableau_of(solver: type[Solver]) -> Tableau:
+    """Return the tableau of a fixed-step solver.
+
+    Raises:
+        UsageError: It has none.
+    """
+    if not issubclass(solver, FixedStep):
+        raise UsageError(f"{solver.name} chooses its own steps; take one with fixed steps")
+    return solver.tableau

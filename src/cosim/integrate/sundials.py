@@ -1,0 +1,74 @@
+"""CVODES and IDAS of SUNDIALS, through CasADi.
+
+Source  Hindmarsh et al., SUNDIALS, ACM TOMS 2005, doi:10.1145/1089014.1089020.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from cosim.arrays import Vector
+from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.plugin import COMMON, plugin_engine
+from cosim.integrate.solver import AdaptiveSolver
+
+_NAMES = ("nsteps", "nfevals", "nlinsetups")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cvodes(AdaptiveSolver):
+    """CVODES, backward differentiation formulae: the default for an ODE."""
+
+    name = "cvodes"
+    order = 5
+    uses_jacobian = True
+    plugin_options: ClassVar[dict[str, Any]] = {}
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem."""
+        grid = problem.grid
+        # steps may shrink until h^2 is 0, and then it goes astray
+        shortest = {"min_step_size": 1e-18 * float(grid[-1] - grid[0])}
+        options = COMMON | tolerances(self) | shortest | self.plugin_options
+        return plugin_engine(problem, "cvodes", options, _NAMES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CvodesAdams(Cvodes):
+    """CVODES, Adams method with functional iteration, for what is not stiff."""
+
+    name = "cvodes_adams"
+    order = 12
+    uses_jacobian = False
+    plugin_options: ClassVar[dict[str, Any]] = {
+        "linear_multistep_method": "adams",
+        "nonlinear_solver_iteration": "functional",
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Idas(AdaptiveSolver):
+    """IDAS, backward differentiation formulae: the default for a DAE."""
+
+    name = "idas"
+    order = 5
+    solves_dae = True
+    uses_jacobian = True
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem."""
+
+        def restart(slopes: Vector) -> Engine:
+            # IDACalcIC gives up on some starts that are consistent already
+            return self._engine(problem, {"calc_ic": False, "init_xdot": slopes.tolist()})
+
+        return replace(self._engine(problem, {}), restart=restart)
+
+    def _engine(self, problem: Problem, start: Mapping[str, Any]) -> Engine:
+        return plugin_engine(problem, "idas", COMMON | tolerances(self) | dict(start), _NAMES)
+
+
+def tolerances(solver: AdaptiveSolver) -> dict[str, Any]:
+    """Return the tolerances as CasADi's integrators take them."""
+    relative, absolute = solver.tolerance.pair
+    return {"reltol": relative, "abstol": absolute}

@@ -1,0 +1,70 @@
+"""Rows as text and as HTML: what a terminal, a prompt and a notebook show."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+MOST_LINES = 15  # of what a value says of itself at a prompt
+GAP = "  "
+
+
+def cell(value: Any) -> str:
+    """Return a value as it stands in a table: numbers with three digits."""
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return "" if value is None else str(value)
+
+
+def text_table(
+    rows: Sequence[Mapping[str, Any]], *, width: int | None = None, most: int | None = None
+) -> str:
+    """Return rows that have the same keys as aligned lines under a header; "" without rows.
+
+    Args:
+        rows: One mapping per line.
+        width: Number of letters of a line; the longest cells are cut for it.
+        most: Number of lines; what is left out is counted in the last one.
+    """
+    if not rows:
+        return ""
+    left_out = 0 if most is None else max(0, len(rows) + 1 - most)
+    shown = rows[: len(rows) - left_out - 1] if left_out else rows
+    lines = [[*rows[0]], *([cell(value) for value in row.values()] for row in shown)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    if width is not None:
+        widths = _fitting(widths, width - len(GAP) * (len(widths) - 1))
+    text = [
+        GAP.join(_cut(c, w).ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    ]
+    if left_out:
+        text.append(f"... and {left_out + 1} more")
+    return "\n".join(text)
+
+
+def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "") -> str:
+    """Return rows that have the same keys as an HTML table."""
+    if not rows:
+        return f"<p>{escape(caption)}</p>"
+    head = "".join(f"<th>{escape(str(key))}</th>" for key in rows[0])
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell(v))}</td>" for v in row.values()) + "</tr>"
+        for row in rows
+    )
+    above = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _fitting(widths: Sequence[int], room: int, least: int = 8) -> list[int]:
+    """Return widths of columns that fit into a line; the widest ones give way."""
+    fitted = [*widths]
+    while sum(fitted) > room and max(fitted) > least:
+        widest = fitted.index(max(fitted))
+        others = sorted({w for w in fitted if w < fitted[widest]} | {least})
+        excess = sum(fitted) - room
+        fitted[widest] = max(least, fitted[widest] - excess, min(others[-1], fitted[widest] - 1))
+    return fitted
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: max(0, width - 1)]}\u2026"
