@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from cosim.present.figures import draw_figures
     from cosim.scene.scene import Scene
     from cosim.scene.scene_file import read_scene
+    from cosim.study.linearize.linearize import linearize
+    from cosim.study.linearize.sweep import linearize_sweep
+    from cosim.study.sensitivity.sensitivity import sensitivity
     from cosim.study.tradeoff.study import tradeoff
     from cosim.trajectory import Trajectory
     from cosim.verify.comparison import Comparison, compare
@@ -42,12 +45,15 @@ _HOMES = {
     "export_fmu": "fmi.export.package",
     "from_dae_builder": "model.dae_builder",
     "integrator": "integrate.integrator",
+    "linearize": "study.linearize.linearize",
+    "linearize_sweep": "study.linearize.sweep",
     "load": "model.catalogue",
     "read_inputs": "model.inputs",
     "read_scene": "scene.scene_file",
     "reduce": "model.reduction.reduce",
     "reference": "verify.reference",
     "run_scene": "api",
+    "sensitivity": "study.sensitivity.sensitivity",
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
@@ -68,12 +74,15 @@ __all__ = [
     "export_fmu",
     "from_dae_builder",
     "integrator",
+    "linearize",
+    "linearize_sweep",
     "load",
     "read_inputs",
     "read_scene",
     "reduce",
     "reference",
     "run_scene",
+    "sensitivity",
     "simulate",
     "simulate_fmu",
     "simulate_many",

@@ -9,6 +9,7 @@ import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 
 import numpy as np
@@ -194,6 +195,9 @@ class Trajectory:
             UsageError: It is no such file.
         """
         try:
+            if isinstance(source, str | os.PathLike):
+                with Path(source).open("rb") as file:  # numpy leaves a damaged one open
+                    return cls.from_npz(file)
             with np.load(source, allow_pickle=False) as stored:
                 facts = json.loads(str(stored["facts"]))
                 columns = tuple(Column(**column) for column in facts.pop("columns"))

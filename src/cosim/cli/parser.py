@@ -7,7 +7,18 @@ from importlib.metadata import version
 from cosim.cli.options import Parser
 
 # A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
-VERBS = ("list", "info", "simulate", "export", "crosscheck", "tradeoff", "extremes", "plot")
+VERBS = (
+    "list",
+    "info",
+    "simulate",
+    "export",
+    "crosscheck",
+    "tradeoff",
+    "extremes",
+    "plot",
+    "sensitivity",
+    "linearize",
+)
 
 _DESCRIPTION = (
     "Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other."

@@ -28,6 +28,7 @@ from cosim.study.sensitivity.variational import (
 )
 from cosim.trajectory import Column, Trajectory
 
+TOLERANCE = 1e-8
 BOUND = 1e-5  # of two methods, scaled
 CHECK_TOLERANCE = 1e-12  # of the runs whose differences are taken
 
@@ -40,7 +41,7 @@ def sensitivity(
     start: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     solver: str | None = None,
-    relative_tolerance: float = 1e-8,
+    relative_tolerance: float = TOLERANCE,
     check: bool = True,
     bound: float = BOUND,
     **times: Any,
@@ -78,9 +79,6 @@ def sensitivity(
     by = [v.name for v in dae.parameters]
     if with_respect_to is not None:
         by = [*listed("sensitivity: with_respect_to", with_respect_to)]
-    if not names or not by:
-        what = "of" if not names else "with_respect_to"
-        raise UsageError(f"{dae.full_name}: {what} is empty; give one name or more")
     whole = [_target(dae, name, inputs) for name in by]
     small = _reduced(dae, tuple(names))
     numbers = {"state": values.x, "parameter": values.p, "input": values.u}
