@@ -3,10 +3,12 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from math import inf
+from typing import Any
 
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae import packed, shown
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Variable
@@ -81,6 +83,15 @@ class Dae:
                     f"{self.full_name}: {len(variables)} {what}, "
                     f"but columns of shape {', '.join(str(rows.shape) for rows in columns)}"
                 )
+
+    def __repr__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return packed.unpacked, packed.packed(self)
 
     @property
     def full_name(self) -> str:

@@ -32,6 +32,7 @@ class Facts(TypedDict, total=False):
     minimum: float
     maximum: float
     own_meaning: str
+    foreign_unit: bool
 
 
 class Model:
@@ -85,6 +86,13 @@ class Model:
         self._limits: list[tuple[SX, str]] = []
         self._invariants: list[Invariant] = []
         self._rate: tuple[SX, float] | None = None
+
+    def __repr__(self) -> str:
+        counts = (len(self._symbols[kind]) for kind in "xzup")
+        kinds = ("states", "algebraics", "inputs", "parameters")
+        told = ", ".join(f"{n} {kind}" for n, kind in zip(counts, kinds, strict=True) if n)
+        name = f"{self._name}/{self._formulation}" if self._formulation else self._name
+        return f"Model {name}: {told or 'nothing declared'}; freeze() makes a Dae of it"
 
     # -- declarations ---------------------------------------------------------------------------
 
@@ -226,6 +234,23 @@ class Model:
         """
         self._rate = SX.sym("closing_rate"), float(value)
         return self._rate[0]
+
+    # -- what has been declared ------------------------------------------------------------------
+
+    def declared(self, symbols: SX) -> tuple[Variable, ...]:
+        """Return what was declared of states, one for each row of a column."""
+        return tuple(self._variables[name] for name in self._names(symbols))
+
+    def numbers(self, expression: SX, *, but: SX) -> SX:
+        """Replace every parameter, input and state but some by its start value; time by 0."""
+        kept = {symbol.element_hash() for symbol in ca.symvar(but)}
+        symbols, values = [self.t], [0.0]
+        for kind in "xup":
+            for name, symbol in self._symbols[kind].items():
+                if symbol.element_hash() not in kept:
+                    symbols.append(symbol)
+                    values.append(self._variables[name].start or 0.0)
+        return ca.substitute(expression, ca.vertcat(*symbols), SX(values))
 
     # -- the result -----------------------------------------------------------------------------
 

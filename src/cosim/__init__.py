@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
     from cosim.model.dae_builder import from_dae_builder
+    from cosim.model.from_casadi import from_casadi
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
     from cosim.present.figures import draw_figures
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from cosim.study.linearize.linearize import linearize
     from cosim.study.linearize.sweep import linearize_sweep
     from cosim.study.sensitivity.sensitivity import sensitivity
+    from cosim.study.sweep.result import SweepResult
+    from cosim.study.sweep.sweep import sweep
     from cosim.study.tradeoff.study import tradeoff
     from cosim.trajectory import Trajectory
     from cosim.verify.comparison import Comparison, compare
@@ -38,11 +41,13 @@ _HOMES = {
     "Ensemble": "integrate.ensemble",
     "InputSeries": "model.inputs",
     "Scene": "scene.scene",
+    "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
+    "from_casadi": "model.from_casadi",
     "from_dae_builder": "model.dae_builder",
     "integrator": "integrate.integrator",
     "linearize": "study.linearize.linearize",
@@ -58,6 +63,7 @@ _HOMES = {
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
     "start_vectors": "integrate.integrator",
+    "sweep": "study.sweep.sweep",
     "tradeoff": "study.tradeoff.study",
 }
 
@@ -67,11 +73,13 @@ __all__ = [
     "Ensemble",
     "InputSeries",
     "Scene",
+    "SweepResult",
     "Trajectory",
     "compare",
     "crosscheck",
     "draw_figures",
     "export_fmu",
+    "from_casadi",
     "from_dae_builder",
     "integrator",
     "linearize",
@@ -88,6 +96,7 @@ __all__ = [
     "simulate_many",
     "solvers",
     "start_vectors",
+    "sweep",
     "tradeoff",
 ]
 

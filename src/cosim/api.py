@@ -1,17 +1,27 @@
-"""Calls of `import cosim` that need more than one room: runs of an accuracy, or within a time."""
+"""Calls of `import cosim` that need more than one room: runs as people ask for them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from casadi_models.dae import Dae
+from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
 from cosim.integrate.outputs import wanted_names, watching
 from cosim.integrate.solver import Solver
-from cosim.model.inputs import InputSeries
+from cosim.integrate.solvers import SOLVERS
+from cosim.integrate.stopping import run_until
+from cosim.memo import kept_per_thread
+from cosim.model.catalogue import load
+from cosim.model.driving import driven
+from cosim.model.quantities import quantity
+from cosim.model.time_grid import checked_grid
 from cosim.model.values import assign, listed
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
@@ -27,37 +37,46 @@ class Options(native.Shorthand, total=False):
     compiled: bool | None
     on_invalid: str
     drift_control: str | None
+    output_times: ArrayLike | None
 
 
 def simulate(
-    dae: Dae,
+    dae: Dae | str,
     *,
     start_time: float = 0.0,
     stop_time: float | None = None,
     output_interval: float | None = None,
+    stop_when: str | None = None,
     solver: str | Solver | None = None,
     accuracy: float | None = None,
     budget: float | None = None,
-    start_values: Mapping[str, float] | None = None,
-    inputs: InputSeries | None = None,
+    start_values: Mapping[str, float | str] | None = None,
+    inputs: Any = None,
     outputs: Sequence[str] | None = None,
     **options: Unpack[Options],
 ) -> Trajectory:
     """Integrate a DAE with CVODES, or with IDAS when it has algebraic unknowns.
 
     Args:
-        dae: The model; SI units throughout.
+        dae: The model, or the name of one; SI units throughout.
         start_time: Begin of the run, s.
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.
+        stop_when: A condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes true;
+            `stats["stop"]` says so. It is looked at on the output times and then located as
+            accurately as the solver integrates, by repeating the run with closer output times.
         solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
             the name of one; CVODES, or IDAS for a DAE, when None.
         accuracy: Instead of solver and tolerance: largest global error of the outputs, in nominal
             values. The cheapest configuration that was measured to do is taken, and checked.
         budget: Instead of these, too: time that the solver may take, s.
-        start_values: Values by name that replace starts of states, parameters, or inputs.
-        inputs: Time series of some inputs, piecewise linear; the others keep their start value.
+        start_values: Numbers in SI units, or texts with a unit, by name, that replace starts of
+            states, parameters, or inputs.
+        inputs: An `InputSeries`; or by name a number, a text with a unit, a formula or function of
+            time, samples at the output times (n,), or an `InputSeries`. A function that CasADi can
+            take (`lambda t: np.sin(t)`) and a formula are followed exactly; any other function is
+            sampled at the output times.
         outputs: Names to record, monitors among them; everything but those when None.
         options: What few runs need.
             `compiled`: whether to compile the equations; if a compiler is there when None.
@@ -70,10 +89,13 @@ def simulate(
             named or left out: error per step relative to each state's size (1), 1e-8 when None;
             in SI units, a hundredth of the relative one when None; largest step of `rk4` and
             `ode8`, s, the output interval when None.
+            `output_times`: times of one's own, s, (n,), in place of `stop_time` and
+            `output_interval`.
             `start`: another name of `start_values`.
 
     Returns:
-        Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
+        Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit. Its
+        `at` computes the run at other times.
 
     Raises:
         UnknownName: A name does not exist: of a value, an output, a solver or an option.
@@ -85,29 +107,151 @@ def simulate(
             is what there is.
         Interrupted: Ctrl-C, a `KeyboardInterrupt` whose `partial` holds the run up to there.
         MissingTool: `compiled` is True and no compiler works.
+
+    Example:
+        >>> run = simulate("crank_shaft", start_values={"omega": "60rpm"}, stop_when="phi > 2*pi")
+        >>> round(run.stats["stop_time"], 6)  # from 2 pi t + 5 t^2 = 2 pi
+        0.657061
     """
     native.refuse_unknown(options, Options.__optional_keys__)
-    fixed = {name: options.get(name) for name in (*OVERRULED, "drift_control")}
-    refuse_contradiction(accuracy, budget, **fixed | {"solver": solver})
-    given = native.one_of(dae, start_values, options.pop("start", None))
+    dae = named(dae) if isinstance(dae, str) else dae
+    start = _numbers(dae, native.one_of(dae, start_values, options.pop("start", None)))
     run: dict[str, Any] = {"start_time": start_time, "stop_time": stop_time}
-    run |= {"output_interval": output_interval, "start_values": given, "inputs": inputs}
+    run |= {"output_interval": output_interval, "solver": solver, "outputs": outputs}
+    output_times = options.pop("output_times", None)
+    run |= options
+    if output_times is not None:
+        run |= _times(dae, output_times, run)
+    settled = driven(dae, inputs, partial(_grid, dae, run))
+    for name in settled.constants:
+        if start and name in start:
+            raise UsageError(f"{dae.full_name}: {name} is given twice; give it once")
+    run["inputs"] = settled.series
+    run["start_values"] = {**(start or {}), **settled.constants} if settled.constants else start
+    if stop_when is not None:
+        found = _until(settled.dae, stop_when, accuracy, budget, run)
+    else:
+        found = _goal(settled.dae, accuracy, budget, run)
+    if output_times is not None and len(found) and found.time[0] < _first(output_times):
+        found = replace(found, time=found.time[1:], values=found.values[1:])
+    if accuracy is None and budget is None and SOLVERS[found.stats["solver"]].adaptive:
+        end = float(found.time[-1]) if len(found) else 0.0
+        return replace(found, again=partial(_again, settled.dae, run, end))
+    return found
+
+
+def _goal(
+    dae: Dae, accuracy: float | None, budget: float | None, run: dict[str, Any]
+) -> Trajectory:
+    """Run with a solver, or with what an accuracy or a budget chooses."""
+    overruled = {name: run.get(name) for name in (*OVERRULED, "drift_control")}
+    refuse_contradiction(accuracy, budget, **overruled)
     if accuracy is None and budget is None:
-        return native.simulate(dae, solver=solver, outputs=outputs, **run, **options)
-    assign(dae, given)
+        return native.simulate(dae, **run)
+    run = dict(run)
+    assign(dae, run.get("start_values"))
+    outputs = run.pop("outputs", None)
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
     names = wanted_names(dae, wanted)
-    grid = native.output_times(dae, start_time, stop_time, output_interval)
-    compiled = options.get("compiled")
+    grid = _grid(dae, run)
+    compiled = run.pop("compiled", None)
     compiled = has_compiler() if compiled is None else compiled
-    run["on_invalid"] = options.get("on_invalid", "warn")
+    run = {name: value for name, value in run.items() if name not in overruled}
     solve = partial(native.simulate, dae, outputs=names, compiled=compiled, **run)
     length = float(grid[-1] - grid[0])
     return promised_run(dae, solve, names, length, compiled, accuracy, budget)
 
 
-def run_scene(scene: Scene, road: Road | str | None = None, **options: Any) -> Trajectory:
+def _until(
+    dae: Dae, condition: str, accuracy: float | None, budget: float | None, run: dict[str, Any]
+) -> Trajectory:
+    """Run until a condition becomes true."""
+    if accuracy is not None or budget is not None:
+        raise UsageError(
+            f"{dae.full_name}: stop_when needs a solver and a tolerance; leave accuracy and budget "
+            "out"
+        )
+    outputs = run.get("outputs")
+    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
+    dae = watching(dae, wanted or ())
+    rest = {k: v for k, v in run.items() if k not in ("outputs", *_TIMES)}
+
+    def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
+        return native.simulate(watched, output_interval=grid, outputs=names, **rest)
+
+    return run_until(dae, condition, solve, _grid(dae, run), wanted_names(dae, wanted))
+
+
+_TIMES = ("start_time", "stop_time", "output_interval")
+
+
+def _again(dae: Dae, run: Mapping[str, Any], end: float, times: Vector) -> Trajectory:
+    """Compute a run at other times; where it begins and ends stays, so that steps do, too."""
+    rest = {name: value for name, value in run.items() if name not in _TIMES}
+    begin = float(_grid(dae, run)[0])
+    grid = np.unique(np.concatenate(([begin], times, [end])))
+    if len(grid) < 2:
+        grid = np.array([begin, np.nextafter(begin, np.inf)])
+    found = native.simulate(dae, output_interval=grid, **rest)
+    rows = np.searchsorted(found.time, times)
+    return replace(found, time=found.time[rows], values=found.values[rows])
+
+
+def _grid(dae: Dae, run: Mapping[str, Any]) -> Vector:
+    times = (run.get("start_time", 0.0), run.get("stop_time"), run.get("output_interval"))
+    return native.output_times(dae, *times)
+
+
+def _times(dae: Dae, output_times: ArrayLike, run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the output times of a run as its interval: the start, and what is asked for."""
+    for name in ("stop_time", "output_interval"):
+        if run.get(name) is not None:
+            raise UsageError(f"{dae.full_name}: output_times say it all; leave {name} out")
+    start = run.get("start_time", 0.0)
+    wanted = np.atleast_1d(np.array(output_times, dtype=float))
+    grid = checked_grid(wanted if wanted[0] == start else np.concatenate(([start], wanted)))
+    return {"output_interval": grid}
+
+
+def _first(output_times: ArrayLike) -> float:
+    return float(np.ravel(np.asarray(output_times, dtype=float))[0])
+
+
+def _numbers(dae: Dae, given: Any) -> Any:
+    """Return what is given for starts, texts as numbers in the variables' units."""
+    if not isinstance(given, Mapping):
+        return given  # and refused with the rest
+    units = {v.name: v.unit for v in dae.variables}
+    return {
+        name: quantity(name, value, units[name])
+        if isinstance(value, str) and name in units
+        else value
+        for name, value in given.items()
+    }
+
+
+@kept_per_thread(16)
+def _catalogued(name: str) -> Dae:
+    return load(name)
+
+
+def named(name: str) -> Dae:
+    """Return the model of a name, the same one for the same name of the catalogue.
+
+    Raises:
+        CosimError: See `load`.
+    """
+    return load(name) if ".py:" in name else _catalogued(name)
+
+
+def run_scene(
+    scene: Scene,
+    road: Road | str | None = None,
+    *,
+    stop_when: str | None = None,
+    **options: Any,
+) -> Trajectory:
     """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
 
     With an accuracy or a budget, the front of the model with its author's values is what chooses,
@@ -116,28 +260,46 @@ def run_scene(scene: Scene, road: Road | str | None = None, **options: Any) -> T
     Args:
         scene: What to run.
         road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
+        stop_when: A condition that ends the run; see `simulate`.
         options: `compiled`, `on_invalid`, `drift_control` of the native road.
 
     Raises:
-        UsageError: An FMU shall run with an accuracy or a budget.
+        UsageError: An FMU shall run with an accuracy, a budget or a condition.
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
+
+    Example:
+        >>> import cosim
+        >>> run_scene(cosim.read_scene("crank_torque.toml")).names
+        ('T',)
     """
     goals = {name: getattr(scene.settings, name) for name in GOALS} if _is(scene) else {}
     if not any(goal is not None for goal in goals.values()):
-        return roads.run_scene(scene, road, **options)
-    way = Road.NATIVE if road is None else Road.named(road)
-    if not way.native:
+        if stop_when is None or not _is(scene):
+            return roads.run_scene(scene, road, **options)
+        if not _way(road).native:
+            raise UsageError(f"{scene.name}: stop_when is for CasADi's integrators, not for FMUs")
+        dae = roads.scene_dae(scene)
+        settings = roads.native_settings(scene, dae)
+        return simulate(dae, stop_when=stop_when, **settings, **_as_asked(road, options))
+    if not _way(road).native:
         raise UsageError(
             f"{scene.name}: accuracy and budget are for CasADi's integrators; an FMU gets its "
             "accuracy when it is exported: cosim export --accuracy"
         )
-    if way is Road.INTERPRETED:
-        options["compiled"] = False
+    options = _as_asked(road, options)
     dae = roads.scene_dae(replace(scene, values={}))
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
     start = {name: value for name, value in scene.values.items() if name in known}
     settings = roads.native_settings(scene, dae)
-    return simulate(dae, start_values=start, **goals, **settings, **options)
+    return simulate(dae, start_values=start, stop_when=stop_when, **goals, **settings, **options)
+
+
+def _way(road: Road | str | None) -> Road:
+    return Road.NATIVE if road is None else Road.named(road)
+
+
+def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
+    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options
 
 
 def _is(scene: object) -> bool:

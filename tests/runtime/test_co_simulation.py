@@ -60,6 +60,21 @@ def test_a_change_of_inputs_at_a_communication_point_counts_from_there_on(cs):
     assert np.abs(np.array(cs.get("q", "v", "w", "s")) - x).max() < 1e-10  # measured 7e-12
 
 
+def test_a_change_of_a_parameter_at_a_communication_point_counts_from_there_on(cs, fmi2):
+    """An instance that begins at the changed state with the new value goes the same way."""
+    walk(cs.initialize(q=1.0, v=0.5), 1.0, 0.25)
+    q, v, w, s = cs.get("q", "v", "w", "s")
+    assert cs.set(damping=0.9) == OK
+    for i in range(4):
+        assert cs("DoStep", 1.0 + 0.25 * i, 0.25, 1) == OK
+    other = fmi2(1)
+    other.initialize({"start": 1.0}, q=q, v=v, s=s, load=w + w**2, damping=0.9)
+    for i in range(4):
+        assert other("DoStep", 1.0 + 0.25 * i, 0.25, 1) == OK
+    np.testing.assert_allclose(cs.get("q", "v"), other.get("q", "v"), rtol=0, atol=1e-7)
+    assert cs.get("q")[0] != pytest.approx(solution(2.0)[0], abs=1e-3)  # it had an influence
+
+
 def test_inputs_with_derivatives_move_linearly_within_a_step(cs):
     cs.initialize({"tolerance": 1e-10})
     error = np.abs(walk(cs, 2.0, 0.5, slope=3.0) - solution(2.0, lambda t: 3 * t)).max()

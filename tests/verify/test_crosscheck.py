@@ -48,7 +48,7 @@ def test_checks_are_kept_and_show_their_table():
     shown = repr(checks).splitlines()
     assert shown[0].split()[:3] == ["model", "road", "against"]
     assert len(shown) == 3
-    assert "<td>fmpy CoSimulation</td>" in checks._repr_html_()
+    assert "<td>fmu-cs</td>" in checks._repr_html_()
     assert checks.agree
 
 

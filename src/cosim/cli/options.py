@@ -95,7 +95,10 @@ def add_accuracy(parser: Parser) -> None:
 def add_timeout(parser: Parser) -> None:
     """Let a verb end the run of an FMU file."""
     parser.add_argument(
-        "--timeout", type=float, metavar="S", help="for one run of an FMU file, s; no limit"
+        "--timeout", type=float, metavar="S", help="for a run of an FMU or a PATH.py, s; no limit"
+    )
+    parser.add_argument(
+        "--trust", action="store_true", help="run this FMU's code, now and in future"
     )
 
 

@@ -8,16 +8,8 @@ from cosim.cli.options import Parser
 
 # A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
 VERBS = (
-    "list",
-    "info",
-    "simulate",
-    "export",
-    "crosscheck",
-    "tradeoff",
-    "extremes",
-    "plot",
-    "sensitivity",
-    "linearize",
+    *("list", "info", "simulate", "export", "crosscheck", "tradeoff", "extremes", "plot"),
+    *("sweep", "cache", "sensitivity", "linearize"),
 )
 
 _DESCRIPTION = (

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cosim.escaping import visible
 from cosim.files import write_atomically
 
 
@@ -35,4 +36,4 @@ def write_text(target: str | None, text: str) -> None:
 def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.3g}"
-    return "" if value is None else str(value)
+    return "" if value is None else visible(str(value))

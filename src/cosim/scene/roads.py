@@ -1,6 +1,5 @@
 """A scene on any road: the one place that knows both of them."""
 
-import tempfile
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from cosim.integrate.solvers import solver_class
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
 from cosim.scene.scene import Scene
+from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 
 
@@ -100,7 +100,7 @@ def run_scene(
             drift_control=drift_control,
             **native_settings(scene, dae),
         )
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "scene.fmu")
         return run_fmu(scene, dae, path, way)
 

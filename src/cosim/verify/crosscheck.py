@@ -1,6 +1,5 @@
 """The same run on every road and in every formulation, and how far the results are apart."""
 
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.variants import fitting_formulations
 from cosim.tables import MOST_LINES, html_table, text_table
+from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Comparison, compare
 
@@ -225,7 +225,7 @@ def _members(item: str | Scene) -> Iterator[Scene]:
 def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
     """Compare the FMU's runs with a run through CasADi's integrators."""
     dae = scene_dae(scene)
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "model.fmu")
         solver = run.stats["solver"]
         for road in FMU_ROADS:
@@ -234,5 +234,5 @@ def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
             except _FAILURES as error:
                 yield Check(dae.full_name, road, solver, None, failure=str(error))
                 continue
-            difference = compare(run, again, bound=bound)
+            difference = compare(run, again, bound=bound, resample=False)
             yield Check(dae.full_name, road, solver, difference, dict(again.stats))

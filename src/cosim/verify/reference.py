@@ -6,21 +6,21 @@ the reference is computed for the numbers of this very scene, and kept in the ca
 """
 
 import hashlib
+import io
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.initialization import start_function
-from cosim.errors import ExportError, SolverError, UsageError
+from cosim.errors import CacheError, SolverError, UsageError
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
@@ -122,12 +122,12 @@ def reference(scene: Scene | Dae) -> Reference:
         raise UsageError.of_type("reference", scene, "a Scene or a Dae")
     dae = scene.configured()
     key = reference_key(scene)
-    place = cache_folder() / "references" / f"{key}.npz"
-    known = _read(place, key)
+    entry = f"references/{key}"
+    known = _read(entry, key)
     if known is not None:
         return known
     found = _computed(scene, dae, key)
-    _keep(found, place)
+    _keep(found, entry)
     return found
 
 
@@ -199,19 +199,23 @@ def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:
     return best
 
 
-def _keep(found: Reference, place: Path) -> None:
+def _keep(found: Reference, entry: str) -> None:
     """Write to the cache; without one, the reference is computed again next time."""
     names = ("method", "check", "errors", "key")
-    run = replace(found.run, stats={name: getattr(found, name) for name in names})
-    with suppress(OSError, ExportError):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        run.to_npz(place)
+    content = io.BytesIO()
+    stats = {name: getattr(found, name) for name in names}
+    replace(found.run, stats=stats).to_npz(content)
+    with suppress(OSError, CacheError):
+        keep(entry, content.getvalue())
 
 
-def _read(place: Path, key: str) -> Reference | None:
+def _read(entry: str, key: str) -> Reference | None:
+    content = content_of(entry)
+    if content is None:
+        return None
     try:
-        run = Trajectory.from_npz(place)
+        run = Trajectory.from_npz(io.BytesIO(content))
         found = Reference(run=replace(run, stats={"solver": run.stats["method"]}), **run.stats)
     except (UsageError, KeyError, TypeError):
-        return None  # not there, or damaged
+        return None  # of another version
     return found if found.key == key else None

@@ -5,11 +5,12 @@ cache under a hash of equations, values, outputs, solvers, versions and machine.
 """
 
 import hashlib
+import json
 import os
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -17,15 +18,15 @@ from time import perf_counter
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import find_compiler
-from cosim.errors import CosimError, ExportError
+from cosim.errors import CacheError, CosimError
 from cosim.integrate.outputs import all_columns
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.tradeoff.configuration import Configuration, Selection
 from cosim.study.tradeoff.measurement import Measurement, gather, observed_event
-from cosim.study.tradeoff.record import Event, Record
+from cosim.study.tradeoff.record import Event
 from cosim.study.tradeoff.result import pareto_front
 from cosim.study.tradeoff.variants import Workshop, span
 from cosim.verify.reference import Reference, reference, reference_key
@@ -78,13 +79,8 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
     """
     scene = Scene(dae.full_name, _recording_all(dae))
     key = _key(scene, compiled)
-    record = Record(cache_folder() / "fronts" / f"{key}.jsonl", key)
-    if facts := record.facts():
-        return Front(tuple(record.read()), facts["rounding"])
-    front = _measured(scene, compiled)
-    with suppress(OSError, ExportError):  # without a cache it is measured again next time
-        record.replace(front.events, {"rounding": dict(front.rounding)})
-    return front
+    entry = f"fronts/{key}"
+    return _read(entry) or _measured(scene, compiled, entry)
 
 
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
@@ -105,7 +101,7 @@ def _key(scene: Scene, compiled: bool) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _measured(scene: Scene, compiled: bool) -> Front:
+def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
     dae = scene.configured()
     best = reference(scene)
     workshop = Workshop({dae.full_name: scene}, dae.observed, Path())
@@ -136,7 +132,9 @@ def _measured(scene: Scene, compiled: bool) -> Front:
         name: float(np.spacing(np.abs(best.run[name]).max())) / best.run.column(name).nominal
         for name in best.run.names
     }
-    return Front(tuple(events.values()), rounding)
+    front = Front(tuple(events.values()), rounding)
+    _keep(front, entry)
+    return front
 
 
 def _event(workshop: Workshop, configuration: Configuration, best: Reference) -> Event | None:
@@ -148,3 +146,21 @@ def _event(workshop: Workshop, configuration: Configuration, best: Reference) ->
     event = observed_event(configuration, run, best, best.run.names, ())
     errors = {name: max(error, best.errors[name]) for name, error in event.errors.items()}
     return replace(event, errors=errors)
+
+
+def _keep(front: Front, entry: str) -> None:
+    """Write to the cache; without one, the front is measured again next time."""
+    facts = {"rounding": front.rounding, "events": [asdict(event) for event in front.events]}
+    with suppress(OSError, CacheError):
+        keep(entry, json.dumps(facts).encode())
+
+
+def _read(entry: str) -> Front | None:
+    content = content_of(entry)
+    if content is None:
+        return None
+    try:
+        facts = json.loads(content)
+        return Front(tuple(map(Event.of, facts["events"])), facts["rounding"])
+    except (ValueError, KeyError, TypeError):
+        return None  # of another version

@@ -23,7 +23,7 @@ from cosim.study.extremes.oracles import OUTCOMES, Runner, Verdict, judge, run_c
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
 LONGER = 10  # times the limit of other cases, for those that simulate an hour
-SERVER = "from cosim.study.extremes.campaign import serve; serve()"
+SERVER = f"from {__name__} import serve; serve()"
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class _Worker:
             return ""
 
     def _start(self) -> "subprocess.Popen[str]":
-        command = [sys.executable, "-c", self._server]
+        command = [sys.executable, "-P", "-c", self._server]  # -P: nothing of the current folder
         pipe = subprocess.PIPE
         return subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True

@@ -1,14 +1,15 @@
 """One run of a configuration as plain values, and the file in which runs survive."""
 
+import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.errors import CosimError, ExportError
-from cosim.files import write_atomically
+from cosim.codegen.cache import plain_file
+from cosim.errors import ExportError
 from cosim.study.tradeoff.configuration import Configuration
 
 COMPLETE, LEFT_OUT = "complete", "left out"
@@ -55,6 +56,17 @@ class Event:
     solver_time: float | None = None
     total_time: float | None = None
 
+    @classmethod
+    def of(cls, facts: Mapping[str, Any]) -> "Event":
+        """Return a run from its plain values (`asdict`).
+
+        Raises:
+            KeyError, TypeError: They are of another version.
+        """
+        configuration = Configuration(**facts["configuration"])
+        outcome = Outcome(**facts["outcome"])
+        return cls(**{**facts, "configuration": configuration, "outcome": outcome})
+
     @property
     def run_time(self) -> float:
         """Time of the integration as far as it is known, without what was compiled for it, s."""
@@ -73,39 +85,18 @@ class Record:
     path: Path
     key: str
 
-    def read(self) -> list[Event]:
-        """Return the runs that it holds."""
-        return list(self._events())
-
-    def facts(self) -> dict[str, Any]:
-        """Return what was kept beside the runs; nothing where that is not whole."""
-        for facts in self._lines():
-            if "facts" in facts and facts["runs"] == len(self.read()):
-                return dict(facts["facts"])
-        return {}
-
-    def replace(self, events: Iterable[Event], facts: Mapping[str, Any]) -> None:
-        """Write runs and what belongs to all of them, whole or not at all.
-
-        Raises:
-            OSError, ExportError: The file cannot be written.
-        """
-        rows: list[dict[str, Any]] = [asdict(event) for event in events]
-        rows = [{"facts": dict(facts), "runs": len(rows)}, *rows]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        text = "".join(json.dumps({"key": self.key} | row) + "\n" for row in rows)
-        write_atomically(self.path, text.encode())
-
     def begin(self, *, resume: bool) -> list[Event]:
         """Open the record; return the runs it holds already, none unless resumed.
 
         Raises:
             ExportError: The file cannot be written.
         """
-        kept = self.read() if resume else []
+        kept = list(self._events()) if resume else []
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a" if kept else "w", encoding="utf-8") as stream:
+            if not kept:
+                self.path.unlink(missing_ok=True)
+            with self.path.open("a" if kept else "x", encoding="utf-8") as stream:
                 stream.write("\n" if kept else "")  # ends a line that an interruption cut
         except OSError as error:
             raise ExportError(f"cannot keep results in {self.path}: {error.strerror}") from error
@@ -114,28 +105,21 @@ class Record:
     def append(self, event: Event) -> None:
         """Add a run; it is on the disk when this returns."""
         with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps({"key": self.key} | asdict(event)) + "\n")
+            facts = {"key": self.key} | asdict(event)
+            stream.write(json.dumps({**facts, "sha256": _checksum(facts)}) + "\n")
             stream.flush()
             os.fsync(stream.fileno())
 
     def _events(self) -> Iterator[Event]:
-        for facts in self._lines():
-            try:
-                configuration = Configuration(**facts["configuration"])
-                outcome = Outcome(**facts["outcome"])
-                yield Event(**facts | {"configuration": configuration, "outcome": outcome})
-            except (CosimError, KeyError, TypeError):
-                continue  # of another version, or no run
-
-    def _lines(self) -> Iterator[dict[str, Any]]:
-        try:
-            lines = self.path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError):
-            return
-        for line in lines:
+        for line in (plain_file(self.path) or b"").split(b"\n"):
             try:
                 facts = json.loads(line)
-                if facts.pop("key") == self.key:
-                    yield facts
-            except (ValueError, KeyError, TypeError, AttributeError):
-                continue  # cut off by an interruption
+                checksum = facts.pop("sha256")
+                if checksum == _checksum(facts) and facts.pop("key") == self.key:
+                    yield Event.of(facts)
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                continue  # cut off by an interruption, or damaged
+
+
+def _checksum(facts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()

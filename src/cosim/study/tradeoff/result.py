@@ -20,6 +20,7 @@ from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.convergence import Order
 from cosim.study.tradeoff.measurement import COSTS, Measurement
 from cosim.study.tradeoff.stability import StabilityLimit
+from cosim.tables import MOST_LINES, html_table, text_table
 from cosim.verify.reference import Reference
 
 
@@ -114,6 +115,22 @@ class Tradeoff:
             m.row() | {"front": " ".join(cost for cost in COSTS if m in fronts[cost])}
             for m in self.measurements
         ]
+
+    def __repr__(self) -> str:
+        return f"{self._title()}\n{text_table(self._best(), most=MOST_LINES - 1)}"
+
+    def _repr_html_(self) -> str:
+        return html_table(self._best(), self._title())
+
+    def _title(self) -> str:
+        return (
+            f"Tradeoff of {self.scene}: {len(self.measurements)} configurations, reference error "
+            f"{self.floor:.1e}; those that none beats:"
+        )
+
+    def _best(self) -> list[dict[str, Any]]:
+        keys = ("model", "road", "solver", "tolerance", "step", "error", "solver_ms", "front")
+        return [{key: row[key] for key in keys} for row in self.rows() if row["front"]]
 
     def to_csv(self) -> str:
         """Return the rows as CSV; lines that begin with # say where they come from."""

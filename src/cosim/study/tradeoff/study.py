@@ -1,11 +1,10 @@
 """`tradeoff`: run every selected configuration of a scene, several times, in turn."""
 
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import private_folder
 from cosim.codegen.compiler import find_compiler, has_compiler
 from cosim.errors import CosimError, UsageError
 from cosim.integrate.solvers import SOLVERS
@@ -20,6 +19,7 @@ from cosim.study.tradeoff.result import Tradeoff, provenance
 from cosim.study.tradeoff.rounds import Tell, measure
 from cosim.study.tradeoff.stability import stability_limit
 from cosim.study.tradeoff.variants import Workshop, kept_outputs, members, span
+from cosim.temporary import temporary_folder
 from cosim.verify.reference import Reference, reference
 
 REPEATS = 5
@@ -75,7 +75,7 @@ def tradeoff(
     constant = invariants(truth)
     record = study_record(truth)
     events = record.begin(resume=resume)
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         workshop = Workshop({s.dae.full_name: s for s in scenes}, kept, Path(folder))
         wanted = configurations(workshop, scene, selection)
 
@@ -166,4 +166,4 @@ def _possible(selection: Selection, tell: Tell) -> Selection:
 
 def study_record(truth: Reference) -> Record:
     """Return where the runs of a study are kept."""
-    return Record(cache_folder() / "tradeoffs" / f"{truth.key}.jsonl", truth.key)
+    return Record(private_folder() / "tradeoffs" / f"{truth.key}.jsonl", truth.key)
