@@ -9,7 +9,7 @@ from cosim.cli.options import Parser
 # A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
 VERBS = (
     *("list", "info", "simulate", "export", "crosscheck", "tradeoff", "extremes", "plot"),
-    *("animate", "report", "sweep", "cache"),
+    *("animate", "report", "sweep", "cache", "sensitivity", "linearize"),
 )
 
 _DESCRIPTION = (

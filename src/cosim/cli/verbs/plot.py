@@ -37,7 +37,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--compare",
         metavar="A,B",
-        help="more runs: fmu, fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
+        help="more runs: fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
     )
     add_output_file(parser, "FILE", "PNG, SVG or PDF; a window by default")
     parser.add_argument(
