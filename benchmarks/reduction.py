@@ -14,7 +14,7 @@ import cosim
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.integrate.integrator import start_vectors
-from cosim.model.reduction.reduce import size
+from cosim.model.reduction.size import size
 
 CASES = (
     ("crank_shaft/driven", ("T",)),

@@ -31,6 +31,7 @@ class Variable:
         start_kind: Whether the start is given, calculated or a guess.
         nominal: Typical size, by which errors are scaled; positive.
         minimum, maximum: Bounds that the start respects.
+        foreign_unit: Whether only its author knows the unit, which then counts with factor 1.
         own_meaning: Why it may differ from what other formulations of the system give this name;
             empty where it means the same.
 
@@ -48,14 +49,17 @@ class Variable:
     minimum: float = -inf
     maximum: float = inf
     own_meaning: str = ""
+    foreign_unit: bool = False
 
     def __post_init__(self) -> None:
         if not is_name(self.name) or self.name == "time":
             raise ValueError(f"{self.name!r} cannot name a variable: use letters, digits and _")
-        try:
-            convert(1.0, self.unit, self.unit if self.display_unit is None else self.display_unit)
-        except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from error
+        if not self.foreign_unit:
+            shown = self.unit if self.display_unit is None else self.display_unit
+            try:
+                convert(1.0, self.unit, shown)
+            except ValueError as error:
+                raise ValueError(f"{self.name}: {error}") from error
         if not (isinstance(self.meaning, str) and self.meaning.strip()):
             raise ValueError(f"{self.name}: the meaning is missing; describe it in a few words")
         if not isinstance(self.own_meaning, str):

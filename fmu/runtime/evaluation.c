@@ -35,7 +35,8 @@ static Status settle_start(Instance *self) {
     double guess[ROOM(NX)], x[ROOM(NX)] = {0}, defect = 0;
     for (int i = 0; i < NX; i++) {
         const VariableInfo *state = &variables[FIRST_STATE + i];
-        guess[i] = state->start_kind == CALCULATED ? state->start : values[FIRST_STATE + i];
+        guess[i] =
+            state->start_kind == CALCULATED ? self->state.guesses[i] : values[FIRST_STATE + i];
     }
     self->arg[0] = guess;
     self->arg[1] = values + FIRST_PARAMETER;

@@ -3,8 +3,8 @@
  * GCC's and Clang's vector types; every operation works on each lane by itself, so that what a
  * lane computes depends on nothing in its neighbours. LANES is the number of lanes, 1 to 8.
  */
-#ifndef COSIM_LANES_H
-#define COSIM_LANES_H
+#ifndef LANES_H
+#define LANES_H
 
 #include <math.h>
 #include <string.h>

@@ -5,27 +5,49 @@
  *
  * Source  Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, 2nd ed. 1993,
  *         sections II.4 (starting step, control) and II.10 (error estimate, interpolant).
- *
- * What includes this text has before it: lanes.h; the sizes NX, NU, NP, NC of states, inputs,
- * parameters and constants, NN of the states that outputs need, NY of outputs, NL of limits (0 is
- * allowed but for NX); `needed[]`, those states' positions; the functions
- *     constants(p) -> c          rhs(t, x, u, c) -> dx/dt
- *     observe(t, needed x, u, c) -> (outputs, margins of the limits)
- * of vectors; node[], and the weighted sums stage_sum, dense_sum, error_5, error_3 of slopes.
  */
-#ifndef COSIM_LANES_DOP853_H
-#define COSIM_LANES_DOP853_H
-
-#include "lanes.h"
+#ifndef LANES_DOP853_H
+#define LANES_DOP853_H
 
 #include <float.h>
 #include <stdint.h>
 #include <stdlib.h>
 
+#include "lanes.h"
+
+#ifndef NX
+#define NX 1 /* states; generated code says how many */
+#endif
+#ifndef NP
+#define NU 1 /* inputs */
+#define NP 1 /* parameters */
+#define NC 1 /* constants: what depends on parameters alone */
+#define NN 1 /* states that outputs need */
+#define NY 1 /* outputs */
+#define NL 1 /* limits */
+#endif
+
 enum { STAGES = 12, END = STAGES, EXTENDED = 16, REPORT = 8 };
 enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, OUTSIDE };
 
 #define MOST_TRIALS 100000 /* per output interval */
+
+typedef void LaneFunction(const V *const *in, V *const *out);
+typedef void LaneSum(V (*k)[NX], V *sum);
+typedef void LaneRow(int row, V (*k)[NX], V *sum);
+
+/* A model and the method's coefficients as straight-line code; generated code fills it. */
+typedef struct {
+    LaneFunction *constants; /* p -> c */
+    LaneFunction *rhs;       /* t, x, u, c -> dx/dt */
+    LaneFunction *observe;   /* t, needed states, u, c -> outputs, margins of the limits */
+    const int *needed;
+    const double *node;
+    LaneRow *stage, *dense;
+    LaneSum *error_5, *error_3;
+} LaneModel;
+
+static const LaneModel model;
 
 /* What is to be run; arrays by run, then by time. Threads share one batch. */
 typedef struct {
@@ -51,7 +73,7 @@ typedef struct {
 static void slopes(Lanes *self, V t, const V *x, V *dx) {
     const V *in[] = {&t, x, self->u, self->c};
     V *out[] = {dx};
-    rhs(in, out);
+    model.rhs(in, out);
 }
 
 static M is_finite(const V *values) {
@@ -106,7 +128,7 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
             memcpy(&x[i], self->kept + (lane * NN + i) * self->stride + j, sizeof x[i]);
         const V *in[] = {&t, x, u, c};
         V *result[] = {y, margin};
-        observe(in, result);
+        model.observe(in, result);
         for (int l = 0; l < LANES && j + l < done; ++l) {
             double sum = 0;
             for (int i = 0; i < NL; ++i)
@@ -145,7 +167,7 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
 
 static void keep(Lanes *self, int lane, const V *x) {
     for (int i = 0; i < NN; ++i)
-        self->kept[(lane * NN + i) * self->stride + self->next[lane]] = x[needed[i]][lane];
+        self->kept[(lane * NN + i) * self->stride + self->next[lane]] = x[model.needed[i]][lane];
     ++self->next[lane];
     self->trials[lane] = 0;
 }
@@ -176,7 +198,7 @@ static int refill(Lanes *self, const Batch *batch) {
         if (!some) return running;
         const V *in[] = {self->p};
         V *out[] = {self->c};
-        constants(in, out); /* the other lanes' stay as they are: the same numbers once more */
+        model.constants(in, out); /* the other lanes' stay as they are: the same numbers once more */
         slopes(self, self->t, self->x, self->sum);
         const M good = is_finite(self->sum) & is_finite(self->x);
         for (int i = 0; i < NX; ++i) self->k[0][i] = pick(fresh, self->sum[i], self->k[0][i]);
@@ -194,17 +216,17 @@ static int refill(Lanes *self, const Batch *batch) {
 
 static void stages(Lanes *self) {
     for (int s = 1; s <= END; ++s) {
-        stage_sum(s, self->k, self->sum);
+        model.stage(s, self->k, self->sum);
         for (int i = 0; i < NX; ++i) self->end[i] = self->x[i] + self->h * self->sum[i];
-        if (s < END) slopes(self, self->t + every(node[s]) * self->h, self->end, self->k[s]);
+        if (s < END) slopes(self, self->t + every(model.node[s]) * self->h, self->end, self->k[s]);
     }
 }
 
 /* Errors of the step in units of the tolerance. */
 static V errors(Lanes *self, const Batch *batch) {
     V third[NX], sum_5 = every(0), sum_3 = every(0);
-    error_5(self->k, self->sum);
-    error_3(self->k, third);
+    model.error_5(self->k, self->sum);
+    model.error_3(self->k, third);
     for (int i = 0; i < NX; ++i) {
         const V size = larger(magnitude(self->x[i]), magnitude(self->end[i]));
         const V unit = scale(batch, size), a = self->sum[i] / unit, b = third[i] / unit;
@@ -219,12 +241,12 @@ static V errors(Lanes *self, const Batch *batch) {
 static void interpolants(Lanes *self) {
     V y[NX];
     for (int s = END + 1; s < EXTENDED; ++s) {
-        stage_sum(s, self->k, self->sum);
+        model.stage(s, self->k, self->sum);
         for (int i = 0; i < NX; ++i) y[i] = self->x[i] + self->h * self->sum[i];
-        slopes(self, self->t + every(node[s]) * self->h, y, self->k[s]);
+        slopes(self, self->t + every(model.node[s]) * self->h, y, self->k[s]);
     }
     for (int n = 0; n < NN; ++n) {
-        const int i = needed[n];
+        const int i = model.needed[n];
         const V change = self->end[i] - self->x[i], bend = self->h * self->k[0][i] - change;
         self->row[0][n] = self->x[i];
         self->row[1][n] = change;
@@ -232,8 +254,8 @@ static void interpolants(Lanes *self) {
         self->row[3][n] = change - self->h * self->k[END][i] - bend;
     }
     for (int j = 0; j < 4; ++j) {
-        dense_sum(j, self->k, self->sum);
-        for (int n = 0; n < NN; ++n) self->row[4 + j][n] = self->h * self->sum[needed[n]];
+        model.dense(j, self->k, self->sum);
+        for (int n = 0; n < NN; ++n) self->row[4 + j][n] = self->h * self->sum[model.needed[n]];
     }
 }
 

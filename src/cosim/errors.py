@@ -8,10 +8,11 @@ from difflib import get_close_matches
 from typing import Any, Protocol
 
 from casadi_models import CATALOG
+from cosim.escaping import visible
 
 
 class PartialRun(Protocol):
-    """What a failed run leaves behind; in this package always a `cosim.Trajectory`."""
+    """What a failed run leaves behind; a `cosim.Trajectory`, or what many runs left."""
 
     @property
     def time(self) -> Any:
@@ -43,7 +44,7 @@ class UsageError(CosimError):
     @classmethod
     def of_type(cls, call: str, value: object, wanted: str) -> UsageError:
         """Say that a call was given something of a type that it cannot use."""
-        given = f"{reprlib.repr(value)}, of type {type(value).__name__}"
+        given = f"{' '.join(reprlib.repr(value).split())}, of type {type(value).__name__}"
         return cls(f"{call} was given {given}; give {wanted}")
 
 
@@ -96,7 +97,10 @@ class ExportError(CosimError):
 
 
 class FmuError(CosimError):
-    """An FMU that cannot be read or run."""
+    """An FMU that cannot be read or run; what it says itself is shown as one harmless line."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(visible(" ".join(str(message).splitlines())))
 
 
 class SecurityError(FmuError):
@@ -107,6 +111,10 @@ class MissingTool(CosimError):
     """A compiler or an optional package that is not there; the message says how to get it."""
 
     exit_code = 5
+
+
+class CacheError(MissingTool):
+    """A folder for compiled code that cannot be used, or that others could write to."""
 
 
 def _near(name: str, names: list[str], most: int = 3) -> list[str]:

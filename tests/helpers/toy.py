@@ -32,6 +32,7 @@ class Row:
     minimum: float = -inf
     maximum: float = inf
     nominal: float = 1.0
+    tunable: bool = False
 
 
 TABLE = (
@@ -47,7 +48,7 @@ TABLE = (
     Row("push", "INPUT"),
     Row("mass", "PARAMETER", start=2.0, minimum=1e-3, maximum=1e3),
     Row("stiffness", "PARAMETER", start=8.0),
-    Row("damping", "PARAMETER", start=0.5, minimum=0.0),
+    Row("damping", "PARAMETER", start=0.5, minimum=0.0, tunable=True),
     Row("load", "PARAMETER", start=2.0, minimum=-1e6, maximum=1e6),
     Row("blow", "PARAMETER"),
     *(Row(name, "OUTPUT", "CALCULATED") for name in ("energy", "wave", "log")),
@@ -101,6 +102,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
     header = [
         '#define MODEL_IDENTIFIER "toy"',
         '#define MODEL_NAME "toy"',
+        "#define MODEL_PREFIX toy_",
         f'#define MODEL_GUID "{GUID}"',
         "#define DEFAULT_TOLERANCE 1e-8",
         "#define HAS_ADJOINT 1",
@@ -119,8 +121,9 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
     for name, factor in (("reltol", "1"), ("abstol", "0.1")):
         code = re.sub(rf"p\.{name} = [^;]*;", f"p.{name} = {factor}*arg[2][2];", code)
     rows = ",\n".join(
-        f'    {{"{r.name}", {r.role}, {r.kind}, {_number(r.start)}, {_number(r.nominal)}, '
-        f"{_number(r.minimum)}, {_number(r.maximum)}}}"
+        f'    {{"{r.name}", {r.role}, {r.kind}, '
+        + ", ".join(map(_number, (r.start, r.nominal, r.minimum, r.maximum, r.start)))
+        + f", {str(r.tunable).lower()}}}"
         for r in table
     )
     include = '#include <math.h>\n#include "variables.h"\n'

@@ -7,6 +7,8 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
+from cosim.errors import CacheError
+
 _INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
 
 
@@ -35,13 +37,22 @@ def solver_source(*names: str) -> str:
 
 
 def cache_folder() -> Path:
-    """Return the folder for compiled code: $COSIM_CACHE, else the platform's place for caches."""
+    """Return the folder for compiled code: $COSIM_CACHE, else the platform's place for caches.
+
+    Raises:
+        CacheError: The user has no home folder.
+    """
     if chosen := os.environ.get("COSIM_CACHE"):
         return Path(chosen)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    try:
+        if sys.platform == "win32":
+            base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
+        elif sys.platform == "darwin":
+            base = str(Path.home() / "Library" / "Caches")
+        else:
+            base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    except RuntimeError as error:
+        raise CacheError(
+            "there is no home folder to keep compiled code in; set COSIM_CACHE to a folder"
+        ) from error
     return Path(base) / "cosim"

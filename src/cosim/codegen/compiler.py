@@ -19,7 +19,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
 from cosim.errors import MissingTool
+from cosim.temporary import temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
@@ -56,7 +58,7 @@ def find_compiler() -> tuple[str, ...]:
         if found := shutil.which(name):
             return (found,)
     if find_spec("ziglang"):
-        return (sys.executable, "-m", "ziglang", "cc")
+        return (sys.executable, "-P", "-m", "ziglang", "cc")  # -P: not one of the current folder
     raise MissingTool(f"no C compiler found (tried $CC, cc, gcc, clang, ziglang); {_HOW}")
 
 
@@ -132,25 +134,50 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
     settings = (*command, *FLAGS, *_HIDDEN, *own, processor, _SHORT, _LONG, str(_LENGTH))
     digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
     folder = cache_folder()
-    target = folder / f"{digest}{SUFFIX}"
-    if _loads(target):
-        return target
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix="build-") as build:
-            source, library = Path(build) / "code.c", Path(build) / f"code{SUFFIX}"
+        private_folder()
+        if found := _kept(folder, digest):
+            return found
+        _refuse_noexec(folder)
+        with alone(folder, digest), temporary_folder(folder) as build:
+            if found := _kept(folder, digest):  # made by another process meanwhile
+                return found
+            source, library = build / "code.c", build / f"code{SUFFIX}"
             code = generate()
             source.write_text(code, encoding="utf-8")
             options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
             compile_library([source], library, options=options, command=command)
+            target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
             _keep(library, target)
+        prune()
     except MissingTool as error:
-        raise MissingTool(f"{error}, or do not compile (--interpreted)") from error
+        raise type(error)(f"{error}, or do not compile (--interpreted)") from error
     except OSError as error:
         raise MissingTool(
             f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return target
+
+
+def _kept(folder: Path, digest: str) -> Path | None:
+    """Return the library of a digest that is whole and loads; remove those that are not.
+
+    A library's name holds the SHA-256 of its bytes: one that lost or changed a bit would crash, or
+    give wrong numbers. A link, a folder or a pipe of such a name is none of ours.
+    """
+    for place in sorted(folder.glob(f"{digest}-*{SUFFIX}")):
+        content = plain_file(place)
+        if content is None:
+            continue
+        if place.stem != f"{digest}-{_checksum(content)}":
+            remove_damaged(place)
+        elif _loads(place):
+            return place
+    return None
+
+
+def _checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 @cache
@@ -177,6 +204,14 @@ def _words(command: str) -> list[str]:
     return shlex.split(command)
 
 
+def _refuse_noexec(folder: Path) -> None:
+    if hasattr(os, "statvfs") and os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0):
+        raise MissingTool(
+            f"{folder} lies on a file system mounted noexec, from which no compiled code can be "
+            "loaded; set COSIM_CACHE to another folder"
+        )
+
+
 def _keep(library: Path, target: Path) -> None:
     try:
         library.replace(target)
@@ -186,9 +221,7 @@ def _keep(library: Path, target: Path) -> None:
 
 
 def _loads(library: Path) -> bool:
-    """Tell whether a library is there, whole, and made for this machine."""
-    if not library.exists():
-        return False
+    """Tell whether a library can be loaded on this machine."""
     try:
         ctypes.CDLL(str(library))
     except OSError:

@@ -115,15 +115,18 @@ def _text(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             _start_text(dae),
             f"#define LANES {lanes}",
             *(f"#define {name} {size}" for name, size in sizes.items()),
-            solver_source("lanes.h"),
-            f"static const int needed[] = {{{places}}};",
+            solver_source("lanes_dop853.h"),
+            f"static const int model_needed[] = {{{places}}};",
             *(vector_text(function, name) for name, function in functions.items()),
-            numbers("node", dop853.NODES),
+            numbers("model_node", dop853.NODES),
             vector_sums("stage_sum", dop853.A),
             vector_sums("dense_sum", dop853.DENSE),
             vector_sum("error_5", dop853.ERROR_5),
             vector_sum("error_3", dop853.ERROR_3),
-            solver_source("lanes_dop853.h").replace('#include "lanes.h"\n', ""),
+            "static const LaneModel model = {",
+            "    constants, rhs, observe, model_needed, model_node,",
+            "    stage_sum, dense_sum, error_5, error_3",
+            "};",
         )
     )
 

@@ -19,6 +19,7 @@ from cosim.errors import ExportError, MissingTool, UnknownName
 _PORTABLE = (
     *("-std=c11", "-O1", "-fvisibility=hidden", "-ffp-contract=off", "-ffunction-sections"),
     *("-fno-asynchronous-unwind-tables", "-fno-stack-protector"),
+    "-DFMI3_OVERRIDE_FUNCTION_PREFIX",  # the names in a shared library are FMI's own
 )
 _UNUSED_CODE_OUT = {
     "linux": ("-s", "-Wl,--gc-sections"),
@@ -69,7 +70,7 @@ class Target:
                 f"compiling for {self.processor}-{self.system} needs the compiler in ziglang; "
                 "bring it with: pip install 'cosim-rigid[zig]'"
             )
-        return (sys.executable, "-m", "ziglang", "cc", "-target", self.triple)
+        return (sys.executable, "-P", "-m", "ziglang", "cc", "-target", self.triple)
 
     def options(self, library: str, compiler: Sequence[str]) -> tuple[str, ...]:
         """Return the compiler's options for a library of this name that runs on every processor.

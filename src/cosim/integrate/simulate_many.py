@@ -1,9 +1,10 @@
 """Many variants of one model: in SIMD lanes where its equations are explicit, one by one else."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,7 @@ def simulate_many(
     on_invalid: str = "warn",
     threads: int | None = None,
     lanes: int | None = None,
+    watch: Callable[[int], None] | None = None,
 ) -> Ensemble:
     """Integrate many variants of a model.
 
@@ -57,13 +59,14 @@ def simulate_many(
         times: Instead of an interval: increasing output times after or at `start_time`, s; the
             last one is the stop time. One by one these must be evenly spaced.
         outputs: Names to record, monitors among them; everything but those when None.
-        solver: A name of `SOLVERS`; `dop853` in lanes where that is possible when None.
+        solver: As of `simulate`; `dop853` in lanes where that is possible when None.
         relative_tolerance, absolute_tolerance, step_size, inputs: See `simulate`.
         on_invalid: What happens where a run leaves the model's limits: "warn" says so in
             `Ensemble.invalid`, "stop" ends that run there, "ignore" does neither.
         threads: How many at most; one per processor when None.
         lanes: 1, 2, 4 or 8; what the processor has when None. Sums are rounded alike whatever it
             is; sines may differ in the last bits.
+        watch: Called with the position of each run that begins, where they go one by one.
 
     Returns:
         Every wanted output of every run, with how each run ended; runs that are refused or fail
@@ -111,7 +114,7 @@ def simulate_many(
                 "input series; leave lanes out"
             )
         settings = {"solver": chosen, "inputs": inputs, "on_invalid": on_invalid}
-        ensemble, interrupted = one_by_one(dae, values, names, grid, settings)
+        ensemble, interrupted = one_by_one(dae, values, names, grid, settings, watch)
     ensemble = _without_first(ensemble, first)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **ensemble.stats}
@@ -122,6 +125,14 @@ def simulate_many(
             f"{dae.full_name}: interrupted after {done} of {len(ensemble)} runs", ensemble
         )
     return ensemble
+
+
+def runs_in_lanes(dae: Dae, settings: Mapping[str, Any], inputs: InputSeries | None = None) -> bool:
+    """Tell whether `simulate_many` runs variants in lanes with these of its arguments."""
+    points = np.array([0.0, settings.get("stop_time") or 1.0])
+    lean = _fits(dae, inputs, settings.get("step_size"), points)
+    solver = settings.get("solver")
+    return lean and (solver in (None, Dop853.name) or isinstance(solver, Dop853))
 
 
 def processors() -> int:

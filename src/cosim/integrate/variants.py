@@ -1,6 +1,6 @@
 """The two ways to run many variants of a model: in SIMD lanes, and one by one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -132,12 +132,14 @@ def one_by_one(
     names: tuple[str, ...],
     grid: Vector,
     settings: Mapping[str, Any],
+    watch: Callable[[int], None] | None = None,
 ) -> tuple[Ensemble, bool]:
     """Run every variant by `simulate`; see `in_lanes`.
 
     Args:
         dae, values, names, grid: See `in_lanes`.
         settings: Of every run, by the names of `simulate`.
+        watch: Called with the position of each run that begins.
     """
     runs, interrupted = len(values), False
     table = np.full((runs, len(grid), len(names)), np.nan)
@@ -151,6 +153,8 @@ def one_by_one(
         if run in values.refused:
             states[run], reasons[run] = RunState.REFUSED, values.refused[run]
             continue
+        if watch is not None:
+            watch(run)
         given = {name: float(column[run]) for name, column in values.given.items()}
         try:
             found = simulate(dae, start=given, outputs=names, **span, **settings)

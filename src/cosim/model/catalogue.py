@@ -1,15 +1,13 @@
 """From the name a user types to a `Dae`: the catalogue, or a builder in the user's own file."""
 
-import importlib.util
-import sys
 from pathlib import Path
-
-import casadi as ca
 
 import casadi_models
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
-from cosim.model.dae_builder import from_dae_builder
+from cosim.model.from_casadi import from_casadi
+from cosim.model.named_symbols import identifier
+from cosim.model.user_model import load_user_model
 
 _OTHER_FILES = {
     ".py": "name the function that builds it, too, as PATH.py:FUNCTION",
@@ -19,7 +17,7 @@ _OTHER_FILES = {
 
 
 def load(name: str) -> Dae:
-    """Build the DAE of `MODEL`, `MODEL/FORMULATION` or `PATH.py:FUNCTION`.
+    """Build the DAE of `MODEL`, `MODEL/FORMULATION`, `PATH.py:FUNCTION` or `PATH.casadi`.
 
     Raises:
         UnknownName: The catalogue has no such model, or the file no such function.
@@ -28,7 +26,9 @@ def load(name: str) -> Dae:
     if not isinstance(name, str):
         raise UsageError.of_type("load", name, "the name of a model, e.g. 'bicycle'")
     if ".py:" in name:
-        return _from_file(*name.rsplit(":", 1))
+        return load_user_model(*name.rsplit(":", 1))
+    if name.endswith(".casadi"):
+        return from_casadi(name, name=identifier(Path(name).stem))
     try:
         return casadi_models.load(name)
     except KeyError:
@@ -73,40 +73,3 @@ def _unknown(name: str) -> UnknownName | UsageError:
         return UnknownName.among(model, "formulation", formulation, own)
     near = UnknownName.among("the catalogue", "model", model, models)
     return UnknownName(f"{near} (all: cosim list)")
-
-
-def _from_file(path: str, function: str) -> Dae:
-    if not Path(path).is_file():
-        raise UsageError(f"{path} is not a file; name one as PATH.py:FUNCTION")
-    spec = importlib.util.spec_from_file_location(f"_cosim_{Path(path).stem}", path)
-    if spec is None or spec.loader is None:
-        raise UsageError(f"{path} is not a Python file; name one as PATH.py:FUNCTION")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look their annotations up
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise UsageError(f"{path} cannot be loaded: {_told(error)}") from error
-    builder = getattr(module, function, None)
-    if not callable(builder):
-        own = (n for n, v in vars(module).items() if getattr(v, "__module__", "") == spec.name)
-        raise UnknownName.among(path, "function", function, own)
-    try:
-        built = builder()
-    except (Exception, SystemExit) as error:
-        raise UsageError(f"{path}:{function} failed: {_told(error)}") from error
-    if isinstance(built, ca.DaeBuilder):
-        built = from_dae_builder(built)
-    if not isinstance(built, Dae):
-        raise UsageError(
-            f"{path}:{function} returned {type(built).__name__}; return what Model.freeze() "
-            "returns, or a casadi.DaeBuilder"
-        )
-    if not observable(built):
-        raise UsageError(f"{path}:{function} built a model without a state or an output; add one")
-    return built
-
-
-def _told(error: BaseException) -> str:
-    """Return an exception of a user's own code in one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"

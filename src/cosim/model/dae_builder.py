@@ -1,107 +1,223 @@
 """From CasADi's `DaeBuilder` to a `Dae`, so that its models take both roads, too."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
 import casadi as ca
+from casadi import MX, SX
 
 from casadi_models.dae import Dae, Model
+from casadi_models.units import known as known_unit
 from cosim.errors import UsageError
+from cosim.model.casadi_system import System, evaluated
+from cosim.model.named_symbols import Symbol, identifier
 
-_REFUSED = {"d": "discrete states", "c": "constants that are not parameters", "q": "quadratures"}
+_DEPTH = 1000  # of definitions that use definitions
 
 
 def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
-    """Return the DAE of a `casadi.DaeBuilder` with states, algebraics, inputs, parameters, outputs.
+    """Return the DAE of a `casadi.DaeBuilder`.
 
-    Start values, units, display units, bounds, nominal values and descriptions come along; a
-    variable without unit is a number, one without description is described by its name.
+    Parameters of every variability and integer ones are parameters, constants are numbers,
+    quadratures are states, dependent variables are outputs, `set_init` gives calculated starts, and
+    the rate of a state that only equations determine is an algebraic unknown. Start values, units,
+    display units, bounds, nominal values and descriptions come along; a variable without unit is a
+    number, an unknown unit counts with factor 1, one without description is described by its name.
+    `body.x` and `v[1]` are called `body_x` and `v_1`.
 
     Raises:
-        UsageError: The builder holds events or discrete variables, a name or a unit is not
-            allowed here, or its functions cannot be written out in scalar operations.
+        UsageError: The builder holds events or discrete states, something is not determined, or
+            its expressions cannot be written out in scalar operations.
     """
     if not isinstance(builder, ca.DaeBuilder):
         raise UsageError.of_type("from_dae_builder", builder, "a casadi.DaeBuilder")
-    name = builder.name()
-    for kind, meaning in _REFUSED.items():
-        if getattr(builder, kind)():
-            raise UsageError(f"DaeBuilder {name}: it has {meaning}, which cannot be exported")
+    who = f"DaeBuilder {builder.name()}"
     if builder.nzero():
-        raise UsageError(f"DaeBuilder {name}: it has events, which cannot be exported")
+        raise UsageError(f"{who}: it has events, which cannot be exported")
     try:
-        return _converted(builder, name)
+        return _converted(_Builder(builder, who))
     except ValueError as error:  # begins with the name
         raise UsageError(f"DaeBuilder {error}") from error
     except RuntimeError as error:
-        raise UsageError(f"DaeBuilder {name}: {' '.join(str(error).split())}") from error
+        raise UsageError(f"{who}: {' '.join(str(error).split())}") from error
 
 
-def _converted(builder: ca.DaeBuilder, name: str) -> Dae:
-    stop = builder.stop_time()
+@dataclass(frozen=True)
+class _Builder:
+    """What is read from a builder."""
+
+    own: ca.DaeBuilder
+    who: str
+
+    def symbol(self, name: str) -> Symbol:
+        """Return a variable; an array has its entries in the order of FMI, row by row."""
+        return Symbol(name, (self.own.numel(name), 1), self.own.var(name))
+
+    def states(self) -> dict[str, MX]:
+        """Return each state that is integrated, and its rate."""
+        rates = dict(zip(self.own.x(), self.own.ode(), strict=True))
+        rates |= dict(zip(self.own.q(), self.own.quad(), strict=True)) if self.own.nq() else {}
+        for name in self.own.z():  # states whose rates stand in equations only
+            if f"der({name})" in self.own.z():
+                rates[name] = self.own.var(f"der({name})")
+        for name in rates:
+            if self.own.variability(name) != "continuous":
+                raise UsageError(f"{self.who}: '{name}' is a discrete state, which has no export")
+        return rates
+
+    def definitions(self) -> dict[str, MX]:
+        """Return what dependent variables and calculated parameters are."""
+        found = dict(zip(self.own.w(), self.own.wdef(), strict=True)) if self.own.nw() else {}
+        for name in self.own.d():
+            if not self.own.has(f"__assign__{name}__"):
+                raise UsageError(f"{self.who}: '{name}' has no definition; give it one by assign()")
+            found[name] = self.own.var(f"__assign__{name}__")
+        return found
+
+    def names(self) -> list[str]:
+        """Return what stands for itself in equations, states first."""
+        own = self.own
+        every = [*self.states(), *own.z(), *own.u(), *own.p(), *own.c()]
+        return list(dict.fromkeys(every))
+
+    def kind(self, name: str) -> str:
+        """Return x, z, u or p; "" for a constant."""
+        if name in self.states():
+            return "x"
+        if name in self.own.z():
+            return "z"
+        if name in self.own.u():
+            return "u"
+        return "" if self.own.variability(name) == "constant" else "p"
+
+    def numbers(self, name: str, values: Any) -> list[float]:
+        """Return an attribute of every entry of a variable."""
+        size = self.own.numel(name)
+        found = [float(v) for v in values] if isinstance(values, list) else [float(values)]
+        return found if len(found) == size else found[:1] * size
+
+    def facts(self, name: str, entry: int) -> dict[str, Any]:
+        """Return unit, meaning, bounds and sizes of an entry of a variable."""
+        own = self.own
+        unit, shown = own.unit(name) or "1", own.display_unit(name)
+        size = own.numel(name)
+        meaning = own.description(name) or name
+        if size > 1:
+            meaning = f"{meaning}, entry {entry + 1}"
+        facts: dict[str, Any] = {
+            "unit": unit,
+            "minimum": self.numbers(name, own.min(name))[entry],
+            "maximum": self.numbers(name, own.max(name))[entry],
+        }
+        nominal = self.numbers(name, own.nominal(name))[entry]
+        if nominal > 0:
+            facts["nominal"] = nominal
+        if not known_unit(unit):
+            facts["foreign_unit"] = True
+            meaning = f"{meaning} (unit '{unit}' is unknown here: factor 1)"
+        elif shown and known_unit(shown):
+            facts["display_unit"] = shown
+        return facts | {"meaning": meaning}
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """Return the name of every entry of a variable."""
+        shape = tuple(self.own.dimension(name))
+        base = identifier(name)
+        if self.own.numel(name) == 1:
+            return (base,)
+        if len(shape) == 2:
+            return tuple(
+                f"{base}_{i + 1}_{j + 1}" for i in range(shape[0]) for j in range(shape[1])
+            )
+        return tuple(f"{base}_{i + 1}" for i in range(self.own.numel(name)))
+
+
+def _converted(builder: _Builder) -> Dae:
+    own = builder.own
+    stop = own.stop_time()
     model = Model(
-        name,
-        description=f"{name}, built with casadi.DaeBuilder",
+        own.name(),
+        description=f"{own.name()}, built with casadi.DaeBuilder",
         source="casadi.DaeBuilder",
         stop_time=stop if isfinite(stop) and stop > 0 else 10.0,
     )
-    equations = builder.create(name, ["t", "x", "z", "u", "p"], ["ode", "alg", "y"]).expand()
-    declared = {
-        kind: ca.vertcat(
-            ca.SX(0, 1),
-            *(
-                declare(
-                    each,
-                    _unit(builder, each),
-                    _start(builder, each),
-                    _meaning(builder, each),
-                    **_facts(builder, each),
-                )
-                for each in getattr(builder, kind)()
-            ),
-        )
-        for kind, declare in (
-            ("x", model.state),
-            ("z", model.algebraic),
-            ("u", model.input),
-            ("p", model.parameter),
-        )
-    }
-    ode, alg, outputs = equations(model.t, *declared.values())
-    model.derivative(declared["x"], ode)
-    model.equation(alg)
-    for each, expression in zip(builder.y(), ca.vertsplit(outputs), strict=True):
-        own = _facts(builder, each)
-        if each not in (*builder.x(), *builder.z()):
-            model.output(each, _unit(builder, each), expression, _meaning(builder, each), **own)
+    rates = builder.states()
+    names = builder.names()
+    declared = {name: _declared(builder, model, name) for name in names}
+    kept = {name for name in names if builder.kind(name)}
+    every = dict.fromkeys((*own.y(), *own.w(), *own.d()))
+    shown = [name for name in every if name not in kept and _is_own(name)]
+    definitions = builder.definitions()
+    outputs = {name: definitions.get(name, own.var(name)) for name in shown}
+    init = {s.name(): law for s, law in zip(own.init_lhs(), own.init_rhs(), strict=True)}
+    laws = {f"rate of {name}": rate for name, rate in rates.items()}
+    laws |= {f"equation {i}": law for i, law in enumerate(own.alg(), start=1)}
+    laws |= {f"start of {name}": law for name, law in init.items()}
+    results = _in_the_models_symbols(builder, model, declared, definitions, laws | outputs)
+
+    for name in rates:
+        model.derivative(declared[name], results[f"rate of {name}"])
+    for i in range(len(own.alg())):
+        model.equation(results[f"equation {i + 1}"])
+    for name in shown:
+        for i, (entry, row) in enumerate(
+            zip(builder.entries(name), ca.vertsplit(results[name]), strict=True)
+        ):
+            facts = builder.facts(name, i)
+            model.output(entry, facts.pop("unit"), row, facts.pop("meaning"), **facts)
+    for name in init:
+        if name not in rates:
+            raise UsageError(
+                f"{builder.who}: set_init of '{name}', which is no state; use set_start for it"
+            )
+        model.start(declared[name], results[f"start of {name}"], f"set_init of {name}")
     return model.freeze()
 
 
-def _unit(builder: ca.DaeBuilder, name: str) -> str:
-    return builder.unit(name) or "1"
+def _is_own(name: str) -> bool:
+    """Tell whether a variable is its author's: not a rate, not a helper of CasADi."""
+    return not name.startswith(("der(", "__"))
 
 
-def _meaning(builder: ca.DaeBuilder, name: str) -> str:
-    return builder.description(name) or name
+def _declared(builder: _Builder, model: Model, name: str) -> SX:
+    kind = builder.kind(name)
+    starts = builder.numbers(name, builder.own.start(name))
+    if not kind:
+        return SX(starts)
+    declare = {"x": model.state, "z": model.algebraic, "u": model.input, "p": model.parameter}[kind]
+    rows = []
+    for i, (entry, start) in enumerate(zip(builder.entries(name), starts, strict=True)):
+        facts = builder.facts(name, i)
+        rows.append(declare(entry, facts.pop("unit"), start, facts.pop("meaning"), **facts))
+    return ca.vertcat(*rows)
 
 
-def _start(builder: ca.DaeBuilder, name: str) -> float:
-    return _scalar(builder.start(name))
-
-
-def _facts(builder: ca.DaeBuilder, name: str) -> dict[str, Any]:
-    facts: dict[str, Any] = {
-        "minimum": _scalar(builder.min(name)),
-        "maximum": _scalar(builder.max(name)),
-    }
-    nominal = _scalar(builder.nominal(name))
-    if nominal > 0:
-        facts["nominal"] = nominal
-    if builder.display_unit(name):
-        facts["display_unit"] = builder.display_unit(name)
-    return facts
-
-
-def _scalar(value: float | list[float]) -> float:
-    """Return the number of a scalar variable, which CasADi wraps in a list."""
-    return float(value[0] if isinstance(value, list) else value)
+def _in_the_models_symbols(
+    builder: _Builder,
+    model: Model,
+    declared: Mapping[str, SX],
+    definitions: Mapping[str, MX],
+    laws: Mapping[str, MX],
+) -> dict[str, SX]:
+    own = builder.own
+    rows = [*laws.values()]
+    symbols = [own.var(name) for name in definitions]
+    for _ in range(_DEPTH):
+        if not symbols or not ca.depends_on(ca.veccat(*rows), ca.veccat(*symbols)):
+            break
+        rows = ca.substitute(rows, symbols, [*definitions.values()])
+    else:
+        raise UsageError(f"{builder.who}: dependent variables define each other in a circle")
+    system = System(
+        {
+            "t": (Symbol("t", (1, 1), own.time()),) if own.has_t() else (),
+            "x": tuple(builder.symbol(name) for name in declared),
+            **dict.fromkeys("zup", ()),
+        },
+        {},
+    )
+    values = {"t": model.t, "x": ca.vertcat(SX(0, 1), *declared.values())}
+    values |= dict.fromkeys("zup", SX(0, 1))
+    return evaluated(builder.who, replace(system), values, dict(zip(laws, rows, strict=True)))

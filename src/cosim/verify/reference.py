@@ -7,34 +7,31 @@ the reference is computed for the numbers of this very scene, and kept in the ca
 
 import hashlib
 import io
-import json
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.initialization import start_function
-from cosim.errors import ExportError, SolverError, UsageError
-from cosim.files import write_atomically
+from cosim.errors import CacheError, SolverError, UsageError
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.time_grid import time_grid
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no costly method is tried
-_FORMAT = "reference-2"
+_FORMAT = "reference-3"
 
 
 @dataclass(frozen=True)
@@ -125,12 +122,12 @@ def reference(scene: Scene | Dae) -> Reference:
         raise UsageError.of_type("reference", scene, "a Scene or a Dae")
     dae = scene.configured()
     key = reference_key(scene)
-    place = cache_folder() / "references" / f"{key}.npz"
-    known = _read(place, key)
+    entry = f"references/{key}"
+    known = _read(entry, key)
     if known is not None:
         return known
     found = _computed(scene, dae, key)
-    _keep(found, place)
+    _keep(found, entry)
     return found
 
 
@@ -202,34 +199,23 @@ def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:
     return best
 
 
-def _keep(found: Reference, place: Path) -> None:
+def _keep(found: Reference, entry: str) -> None:
     """Write to the cache; without one, the reference is computed again next time."""
-    facts = {
-        "model": found.run.model,
-        "columns": [vars(column) for column in found.run.columns],
-        "method": found.method,
-        "check": found.check,
-        "errors": dict(found.errors),
-        "key": found.key,
-    }
+    names = ("method", "check", "errors", "key")
     content = io.BytesIO()
-    np.savez(content, time=found.run.time, values=found.run.values, facts=json.dumps(facts))
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(place, content.getvalue())
-    except (OSError, ExportError):
-        return
+    stats = {name: getattr(found, name) for name in names}
+    replace(found.run, stats=stats).to_npz(content)
+    with suppress(OSError, CacheError):
+        keep(entry, content.getvalue())
 
 
-def _read(place: Path, key: str) -> Reference | None:
-    try:
-        with place.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            facts = json.loads(str(stored["facts"]))
-            columns = tuple(Column(**column) for column in facts["columns"])
-            run = Trajectory(facts["model"], stored["time"], columns, stored["values"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-        return None  # not there, or damaged
-    if facts["key"] != key:
+def _read(entry: str, key: str) -> Reference | None:
+    content = content_of(entry)
+    if content is None:
         return None
-    run = replace(run, stats={"solver": facts["method"]})
-    return Reference(run, facts["method"], facts["check"], facts["errors"], key)
+    try:
+        run = Trajectory.from_npz(io.BytesIO(content))
+        found = Reference(run=replace(run, stats={"solver": run.stats["method"]}), **run.stats)
+    except (UsageError, KeyError, TypeError):
+        return None  # of another version
+    return found if found.key == key else None

@@ -7,7 +7,8 @@ from casadi_models.dae import Dae, Model
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.simulate import simulate
-from cosim.model.reduction.reduce import reduce, size
+from cosim.model.reduction.reduce import reduce
+from cosim.model.reduction.size import size
 
 
 @pytest.fixture(scope="module")

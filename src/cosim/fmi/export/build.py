@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
@@ -10,10 +9,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep, private_folder
 from cosim.codegen.compiler import FLAGS, compile_library, find_compiler
-from cosim.errors import ExportError
+from cosim.errors import CacheError, ExportError
 from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
+from cosim.temporary import temporary_folder
 
 
 def binaries(
@@ -57,20 +58,20 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
     digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
     for file in sorted(sources):
         digest.update(b"\0".join((file.encode(), str(len(sources[file])).encode(), sources[file])))
-    folder = cache_folder()
-    cached = folder / f"{digest.hexdigest()[:32]}{target.suffix}"
+    entry = f"binaries/{digest.hexdigest()[:32]}"
+    if known := content_of(entry):
+        return known
     try:
-        if cached.exists():
-            return cached.read_bytes()
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix="build-", dir=folder) as build:
-            built = _compile(sources, Path(build), library, command, options)
-            content = built.read_bytes()
-            built.replace(cached)
+        folder = private_folder()
+        with temporary_folder(folder) as build:
+            content = _compile(sources, build, library, command, options).read_bytes()
+        keep(entry, content)
+    except CacheError as error:
+        raise ExportError(f"cannot compile in {cache_folder()}: {error}") from error
     except OSError as error:
         raise ExportError(
-            f"cannot compile in {folder}: {error.strerror or error}; set COSIM_CACHE to a folder "
-            "that can be written and has room"
+            f"cannot compile in {cache_folder()}: {error.strerror or error}; set COSIM_CACHE to a "
+            "folder that can be written and has room"
         ) from error
     return content
 

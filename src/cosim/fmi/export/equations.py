@@ -17,15 +17,16 @@ from cosim.fmi.export.solver_choice import DOP853, uses_dop853
 _CALL = ["t", "x", "z", "u", "p"]
 
 
-def equations_code(dae: Dae, fmi: int, solver: str) -> str:
+def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     """Return the generated C code of everything that the runtime calls.
 
     Args:
         dae: The model.
+        identifier: What its inner names begin with.
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
         solver: Of `SOLVERS`.
     """
-    generator = ca.CodeGenerator("equations", {"with_header": False, "indent": 1})
+    generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
     for function in (
         start_function(dae),
         algebraic_function(dae),

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -73,16 +74,16 @@ def simulate_fmu(
     with unpacked(path) as folder:
         description = read_description(folder, path)
         kind = choose_interface(folder, description, interface, path)
-        span = _span(path, description, start_time, stop_time, output_interval)
-        tolerance = _tolerance(path, relative_tolerance)
+        span = span_of(path, description, start_time, stop_time, output_interval)
+        tolerance = tolerance_of(path, relative_tolerance)
         variables = by_name(description)
-        values = _start_values(path, variables, {} if start is None else start)
-        names = _recorded(path, variables, outputs)
+        values = start_numbers(path, variables, {} if start is None else start)
+        names = recorded(path, variables, outputs)
         with instantiated(folder, description, kind, path) as (instance, explained):
             calls = count_derivatives(instance) if kind == "ModelExchange" else None
             table = _driven(path, instance, description, kind, inputs, span.start, values)
             ready = perf_counter()
-            result = _simulated(
+            result = simulated(
                 explained,
                 span.start,
                 filename=str(folder),
@@ -99,16 +100,16 @@ def simulate_fmu(
             )
             done = perf_counter()
             stats: dict[str, Any] = {"solver": f"fmpy {kind}", "solve_time": done - ready}
-            rows, time = _rows(explained, result, names, span)
+            rows, time = rows_of(explained, result, names, span)
     stats |= {"wall_time": perf_counter() - began}
     if calls is not None:
         stats["rhs_calls"] = calls[0]
-    columns = tuple(_column(variables[name]) for name in names)
+    columns = tuple(column_of(variables[name]) for name in names)
     return Trajectory(description.modelName, time, columns, rows, stats)
 
 
 @dataclass(frozen=True)
-class _Span:
+class Span:
     """When a run begins, ends and is recorded, s."""
 
     start: float
@@ -116,13 +117,13 @@ class _Span:
     interval: float
 
 
-def _span(
+def span_of(
     path: object,
     description: Any,
     start: float | None,
     stop: float | None,
     interval: float | None,
-) -> _Span:
+) -> Span:
     """Fill in the FMU's default experiment; fmpy itself has other ideas of the interval."""
     experiment = description.defaultExperiment
 
@@ -146,10 +147,10 @@ def _span(
             f"{path}: output_interval = {interval:g} s makes {(stop - start) / interval:.3g} "
             "output times; give a larger one"
         )
-    return _Span(start, stop, interval)
+    return Span(start, stop, interval)
 
 
-def _tolerance(path: object, relative: float | None) -> float | None:
+def tolerance_of(path: object, relative: float | None) -> float | None:
     if relative is None:
         return None
     if number(str(path), "relative_tolerance", relative, positive=True) > 0.1:
@@ -157,7 +158,7 @@ def _tolerance(path: object, relative: float | None) -> float | None:
     return float(relative)
 
 
-def _start_values(
+def start_numbers(
     path: object, variables: Mapping[str, Any], start: Mapping[str, float]
 ) -> dict[str, float]:
     if not isinstance(start, Mapping):
@@ -171,7 +172,7 @@ def _start_values(
     return {name: number(str(path), name, value) for name, value in start.items()}
 
 
-def _recorded(
+def recorded(
     path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
 ) -> list[str]:
     if outputs is None:
@@ -231,20 +232,40 @@ def _moving(start: float, interrupts: Sequence[int]) -> Callable[[float, Any], b
     return moves
 
 
-def _simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
+def simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
     from fmpy import simulate_fmu as run
 
-    with _noticed_interrupts() as interrupts:
+    with _noticed_interrupts() as interrupts, _noticed_errors() as errors:
         moving = _moving(start, interrupts)
         try:
             result = run(start_time=start, step_finished=moving, **arguments)
         except Exception as error:
             if interrupts:
                 raise KeyboardInterrupt from error
-            raise explained(error) from error
+            cause = errors[0] if errors else error
+            raise explained(cause) from cause
         if interrupts:
             raise KeyboardInterrupt
+        if errors:
+            raise explained(errors[0]) from errors[0]
     return result
+
+
+@contextmanager
+def _noticed_errors() -> Iterator[list[Exception]]:
+    """Collect the exceptions within callbacks of fmpy's solver, which ctypes prints and forgets."""
+    seen: list[Exception] = []
+    usual = sys.unraisablehook
+
+    def notice(unraisable: "sys.UnraisableHookArgs") -> None:
+        if isinstance(unraisable.exc_value, Exception):
+            seen.append(unraisable.exc_value)
+
+    sys.unraisablehook = notice
+    try:
+        yield seen
+    finally:
+        sys.unraisablehook = usual
 
 
 @contextmanager
@@ -271,8 +292,8 @@ def _noticed_interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, usual)
 
 
-def _rows(
-    explained: Callable[[Exception], FmuError], result: Any, names: Sequence[str], span: _Span
+def rows_of(
+    explained: Callable[[Exception], FmuError], result: Any, names: Sequence[str], span: Span
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the values at the output times, and these; an early end is an error.
 
@@ -299,7 +320,7 @@ def _rows(
     return rows, time
 
 
-def _column(variable: Any) -> Column:
+def column_of(variable: Any) -> Column:
     declared = variable.declaredType
     return Column(
         variable.name,

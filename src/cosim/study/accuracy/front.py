@@ -9,22 +9,22 @@ import json
 import os
 import platform
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder
+from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import find_compiler
-from cosim.errors import CosimError, ExportError
-from cosim.files import write_atomically
+from cosim.errors import CacheError, CosimError
 from cosim.integrate.outputs import all_columns
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
-from cosim.study.tradeoff.configuration import COMPILED, INTERPRETED, Configuration, Selection
+from cosim.study.tradeoff.configuration import Configuration, Selection
 from cosim.study.tradeoff.measurement import Measurement, gather, observed_event
 from cosim.study.tradeoff.record import Event
 from cosim.study.tradeoff.result import pareto_front
@@ -35,7 +35,7 @@ TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
 ROUNDS = 4  # of which the fastest counts: what else the machine does makes a run slower only
 SECONDS = 5.0  # after which no configuration is timed once more
 MOST_CALLS = 200_000  # of the equations; a solver that needs more is not tried any tighter
-_FORMAT = "front-2"
+_FORMAT = "front-3"
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
     """
     scene = Scene(dae.full_name, _recording_all(dae))
     key = _key(scene, compiled)
-    place = cache_folder() / "fronts" / f"{key}.json"
-    return _read(place) or _measured(scene, compiled, place)
+    entry = f"fronts/{key}"
+    return _read(entry) or _measured(scene, compiled, entry)
 
 
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
@@ -101,14 +101,13 @@ def _key(scene: Scene, compiled: bool) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _measured(scene: Scene, compiled: bool, place: Path) -> Front:
+def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
     dae = scene.configured()
     best = reference(scene)
     workshop = Workshop({dae.full_name: scene}, dae.observed, Path())
     begin, end = span(scene)
-    selection = Selection(
-        solvers(dae, compiled=compiled), TOLERANCES, (), (COMPILED if compiled else INTERPRETED,)
-    )
+    road = Road.NATIVE if compiled else Road.INTERPRETED
+    selection = Selection(solvers(dae, compiled=compiled), TOLERANCES, (), (road,))
     wanted = selection.configurations(dae, None, end - begin, dae.experiment.output_interval)
     events: dict[Configuration, Event] = {}
     # Calls of each solver's last run, which repeat whatever else the machine does, as times do not
@@ -134,7 +133,7 @@ def _measured(scene: Scene, compiled: bool, place: Path) -> Front:
         for name in best.run.names
     }
     front = Front(tuple(events.values()), rounding)
-    _keep(front, place)
+    _keep(front, entry)
     return front
 
 
@@ -149,24 +148,19 @@ def _event(workshop: Workshop, configuration: Configuration, best: Reference) ->
     return replace(event, errors=errors)
 
 
-def _keep(front: Front, place: Path) -> None:
+def _keep(front: Front, entry: str) -> None:
     """Write to the cache; without one, the front is measured again next time."""
     facts = {"rounding": front.rounding, "events": [asdict(event) for event in front.events]}
+    with suppress(OSError, CacheError):
+        keep(entry, json.dumps(facts).encode())
+
+
+def _read(entry: str) -> Front | None:
+    content = content_of(entry)
+    if content is None:
+        return None
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(place, json.dumps(facts).encode())
-    except (OSError, ExportError):
-        return
-
-
-def _read(place: Path) -> Front | None:
-    try:
-        facts = json.loads(place.read_text(encoding="utf-8"))
-        return Front(tuple(map(_event_of, facts["events"])), facts["rounding"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None  # not there, or damaged
-
-
-def _event_of(facts: dict[str, Any]) -> Event:
-    configuration = Configuration(**facts["configuration"])
-    return Event(**facts | {"configuration": configuration})
+        facts = json.loads(content)
+        return Front(tuple(map(Event.of, facts["events"])), facts["rounding"])
+    except (ValueError, KeyError, TypeError):
+        return None  # of another version

@@ -1,14 +1,34 @@
-"""One run of a configuration as plain values, and the file in which they survive."""
+"""One run of a configuration as plain values, and the file in which runs survive."""
 
+import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
+from cosim.codegen.cache import plain_file
 from cosim.errors import ExportError
 from cosim.study.tradeoff.configuration import Configuration
+
+COMPLETE, LEFT_OUT = "complete", "left out"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        kind: "complete", "left out", or the type of the error.
+        reason: Why there is no result.
+    """
+
+    kind: str = COMPLETE
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}" if self.reason else self.kind
 
 
 @dataclass(frozen=True)
@@ -17,7 +37,7 @@ class Event:
 
     Attributes:
         configuration: What ran.
-        status: "complete", or why there is no result.
+        outcome: How the run ended.
         errors: Largest global error by name, in nominal values.
         drift: Largest change of what the reference keeps constant, in nominal values, by name.
         rhs_calls, jacobian_calls, steps: Counts; None where the road does not tell.
@@ -26,7 +46,7 @@ class Event:
     """
 
     configuration: Configuration
-    status: str = "complete"
+    outcome: Outcome = Outcome()
     errors: dict[str, float] = field(default_factory=dict)
     drift: dict[str, float] = field(default_factory=dict)
     rhs_calls: int | None = None
@@ -35,6 +55,17 @@ class Event:
     points: int = 0
     solver_time: float | None = None
     total_time: float | None = None
+
+    @classmethod
+    def of(cls, facts: Mapping[str, Any]) -> "Event":
+        """Return a run from its plain values (`asdict`).
+
+        Raises:
+            KeyError, TypeError: They are of another version.
+        """
+        configuration = Configuration(**facts["configuration"])
+        outcome = Outcome(**facts["outcome"])
+        return cls(**{**facts, "configuration": configuration, "outcome": outcome})
 
     @property
     def run_time(self) -> float:
@@ -63,7 +94,9 @@ class Record:
         kept = list(self._events()) if resume else []
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a" if kept else "w", encoding="utf-8") as stream:
+            if not kept:
+                self.path.unlink(missing_ok=True)
+            with self.path.open("a" if kept else "x", encoding="utf-8") as stream:
                 stream.write("\n" if kept else "")  # ends a line that an interruption cut
         except OSError as error:
             raise ExportError(f"cannot keep results in {self.path}: {error.strerror}") from error
@@ -72,24 +105,21 @@ class Record:
     def append(self, event: Event) -> None:
         """Add a run; it is on the disk when this returns."""
         with self.path.open("a", encoding="utf-8") as stream:
-            _write(stream, {"key": self.key, **asdict(event)})
+            facts = {"key": self.key} | asdict(event)
+            stream.write(json.dumps({**facts, "sha256": _checksum(facts)}) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def _events(self) -> Iterator[Event]:
-        try:
-            lines = self.path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError):
-            return
-        for line in lines:
+        for line in (plain_file(self.path) or b"").split(b"\n"):
             try:
                 facts = json.loads(line)
-                if facts.pop("key") == self.key:
-                    configuration = Configuration(**facts.pop("configuration"))
-                    yield Event(configuration, **facts)
-            except (ValueError, KeyError, TypeError, AttributeError):
-                continue  # cut off by an interruption
+                checksum = facts.pop("sha256")
+                if checksum == _checksum(facts) and facts.pop("key") == self.key:
+                    yield Event.of(facts)
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                continue  # cut off by an interruption, or damaged
 
 
-def _write(stream: TextIO, facts: dict[str, Any]) -> None:
-    stream.write(json.dumps(facts) + "\n")
-    stream.flush()
-    os.fsync(stream.fileno())
+def _checksum(facts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()

@@ -1,0 +1,181 @@
+"""Named symbols and laws of a DAE that is written in CasADi, whatever form they come in."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+from casadi import DM, MX, SX
+
+from cosim.errors import UnknownName, UsageError
+from cosim.model.named_symbols import Symbol, named_symbols
+from cosim.model.scalar_graph import refuse_calls, scalar_graph
+
+SYMBOLS = ("t", "x", "z", "u", "p")
+LAWS = ("ode", "alg", "quad")
+REDUCED = ("x_impl", "dx_impl", "I")  # what dae_reduce_index adds
+
+
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
+class System:
+    """Named symbols and what is known of them, all of one kind of CasADi's expressions.
+
+    Attributes:
+        symbols: Of t, x, z, u, p.
+        laws: ode, alg, quad: columns; I: invariants.
+        outputs: By name.
+    """
+
+    symbols: dict[str, tuple[Symbol, ...]]
+    laws: dict[str, Any]
+    outputs: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def every(self) -> tuple[Symbol, ...]:
+        """All symbols."""
+        return tuple(symbol for kind in SYMBOLS for symbol in self.symbols[kind])
+
+
+def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
+    """Return symbols and laws of a mapping, a Function or the path of one.
+
+    Raises:
+        UsageError, UnknownName: See `from_casadi`.
+    """
+    if isinstance(system, str | os.PathLike):
+        system = _loaded(who, Path(system))
+    if isinstance(system, ca.Function):
+        return _of_function(who, system, outputs)
+    if not isinstance(system, Mapping):
+        raise UsageError.of_type("from_casadi", system, "a dict of expressions or a Function")
+    for key in system:
+        if key not in (*SYMBOLS, *LAWS, *REDUCED):
+            raise UnknownName.among(who, "key", key, (*SYMBOLS, *LAWS, *REDUCED))
+    given = {key: value for key, value in system.items() if not _is_empty(value)}
+    symbols = {k: named_symbols(who, k, given[k]) if k in given else () for k in SYMBOLS}
+    for extra, kind in (("x_impl", "x"), ("dx_impl", "z")):
+        if extra in given:
+            symbols[kind] += named_symbols(who, extra, given[extra])
+    laws = {key: _stacked(given[key]) for key in (*LAWS, "I") if key in given}
+    if "x_impl" in given:
+        laws["ode"] = ca.vertcat(laws.get("ode", SX(0, 1)), _stacked(given["dx_impl"]))
+    return System(symbols, laws, {n: _expression(who, n, e) for n, e in outputs.items()})
+
+
+def _of_function(who: str, function: ca.Function, outputs: Mapping[str, Any]) -> System:
+    for input_name in function.name_in():
+        if input_name not in SYMBOLS:
+            raise UnknownName.among(who, "input", input_name, SYMBOLS)
+    symbols: dict[str, tuple[Symbol, ...]] = dict.fromkeys(SYMBOLS, ())
+    arguments = []
+    for input_name in function.name_in():
+        shape = function.size_in(input_name)
+        arguments.append(MX.sym(input_name, *shape))
+        if arguments[-1].numel():
+            symbols[input_name] = (Symbol(input_name, shape, arguments[-1]),)
+    results = dict(zip(function.name_out(), function.call(arguments, True, False), strict=True))
+    laws = {key: ca.vec(results[key]) for key in LAWS if key in results}
+    others = {n: e for n, e in results.items() if n not in laws and e.numel()}
+    for output, expression in outputs.items():
+        others[output] = _expression(who, output, expression)
+    return System(symbols, {k: law for k, law in laws.items() if law.numel()}, others)
+
+
+def _loaded(who: str, path: Path) -> ca.Function:
+    try:
+        return ca.Function.load(str(path))
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise UsageError(f"{who}: {path} holds no CasADi Function ({reason})") from error
+
+
+def _stacked(value: Any) -> Any:
+    """Return a law as a column."""
+    if isinstance(value, list | tuple):
+        return ca.vertcat(*(_stacked(item) for item in value))
+    return ca.vec(value) if isinstance(value, SX | MX | DM) else SX(value)
+
+
+def _expression(who: str, name: str, value: Any) -> Any:
+    if isinstance(value, SX | MX):
+        return value
+    try:
+        return SX(DM(value))
+    except NotImplementedError:
+        raise UsageError(f"{who}: output {name} is {value!r}; give an expression") from None
+
+
+def _is_empty(value: Any) -> bool:
+    return value is None or (isinstance(value, SX | MX | DM) and value.numel() == 0)
+
+
+def entry_names(key: str, expression: Any) -> tuple[str, ...]:
+    """Return the name of each entry of a scalar, vector or matrix."""
+    return Symbol(key, expression.shape, expression).entries
+
+
+def scalars(key: str, expression: Any) -> list[tuple[str, Any]]:
+    """Return name and scalar of each entry of an expression."""
+    return list(zip(entry_names(key, expression), ca.vertsplit(ca.vec(expression)), strict=True))
+
+
+def refuse_sizes(who: str, system: System) -> None:
+    """Refuse laws that are not as many as what they determine.
+
+    Raises:
+        UsageError: Names both and their sizes.
+    """
+    for law, kind in (("ode", "x"), ("alg", "z")):
+        rows = system.laws[law].numel() if law in system.laws else 0
+        unknowns = sum(len(symbol.entries) for symbol in system.symbols[kind])
+        if rows != unknowns:
+            raise UsageError(f"{who}: {law} has {rows} rows, {kind} has {unknowns}; give as many")
+    t = system.symbols["t"]
+    if len(t) > 1 or (t and len(t[0].entries) > 1):
+        raise UsageError(f"{who}: t has several entries; give one symbol")
+
+
+def evaluated(
+    who: str, system: System, values: Mapping[str, SX], expressions: Mapping[str, Any]
+) -> dict[str, SX]:
+    """Return expressions of the given symbols in those of the model."""
+    arguments = []
+    for kind in SYMBOLS:
+        start = 0
+        for symbol in system.symbols[kind]:
+            size = len(symbol.entries)
+            arguments.append(ca.reshape(values[kind][start : start + size], *symbol.symbol.shape))
+            start += size
+    columns: list[Any] = [symbol.symbol for symbol in system.every]
+    kinds = {type(column) for column in columns}
+    if len(kinds) > 1:
+        raise UsageError(f"{who}: symbols of SX and of MX are mixed; use one of them")
+    if kinds == {MX}:
+        laws = [e if isinstance(e, MX) else _as_mx(who, e) for e in expressions.values()]
+        function = scalar_graph(who, columns, laws, list(expressions))
+    else:
+        _refuse_strangers(who, columns, expressions)
+        function = ca.Function("f", columns, [SX(e) for e in expressions.values()])
+        refuse_calls(who, function)
+    return dict(zip(expressions, function.call(arguments, True, False), strict=True))
+
+
+def _refuse_strangers(who: str, columns: list[SX], expressions: Mapping[str, Any]) -> None:
+    known = {s.element_hash() for s in ca.symvar(ca.veccat(SX(0, 1), *columns))}
+    for name, expression in expressions.items():
+        if isinstance(expression, MX):
+            raise UsageError(f"{who}: {name} is MX, the symbols are SX; use one of them")
+        strangers = [s.name() for s in ca.symvar(SX(expression)) if s.element_hash() not in known]
+        if strangers:
+            raise UsageError(
+                f"{who}: {name} uses {', '.join(map(repr, strangers))}, which is among none of "
+                "t, x, z, u, p"
+            )
+
+
+def _as_mx(who: str, expression: SX) -> MX:
+    if ca.symvar(expression):
+        raise UsageError(f"{who}: {expression} is SX, the symbols are MX; use one of them")
+    return MX(DM(expression))

@@ -1,0 +1,103 @@
+"""Scalar variables of vector and matrix symbols: `y` has `y_1` ... `y_n`, `A` has `A_1_2`."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+from casadi import MX, SX
+
+from cosim.errors import UsageError
+
+_NUMBERED = re.compile(r"(.+)_(\d+)")
+
+
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
+class Symbol:
+    """A scalar, vector or matrix of variables.
+
+    Attributes:
+        name: As its author wrote it.
+        shape: Rows and columns.
+        symbol: SX or MX of that shape, or the scalars of it as a column.
+    """
+
+    name: str
+    shape: tuple[int, int]
+    symbol: SX | MX
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Names of its variables, column by column as in `ca.vec`."""
+        rows, columns = self.shape
+        base = identifier(self.name)
+        if rows == columns == 1:
+            return (base,)
+        if 1 in self.shape:
+            return tuple(f"{base}_{i + 1}" for i in range(rows * columns))
+        return tuple(f"{base}_{i + 1}_{j + 1}" for j in range(columns) for i in range(rows))
+
+
+def identifier(name: str) -> str:
+    """Return a name that C, XML and Python take: `body.x` is `body_x`, `v[1]` is `v_1`."""
+    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "v"
+    return plain if plain[0].isalpha() else f"v_{plain}"
+
+
+def named_symbols(who: str, kind: str, value: Any) -> tuple[Symbol, ...]:
+    """Return the symbols of a column, a matrix or a list of them.
+
+    Args:
+        who: For messages.
+        kind: Key of the value, for messages.
+        value: SX or MX, made of nothing but symbols.
+
+    Raises:
+        UsageError: It holds something else.
+    """
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return tuple(symbol for item in value for symbol in named_symbols(who, kind, item))
+    if isinstance(value, MX):
+        return tuple(_of_mx(who, kind, value))
+    if isinstance(value, SX):
+        return tuple(_of_sx(who, kind, value))
+    raise UsageError(f"{who}: {kind} is {value!r}; give symbols, SX.sym or MX.sym")
+
+
+def _of_mx(who: str, kind: str, value: MX) -> Iterator[Symbol]:
+    if not value.is_valid_input():
+        raise UsageError(f"{who}: {kind} is the expression {value}; give symbols only")
+    for symbol in value.primitives():
+        if symbol.numel():
+            yield Symbol(symbol.name(), symbol.shape, symbol)
+
+
+def _of_sx(who: str, kind: str, value: SX) -> Iterator[Symbol]:
+    if not value.is_valid_input():
+        raise UsageError(f"{who}: {kind} is the expression {value}; give symbols only")
+    scalars = ca.vertsplit(ca.vec(value)) if value.numel() else []
+    names = [scalar.name() for scalar in scalars]
+    if 1 not in value.shape and value.numel():
+        numbered = [_NUMBERED.fullmatch(name) for name in names]
+        base = numbered[0][1] if numbered[0] else names[0]
+        if [f"{base}_{i}" for i in range(len(names))] == names:
+            yield Symbol(base, value.shape, ca.vec(value))
+            return
+    i = 0
+    while i < len(scalars):
+        size = _run(names[i:])
+        name = names[i] if size == 1 else names[i].rpartition("_")[0]
+        yield Symbol(name, (size, 1), ca.vertcat(*scalars[i : i + size]))
+        i += size
+
+
+def _run(names: list[str]) -> int:
+    """Return how many names in front are y_0, y_1, ...: the scalars of one vector symbol."""
+    match = _NUMBERED.fullmatch(names[0])
+    if match is None or match[2] != "0":
+        return 1
+    size = 1
+    while size < len(names) and names[size] == f"{match[1]}_{size}":
+        size += 1
+    return size

@@ -1,0 +1,121 @@
+"""CasADi's matrix expressions written out in scalar operations, of which a `Dae` is made.
+
+Calls of functions that have C code of their own (interpolants, `fast_newton`, maps) stay calls.
+"""
+
+from collections.abc import Sequence
+
+import casadi as ca
+from casadi import MX, SX
+
+from cosim.errors import UsageError
+
+LARGEST_SOLVE = 20  # rows of a linear system that is written out; operations grow with the cube
+
+# What can stay a call: CasADi generates C code for it and knows its derivatives
+_GENERATED = (
+    "SXFunction",
+    "MXFunction",
+    "Map",
+    "OmpMap",
+    "ThreadMap",
+    "MapSum",
+    "Switch",
+    "FastNewton",
+    "LinearInterpolant",
+    "BSplineInterpolant",
+    "BSpline",
+    "LinsolQr",
+    "LinsolLdl",
+    "LinsolTridiag",
+)
+_INSTEAD = {
+    "CallbackInternal": "Python has no equations; write them with CasADi operations",
+    "Newton": "use rootfinder 'fast_newton', or declare its unknowns as z and its residual as alg",
+    "KinsolInterface": "declare its unknowns as z and its residual as alg",
+    "GenericExternal": "its source is not at hand; give the Function that it was generated from",
+    "External": "its source is not at hand; give the Function that it was generated from",
+}
+
+
+def scalar_graph(
+    who: str, symbols: Sequence[MX], expressions: Sequence[MX], names: Sequence[str] = ()
+) -> ca.Function:
+    """Return the SX function of matrix expressions.
+
+    Args:
+        who: What the expressions belong to, for messages.
+        symbols: What they may depend on.
+        expressions: Rows of any shape.
+        names: Of the expressions, for messages and as names of the results.
+
+    Raises:
+        UsageError: Something in them has no equations, no C code, or is too large.
+    """
+    names = list(names) or [f"o{i}" for i in range(len(expressions))]
+    known = {symbol.name() for symbol in symbols}
+    for name, expression in zip(names, expressions, strict=True):
+        if strangers := [s.name() for s in ca.symvar(MX(expression)) if s.name() not in known]:
+            raise UsageError(
+                f"{who}: {name} uses {', '.join(map(repr, strangers))}, which is among none of "
+                "t, x, z, u, p"
+            )
+    flat = ca.Function("f", list(symbols), list(expressions))
+    refuse_calls(who, flat)
+    scalars = [SX.sym(symbol.name(), symbol.shape[0], symbol.shape[1]) for symbol in symbols]
+    results = _evaluated(who, flat, list(symbols), list(expressions), scalars)
+    return ca.Function("f", scalars, results)
+
+
+def refuse_calls(who: str, function: ca.Function) -> None:
+    """Refuse a function that calls what cannot be generated as C code.
+
+    Raises:
+        UsageError: Names the first of these, and what to do.
+    """
+    for called in function.find_functions():
+        kind = called.class_name()
+        if kind not in _GENERATED:
+            what = "a callback" if kind == "CallbackInternal" else f"of type {kind}"
+            told = _INSTEAD.get(kind, "CasADi generates no C code for it; write it as equations")
+            raise UsageError(f"{who} calls '{called.name()}', {what}: {told}")
+
+
+def _evaluated(
+    who: str, flat: ca.Function, symbols: list[MX], expressions: list[MX], scalars: list[SX]
+) -> list[SX]:
+    """Evaluate with scalars, linear systems solved by elimination in their order."""
+    solves = [
+        flat.instruction_MX(i)
+        for i in range(flat.n_instructions())
+        if flat.instruction_id(i) == ca.OP_SOLVE
+    ]
+    places = [MX.sym(f"solved_{i}", *node.shape) for i, node in enumerate(solves)]
+    solved: list[SX] = []
+    for i, node in enumerate(solves):
+        right, matrix = node.dep(0), node.dep(1)
+        if matrix.shape[0] > LARGEST_SOLVE:
+            raise UsageError(
+                f"{who} solves {matrix.shape[0]} linear equations, more than {LARGEST_SOLVE}; "
+                "declare the solution as algebraic unknowns z"
+            )
+        parts = (
+            ca.graph_substitute([matrix, right], solves[:i], places[:i]) if i else [matrix, right]
+        )
+        A, b = _call(who, [*symbols, *places[:i]], parts, [*scalars, *solved])
+        solved.append(ca.solve(A.T if node.info()["tr"] else A, b))
+    if solves:
+        expressions = ca.graph_substitute(expressions, solves, places)
+    return _call(who, [*symbols, *places], expressions, [*scalars, *solved])
+
+
+def _call(who: str, symbols: list[MX], expressions: list[MX], values: list[SX]) -> list[SX]:
+    try:
+        results: list[SX] = ca.Function("f", symbols, expressions).expand().call(values)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise UsageError(
+            f"{who} cannot be written out in scalar operations ({reason}); write it with other "
+            "CasADi operations, or as algebraic equations"
+        ) from error
+    return results

@@ -1,0 +1,1 @@
+"""Many runs of one model, scene or FMU: samples in, numbers, statistics and trajectories out."""

@@ -1,0 +1,168 @@
+"""Chunks over the processes of this machine; a process that dies takes one chunk with it."""
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any
+
+from cosim.errors import CosimError
+from cosim.study.sweep.chunk import Job, Summary, compute_chunk, lost, summary_of
+from cosim.study.sweep.samples import Samples
+from cosim.study.sweep.schedule import Range, Schedule
+from cosim.study.sweep.store import Store
+
+_MOST_FAILED_STARTS = 5  # of processes, one after the other
+
+Tell = Callable[[Summary], None]
+
+
+def run_here(job: Job, samples: Samples, schedule: Schedule, tell: Tell) -> None:
+    """Compute all chunks in this process, one after the other."""
+    while (chunk := schedule.take(wait=False)) is not None:
+        summary = compute_chunk(job, chunk[0], samples.part(*chunk))
+        schedule.done(chunk, summary.numbers, summary.seconds)
+        tell(summary)
+
+
+def run_processes(job: Job, samples: Samples, schedule: Schedule, tell: Tell, workers: int) -> None:
+    """Compute all chunks in processes of their own.
+
+    Raises:
+        CosimError: A chunk cannot be computed at all, or processes do not start.
+        KeyboardInterrupt: Ctrl-C; the processes have ended.
+    """
+    news: SimpleQueue[Summary | BaseException | None] = SimpleQueue()
+    crew = [_Worker(job, samples, schedule, news) for _ in range(workers)]
+    left = workers
+    try:
+        for worker in crew:
+            worker.start()
+        while left:
+            item = news.get()
+            if isinstance(item, BaseException):
+                raise item
+            if item is None:
+                left -= 1
+            else:
+                tell(item)
+    finally:
+        schedule.stop()
+        for worker in crew:
+            worker.end()
+
+
+def after_death(job: Job, schedule: Schedule, chunk: Range, cause: str) -> Summary | None:
+    """Decide what becomes of a chunk whose process died; return what is settled by that."""
+    store = Store(job.store)
+    if store.has(*chunk):  # it died afterwards
+        summary = summary_of(store.read(*chunk))
+        schedule.done(chunk, 0, 0.0)
+        return summary
+    began, at = store.last_begun(*chunk)
+    if not began and schedule.given_up(chunk) < _MOST_FAILED_STARTS:
+        return None
+    run = schedule.died(chunk, at)
+    if run is None:
+        return None
+    return lost(job, run, f"every process that computes it ends ({cause})")
+
+
+def _buried(process: subprocess.Popen[bytes]) -> int:
+    """Wait for a process that is dead or dying, close its pipes; return its exit code."""
+    process.kill()
+    code = process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):
+                pipe.close()
+    return code
+
+
+class _Worker(Thread):
+    """A thread that keeps one process busy, and replaces it when it dies."""
+
+    def __init__(
+        self, job: Job, samples: Samples, schedule: Schedule, news: "SimpleQueue[Any]"
+    ) -> None:
+        super().__init__(daemon=True)
+        self._job, self._samples, self._schedule, self._news = job, samples, schedule, news
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ended = False
+
+    def run(self) -> None:
+        try:
+            failed = 0
+            while (chunk := self._schedule.take()) is not None:
+                try:
+                    self._ensure()
+                    failed = 0
+                except (OSError, EOFError, pickle.UnpicklingError) as error:
+                    if self._process is not None:
+                        _buried(self._process)
+                    self._process = None
+                    self._schedule.given_up(chunk)
+                    failed += 1
+                    if failed >= _MOST_FAILED_STARTS and not self._ended:
+                        told = f"a process of the sweep ended {failed} times while it started"
+                        raise CosimError(f"{told}; see above, or use workers=0") from error
+                    continue
+                self._compute(chunk)
+        except BaseException as error:
+            self._news.put(error)
+        finally:
+            self._news.put(None)
+
+    def end(self) -> None:
+        """End the process."""
+        self._ended = True
+        if self._process is not None:
+            self._process.kill()
+        if self.ident is not None:
+            self.join(10)
+        if self._process is not None:
+            _buried(self._process)
+
+    def _compute(self, chunk: Range) -> None:
+        try:
+            answer = self._ask((chunk[0], self._samples.part(*chunk)))
+        except (OSError, EOFError, pickle.UnpicklingError):
+            process, self._process = self._process, None
+            code = None if process is None else _buried(process)
+            if not self._ended:
+                told = after_death(self._job, self._schedule, chunk, f"exit code {code}")
+                if told is not None:
+                    self._news.put(told)
+            return
+        if isinstance(answer, BaseException):
+            raise answer
+        self._schedule.done(chunk, answer.numbers, answer.seconds)
+        self._news.put(answer)
+
+    def _ensure(self) -> None:
+        if self._process is not None:
+            if self._process.poll() is None:
+                return
+            _buried(self._process)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "cosim.study.sweep.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the process that asked
+            env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )
+        if self._ended:
+            self._process.kill()
+        self._ask(self._job)  # answered when it is ready
+
+    def _ask(self, question: Any) -> Any:
+        process = self._process
+        if process is None or process.stdin is None or process.stdout is None:
+            raise EOFError
+        pickle.dump(question, process.stdin)
+        process.stdin.flush()
+        return pickle.load(process.stdout)

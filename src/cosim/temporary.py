@@ -1,0 +1,89 @@
+"""Folders that are gone afterwards, even where the process that made them was killed.
+
+Their names tell the process. Whoever makes one next removes those of dead processes.
+"""
+
+import hashlib
+import os
+import platform
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+_OLD = 7 * 86400  # s; older folders are nobody's, whatever process has their number today
+PREFIX = "cosim"
+
+
+@contextmanager
+def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[Path]:
+    """Yield a new folder, 0700, that is removed afterwards with all it holds.
+
+    Args:
+        parent: Where; the system's folder for temporary files when None.
+
+    Raises:
+        OSError: There is no room, or no permission.
+    """
+    place = Path(tempfile.gettempdir() if parent is None else parent)
+    remove_leftovers(place)
+    # Windows deletes no library that is loaded, and fmpy keeps one that refused to start
+    with tempfile.TemporaryDirectory(
+        prefix=f"{PREFIX}-{_place_of_processes()}-{os.getpid()}-",
+        dir=place,
+        ignore_cleanup_errors=True,
+    ) as name:
+        yield Path(name)
+
+
+def remove_leftovers(place: Path) -> int:
+    """Remove the folders that dead processes of this user have left; return how many."""
+    removed = 0
+    with suppress(OSError), os.scandir(place) as entries:
+        for entry in entries:
+            if entry.name.startswith(f"{PREFIX}-") and _is_left(entry):
+                shutil.rmtree(entry.path, ignore_errors=True)
+                removed += 1
+    return removed
+
+
+def _is_left(entry: "os.DirEntry[str]") -> bool:
+    _, where, process, *rest = [*entry.name.split("-", 3), "", "", ""][:4]
+    if not process.isdecimal() or not rest:
+        return False
+    try:
+        facts = entry.stat(follow_symlinks=False)
+    except OSError:
+        return False
+    if not stat.S_ISDIR(facts.st_mode) or (os.name != "nt" and facts.st_uid != os.geteuid()):
+        return False
+    if time.time() - facts.st_mtime > _OLD:
+        return True
+    return where == _place_of_processes() and not is_alive(int(process))
+
+
+def is_alive(process: int) -> bool:
+    """Tell whether a process of this machine runs."""
+    if os.name == "nt":  # where signal 0 would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+@cache
+def _place_of_processes() -> str:
+    """Return what tells the numbers of processes here from those of other machines."""
+    try:
+        numbers = str(Path("/proc/self/ns/pid").readlink())  # containers have numbers of their own
+    except OSError:
+        numbers = ""
+    return hashlib.sha256(f"{platform.node()} {numbers}".encode()).hexdigest()[:8]

@@ -1,0 +1,365 @@
+"""CasADi's symbols, expressions and functions as models: right values, or one sentence."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from casadi import MX, SX
+
+import cosim
+from cosim.codegen.casadi_library import external
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+
+KINDS = pytest.mark.parametrize("kind", [SX, MX])
+END = {"stop_time": 1.0, "relative_tolerance": 1e-10}
+
+
+def oscillator(kind) -> dict:
+    """Return x'' = u - k x; with u = 0 and k = 4, x = cos 2t."""
+    x, v, k, u = (kind.sym(n) for n in "xvku")
+    return {"x": ca.vertcat(x, v), "p": k, "u": u, "ode": ca.vertcat(v, u - k * x)}
+
+
+def final(dae, name: str = "x", **options) -> float:
+    return cosim.simulate(dae, **(END | options))[name][-1]
+
+
+@KINDS
+def test_oscillator_is_its_closed_form_and_takes_both_roads(kind, tmp_path):
+    system = oscillator(kind)
+    x, v = ca.vertsplit(system["x"]) if kind is SX else system["x"].primitives()
+    energy = v**2 / 2 + system["p"] * x**2 / 2
+    dae = cosim.from_casadi(
+        system,
+        {"x": 1, "k": 4},
+        {"energy": energy},
+        units={"x": "m", "v": "m/s"},
+        meanings={"x": "place"},
+        nominals={"v": 2.0},
+        name="swing",
+        stop_time=1.0,
+    )
+    assert dae.full_name == "swing"
+    assert [(s.name, s.unit, s.meaning, s.start) for s in dae.states] == [
+        ("x", "m", "place", 1.0),
+        ("v", "m/s", "v", 0.0),
+    ]
+    assert dae.variable("v").nominal == 2.0
+    run = cosim.simulate(dae, **END)
+    np.testing.assert_allclose(run["x"], np.cos(2 * run.time), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run["energy"], 2.0, rtol=0, atol=1e-8)
+    path = cosim.export_fmu(dae, tmp_path / "swing.fmu")
+    for interface in ("ModelExchange", "CoSimulation"):
+        again = cosim.simulate_fmu(path, interface=interface, output_interval=0.01, **END)
+        assert cosim.compare(run, again).agrees
+
+
+def test_sx_and_mx_give_the_same_equations():
+    both = [cosim.from_casadi(oscillator(kind), {"k": 4.0}) for kind in (SX, MX)]
+    assert str(both[0].ode) == str(both[1].ode)
+
+
+@KINDS
+def test_entries_of_vectors_and_matrices_have_names(kind):
+    y, A, b = kind.sym("y", 3), kind.sym("A", 2, 3), kind.sym("b", 2)
+    dae = cosim.from_casadi(
+        {"x": y, "p": [A, b], "ode": -y},
+        {"y": [1, 2, 3], "A": [[1, 2, 3], [4, 5, 6]], "b": 7, "b_2": 8},
+        {"w": A @ y + b, "M": A},
+    )
+    assert [v.name for v in dae.states] == ["y_1", "y_2", "y_3"]
+    assert [v.start for v in dae.states] == [1, 2, 3]
+    starts = {v.name: v.start for v in dae.parameters}
+    assert starts == {
+        "A_1_1": 1, "A_2_1": 4, "A_1_2": 2, "A_2_2": 5, "A_1_3": 3, "A_2_3": 6, "b_1": 7, "b_2": 8
+    }  # fmt: skip
+    run = cosim.simulate(dae, stop_time=0.01)
+    assert [run["w_1"][0], run["w_2"][0]] == [14 + 7, 32 + 8]
+    assert [run[f"M_{i}_{j}"][0] for i in (1, 2) for j in (1, 2, 3)] == [1, 2, 3, 4, 5, 6]
+
+
+@KINDS
+def test_time_inputs_and_algebraic_unknowns_have_their_place(kind):
+    t, x, z, u = (kind.sym(n) for n in "txzu")
+    dae = cosim.from_casadi(
+        {"t": t, "x": x, "z": z, "u": u, "ode": z, "alg": z + z**3 - t - u}, {"z": 0.1}
+    )
+    run = cosim.simulate(dae, solver="rosenbrock", **END)
+    z1 = run["z"][-1]
+    assert abs(z1 + z1**3 - 1) < 1e-9
+    # integral of z dt = integral of z (1 + 3 z^2) dz
+    assert run["x"][-1] == pytest.approx(z1**2 / 2 + 3 * z1**4 / 4, abs=1e-8)
+
+
+@KINDS
+def test_quadrature_becomes_a_state(kind):
+    x = kind.sym("x")
+    dae = cosim.from_casadi({"x": x, "ode": -x, "quad": x}, {"x": 1.0}, units={"quad": "m.s"})
+    assert dae.variable("quad").unit == "m.s"
+    assert final(dae, "quad") == pytest.approx(1 - np.exp(-1), abs=1e-9)
+
+
+def test_start_may_depend_on_parameters():
+    x, k = SX.sym("x"), SX.sym("k")
+    dae = cosim.from_casadi({"x": x, "p": k, "ode": -k * x}, {"x": 2 * k, "k": 3.0})
+    run = cosim.simulate(dae, start={"k": 0.5}, **END)
+    assert run["x"][[0, -1]] == pytest.approx([1.0, np.exp(-0.5)], abs=1e-8)
+
+
+@KINDS
+def test_function_of_that_signature_is_a_model(kind, tmp_path):
+    system = oscillator(kind)
+    arguments = [system["x"], system["p"], system["u"]] if kind is SX else None
+    if arguments is None:
+        y, k, u = MX.sym("y", 2), MX.sym("k"), MX.sym("u")
+        arguments, ode = [y, k, u], ca.vertcat(y[1], u - k * y[0])
+    else:
+        ode = system["ode"]
+    function = ca.Function("f", arguments, [ode, ode[1]], ["x", "p", "u"], ["ode", "a"])
+    dae = cosim.from_casadi(function, {"x": [1, 0], "p": 4})
+    assert [v.name for v in dae.output_variables] == ["a"]
+    assert final(dae, "x_1") == pytest.approx(np.cos(2), abs=1e-8)
+    function.save(str(tmp_path / "f.casadi"))
+    again = cosim.from_casadi(tmp_path / "f.casadi", {"x": [1, 0], "p": 4})
+    assert final(again, "x_1") == final(dae, "x_1")
+
+
+def test_file_of_a_function_without_parameters_is_loaded_by_name(tmp_path):
+    x = SX.sym("x")
+    ca.Function("f", [x], [1 - x], ["x"], ["ode"]).save(str(tmp_path / "growth.casadi"))
+    dae = cosim.load(str(tmp_path / "growth.casadi"))
+    assert dae.name == "growth"
+    assert final(dae) == pytest.approx(1 - np.exp(-1), abs=1e-9)
+
+
+USER = """
+import casadi as ca
+x, k = ca.SX.sym("x"), ca.SX.sym("k")
+system = {"x": x, "p": k, "ode": -k * x}
+
+def options():
+    return system | {"start_values": {"x": 1, "k": 2}, "outputs": {"y": 2 * x}, "name": "decay"}
+
+def pair():
+    return system, {"x": 1, "k": 2}
+
+def function():
+    return ca.Function("f", [x], [-x], ["x"], ["ode"])
+
+def function_and_start():
+    return ca.Function("f", [x, k], [-k * x], ["x", "p"], ["ode"]), {"x": 1, "p": 2}
+"""
+
+
+@pytest.mark.parametrize(
+    ("builder", "name", "end"),
+    [
+        ("options", "decay", np.exp(-2)),
+        ("pair", "mine", np.exp(-2)),
+        ("function", "mine", 0.0),
+        ("function_and_start", "mine", np.exp(-2)),
+    ],
+)
+def test_user_file_may_return_any_of_them(tmp_path, builder, name, end):
+    (tmp_path / "mine.py").write_text(USER)
+    dae = cosim.load(f"{tmp_path}/mine.py:{builder}")
+    assert dae.name == name
+    assert final(dae) == pytest.approx(end, abs=1e-9)
+
+
+def pendulum(kind=SX, **options) -> dict:
+    """Return a pendulum of index 3, reduced by CasADi."""
+    x, y, u, v, lam, L = (kind.sym(n) for n in ("x", "y", "u", "v", "lam", "L"))
+    rates = ca.vertcat(*(kind.sym(f"d{n}") for n in "xyuv"))
+    laws = (
+        rates[0] - u,
+        rates[1] - v,
+        rates[2] - lam * x,
+        rates[3] - lam * y + 9.81,
+        x**2 + y**2 - L**2,
+    )
+    system = {"x_impl": ca.vertcat(x, y, u, v), "dx_impl": rates, "z": lam, "p": L}
+    return ca.dae_reduce_index(system | {"alg": ca.vertcat(*laws)}, options)[0]
+
+
+def period_at_amplitude(angle: float) -> float:
+    """Return the period of a pendulum of 1 m: arithmetic-geometric mean."""
+    a, b = 1.0, np.cos(angle / 2)
+    for _ in range(10):
+        a, b = (a + b) / 2, np.sqrt(a * b)
+    return 2 * np.pi / np.sqrt(9.81) / a
+
+
+def test_reduced_index_3_pendulum_swings_with_its_period(tmp_path):
+    dae = cosim.from_casadi(pendulum(), {"x": np.sin(1.0), "y": -np.cos(1.0), "L": 1.0})
+    period = period_at_amplitude(1.0)
+    run = cosim.simulate(dae, stop_time=period, relative_tolerance=1e-10)
+    assert run["x"][-1] == pytest.approx(np.sin(1.0), abs=1e-6)
+    assert run["y"][-1] == pytest.approx(-np.cos(1.0), abs=1e-6)
+    path = cosim.export_fmu(dae, tmp_path / "pendulum.fmu")
+    for interface in ("ModelExchange", "CoSimulation"):
+        fmu = cosim.simulate_fmu(
+            path, interface=interface, stop_time=period, relative_tolerance=1e-10
+        )
+        assert fmu["x"][-1] == pytest.approx(np.sin(1.0), abs=1e-6)
+
+
+def test_starts_that_nobody_gave_satisfy_the_constraints_and_follow_the_parameters():
+    dae = cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.8, "u": 0.5, "L": 1.0})
+    run = cosim.simulate(dae, stop_time=0.01)
+    assert run["v"][0] == pytest.approx(0.6 * 0.5 / 0.8, abs=1e-12)
+    longer = cosim.simulate(dae, stop_time=0.01, start={"L": 2.0})
+    assert np.hypot(longer["x"][0], longer["y"][0]) == pytest.approx(2.0, abs=1e-12)
+
+
+def test_given_starts_that_contradict_the_constraints_are_refused():
+    with pytest.raises(InitialConditionError, match=r"given starts .x, y"):
+        cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.9, "L": 1.0})
+
+
+# -- what is not scalar ---------------------------------------------------------------------------
+
+
+def of_mx(law) -> dict:
+    x, A = MX.sym("x", 2), MX.sym("A", 2, 2)
+    return {"x": x, "p": A, "ode": law(A, x)}
+
+
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [
+        (lambda A, x: A @ x, lambda A, x: A @ x),
+        (ca.solve, np.linalg.solve),
+        (lambda A, x: ca.solve(A.T, x), lambda A, x: np.linalg.solve(A.T, x)),
+        (lambda A, x: ca.inv(A) @ x, lambda A, x: np.linalg.solve(A, x)),
+        (lambda A, x: ca.solve(A, ca.solve(A, x)), lambda A, x: np.linalg.solve(A @ A, x)),
+        (lambda A, x: ca.det(A) * x, lambda A, x: np.linalg.det(A) * x),
+        (lambda A, x: ca.if_else(x[0] > 0, x, -x), lambda A, x: x),
+        (lambda A, x: x / ca.norm_2(x), lambda A, x: x / np.hypot(*x)),
+    ],
+)
+def test_matrix_operations_are_written_out(law, expected):
+    A, x = np.array([[2.0, 1.0], [-1.0, 3.0]]), np.array([0.3, -0.4])
+    dae = cosim.from_casadi(of_mx(law), {"x": x, "A": A})
+    f = ca.Function("f", [dae.x, dae.p], [dae.ode])
+    np.testing.assert_allclose(
+        f(x, A.ravel(order="F")).full().ravel(), expected(A, x), rtol=0, atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("plugin", ["linear", "bspline"])
+def test_interpolant_is_integrated_and_exported(plugin, tmp_path):
+    place = np.linspace(0, 2, 9)
+    table = ca.interpolant("table", plugin, [place], 1 - place / 2)  # straight: no error
+    x = MX.sym("x")
+    dae = cosim.from_casadi({"x": x, "ode": table(x)}, name="table")
+    exact = 2 * (1 - np.exp(-0.5))
+    assert final(dae) == pytest.approx(exact, abs=1e-8)
+    path = cosim.export_fmu(dae, tmp_path / "table.fmu")
+    for interface in ("ModelExchange", "CoSimulation"):
+        run = cosim.simulate_fmu(path, interface=interface, **END)
+        assert run["x"][-1] == pytest.approx(exact, abs=1e-7)
+
+
+class Python(ca.Callback):
+    """x -> x, in Python."""
+
+    def __init__(self):
+        super().__init__()
+        self.construct("in_python", {})
+
+    def eval(self, arguments):
+        return [arguments[0]]
+
+
+def test_callback_is_refused_by_name():
+    called = Python()
+    with pytest.raises(UsageError, match=r"calls 'in_python', a callback: .* write them"):
+        cosim.from_casadi({"x": (x := MX.sym("x")), "ode": called(x)})
+
+
+def root(plugin: str) -> ca.Function:
+    y, p = SX.sym("y"), SX.sym("p")
+    return ca.rootfinder("root", plugin, {"x": y, "p": p, "g": y**2 - p})
+
+
+def test_newton_is_refused_by_name_and_fast_newton_taken():
+    x = MX.sym("x")
+    with pytest.raises(UsageError, match=r"calls 'root', of type Newton: use .*'fast_newton'"):
+        cosim.from_casadi({"x": x, "ode": root("newton")(1, x)})
+    dae = cosim.from_casadi({"x": x, "ode": -2 * root("fast_newton")(1, x)}, {"x": 4.0})
+    assert final(dae) == pytest.approx(1.0, abs=1e-7)  # x' = -2 sqrt x: x = (2 - t)^2
+
+
+def test_integrator_inside_is_refused_by_name():
+    x = MX.sym("x")
+    y = SX.sym("y")
+    inner = ca.integrator("inner", "cvodes", {"x": y, "ode": -y})
+    with pytest.raises(UsageError, match="calls 'inner', of type CvodesInterface"):
+        cosim.from_casadi({"x": x, "ode": inner(x0=x)["xf"]})
+
+
+def test_external_is_refused_by_name():
+    x, y = SX.sym("x"), MX.sym("y")
+    (function,) = external([ca.Function("outside", [x], [-x])], "test outside", ["outside"])
+    with pytest.raises(UsageError, match=r"calls 'outside', .*source is not at hand"):
+        cosim.from_casadi({"x": y, "ode": function(y)})
+
+
+# -- refusals -------------------------------------------------------------------------------------
+
+
+def refused(error, match, *arguments, **options):
+    with pytest.raises(error, match=match) as caught:
+        cosim.from_casadi(*arguments, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_refusals_name_what_is_wrong():
+    x, y, k = SX.sym("x"), SX.sym("y"), SX.sym("k")
+    one = {"x": x, "ode": -x}
+    refused(ParameterError, "parameter k has no value", one | {"p": k})
+    refused(UsageError, "ode uses 'k'", {"x": x, "ode": -k * x})
+    refused(UsageError, "output a uses 'k'|a uses 'k'", one, None, {"a": k})
+    refused(UsageError, "ode has 1 rows, x has 2", {"x": ca.vertcat(x, y), "ode": -x})
+    refused(UsageError, "alg has 0 rows, z has 1", one | {"z": y})
+    refused(UnknownName, "key 'odes'; did you mean ode", {"x": x, "odes": -x})
+    refused(UnknownName, "start value of 'z'", one, {"z": 1})
+    refused(UnknownName, "unit of 'z'", one, units={"z": "m"})
+    refused(
+        ParameterError,
+        "y has 2 entries, but 3",
+        {"x": SX.sym("y", 2), "ode": SX(2, 1)},
+        {"y": [1, 2, 3]},
+    )
+    refused(ParameterError, "start of x is 'a'", one, {"x": "a"})
+    refused(UsageError, "x is the expression", {"x": 2 * x, "ode": -x})
+    refused(UsageError, "mixed", {"x": x, "p": MX.sym("p"), "ode": -x}, {"p": 1})
+    refused(UsageError, "ode is MX", {"x": x, "ode": MX.sym("y")})
+    refused(UsageError, "ode uses 'm'", {"x": MX.sym("x"), "ode": MX.sym("m")})
+    refused(UsageError, "give a dict of expressions", 42)
+    refused(UsageError, "holds no CasADi Function", "nothing.casadi")
+    refused(UnknownName, "input 'y'", ca.Function("f", [y], [y], ["y"], ["ode"]))
+    refused(UsageError, "twice", {"x": [x, SX.sym("x")], "ode": ca.vertcat(x, x)})
+    refused(UsageError, "index above 1", {"x": x, "z": y, "ode": y, "alg": x - 1})
+    refused(UsageError, "not finite|infinity|constant", {"x": x, "ode": x * ca.inf})
+
+
+def test_unknown_unit_counts_with_factor_1_and_says_so(tmp_path):
+    x = SX.sym("x")
+    dae = cosim.from_casadi({"x": x, "ode": -x}, {"x": 1.0}, units={"x": "furlong"})
+    assert "unit 'furlong' is unknown here: factor 1" in dae.variable("x").meaning
+    run = cosim.simulate(dae, **END)
+    assert run.units["x"] == "furlong"
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    assert (
+        not cosim.compare(run, cosim.simulate_fmu(path, output_interval=0.01, **END)).worst.scaled
+        > 1e-6
+    )
+
+
+def test_names_that_c_does_not_take_are_changed():
+    x, v = SX.sym("body.x"), SX.sym("v[1]")
+    dae = cosim.from_casadi({"x": [x, v], "ode": ca.vertcat(v, -x)}, {"body.x": 1})
+    assert [s.name for s in dae.states] == ["body_x", "v_1"]
+    assert dae.states[0].start == 1
+    assert dae.states[0].meaning == "body.x"
