@@ -18,7 +18,7 @@ from cosim.integrate.outputs import all_columns, wanted_names, watching
 from cosim.integrate.run_stats import RunStats
 from cosim.integrate.solution import Solution, solve
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import NUMBERS, chosen_solver
+from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
@@ -132,9 +132,11 @@ def simulate(
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
+        others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
+        which = f" ({', '.join(others)})" if dae.algebraics else ""
         raise SolverError(
-            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}); look for a "
-            "singularity near that state, or use another tolerance or step, formulation or solver",
+            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}); look for a singularity "
+            f"near that state, or use another tolerance or step, formulation or solver{which}",
             run,
         )
     return run
@@ -202,5 +204,6 @@ def _stats(
         compiled=compiled,
         wall_time=wall_time,
         invalid=tuple(breach.text for breach in first.invalid),
+        note=first.note or None,
         invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )
