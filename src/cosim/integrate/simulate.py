@@ -14,7 +14,7 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.explicit import Dop853
-from cosim.integrate.outputs import all_columns, wanted_names, watching
+from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
 from cosim.integrate.run_stats import RunStats
 from cosim.integrate.solution import Solution, solve
 from cosim.integrate.solver import Solver
@@ -126,9 +126,10 @@ def simulate(
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
     drawing = dae.drawing.with_numbers(numbers_of(dae, values))
-    columns = all_columns(dae)
-    every = Trajectory(dae.full_name, time, columns, solution.table, stats, status, drawing=drawing)
-    run = every.select(names)
+    columns, places = recorded(dae, names)
+    everything = places == tuple(range(solution.table.shape[1]))
+    table = solution.table if everything else solution.table[:, places]
+    run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
