@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from typing import Any, Protocol
 
 from casadi_models import CATALOG
+from cosim.escaping import visible
 
 
 class PartialRun(Protocol):
@@ -43,7 +44,7 @@ class UsageError(CosimError):
     @classmethod
     def of_type(cls, call: str, value: object, wanted: str) -> UsageError:
         """Say that a call was given something of a type that it cannot use."""
-        given = f"{reprlib.repr(value)}, of type {type(value).__name__}"
+        given = f"{' '.join(reprlib.repr(value).split())}, of type {type(value).__name__}"
         return cls(f"{call} was given {given}; give {wanted}")
 
 
@@ -96,7 +97,10 @@ class ExportError(CosimError):
 
 
 class FmuError(CosimError):
-    """An FMU that cannot be read or run."""
+    """An FMU that cannot be read or run; what it says itself is shown as one harmless line."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(visible(" ".join(str(message).splitlines())))
 
 
 class SecurityError(FmuError):

@@ -1,13 +1,18 @@
 """Files that are whole or not there: written beside their place, then renamed."""
 
+import errno
 import os
 import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from cosim.errors import ExportError
+
+MOST_READ = 2**30  # bytes
+MOST_TEXT = 2**28  # bytes, of what people write
 
 
 def write_atomically(target: str | os.PathLike[str], content: bytes) -> Path:
@@ -35,6 +40,42 @@ def write_atomically(target: str | os.PathLike[str], content: bytes) -> Path:
         finally:
             temporary.unlink(missing_ok=True)
     return Path(target)
+
+
+def opened_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> BinaryIO:
+    """Open a file for reading that is a plain one: no pipe, whose end may never come, no device.
+
+    Args:
+        source: The file; links are followed.
+        most_bytes: That it may have.
+
+    Raises:
+        OSError: It is missing, no plain file, or larger.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    handle = os.open(source, flags)
+    try:
+        facts = os.fstat(handle)
+        if stat.S_ISDIR(facts.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(facts.st_mode):
+            raise OSError(errno.EINVAL, "it is no plain file")
+        if facts.st_size > most_bytes:
+            raise OSError(errno.EFBIG, f"it has more than {most_bytes} bytes")
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> bytes:
+    """Return the content of a plain file.
+
+    Raises:
+        OSError: See `opened_plain`.
+    """
+    with opened_plain(source, most_bytes) as stream:
+        return stream.read()
 
 
 def refuse_unwritable(target: str | os.PathLike[str]) -> None:

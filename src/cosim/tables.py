@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+from cosim.escaping import visible
+
 MOST_LINES = 15  # of what a value says of itself at a prompt
 GAP = "  "
 
@@ -44,7 +46,7 @@ def cell(value: Any, digits: int = 3) -> str:
     """Return a value as it stands in a table: numbers with a few digits."""
     if isinstance(value, float):
         return f"{value:.{digits}g}"
-    return "" if value is None else str(value)
+    return "" if value is None else visible(str(value))
 
 
 def text_table(

@@ -95,10 +95,21 @@ def add_accuracy(parser: Parser) -> None:
 def add_timeout(parser: Parser) -> None:
     """Let a verb end the run of an FMU file."""
     parser.add_argument(
-        "--timeout", type=float, metavar="S", help="for one run of an FMU file, s; no limit"
+        "--timeout", type=float, metavar="S", help="for a run of an FMU or a PATH.py, s; no limit"
+    )
+    parser.add_argument(
+        "--trust", action="store_true", help="run this FMU's code, now and in future"
     )
 
 
 def add_output_file(parser: Parser, metavar: str, text: str) -> None:
     """Let a verb write its result to a file."""
     parser.add_argument("-o", "--output-file", metavar=metavar, help=text)
+
+
+def add_picture(parser: Parser, size: str) -> None:
+    """Let a verb choose how large its pictures are."""
+    parser.add_argument(
+        "--size", default=size, metavar="WxH", help=f"inches; {size or 'by what is drawn'}"
+    )
+    parser.add_argument("--dpi", type=int, default=120, metavar="N", help="dots per inch; 120")

@@ -63,6 +63,7 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
             drift_control=args.drift_control,
         )
     from cosim.fmi.run.isolated import simulate_apart
+    from cosim.fmi.trust import require_trust
 
     own = (
         "solver",
@@ -75,6 +76,8 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     for option in (*own, *GOALS):
         if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
+    start = start_numbers(args, None)
+    require_trust(args.model, trusted=args.trust)
     return simulate_apart(
         args.model,
         timeout=args.timeout,
@@ -83,6 +86,6 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         stop_time=args.stop_time,
         output_interval=args.output_interval,
         relative_tolerance=args.relative_tolerance,
-        start=start_numbers(args, None),
+        start=start,
         outputs=None if args.outputs is None else names_in(args.outputs),
     )

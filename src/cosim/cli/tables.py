@@ -1,27 +1,27 @@
 """Results as text: aligned tables or JSON on standard output, whole files."""
 
 import json
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.files import write_atomically
+from cosim.tables import text_table
 
 
 def show_table(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
-    """Print rows that have the same keys."""
+    """Print rows that have the same keys; on a terminal no wider than it is."""
     if as_json:
         print(json.dumps(rows, indent=1))
-        return
-    if not rows:
-        return
-    cells = [[_cell(value) for value in row.values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(rows[0], *cells, strict=True)]
-    for line in ([*rows[0]], *cells):
-        print(
-            "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip()
-        )
+    elif rows:
+        print(text_table(rows, width=terminal_width()))
+
+
+def terminal_width() -> int | None:
+    """Return the number of letters in a line of the terminal; None where output is none."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def write_text(target: str | None, text: str) -> None:
@@ -30,9 +30,3 @@ def write_text(target: str | None, text: str) -> None:
         write_atomically(Path(target), text.encode())
     else:
         sys.stdout.write(text)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    return "" if value is None else str(value)

@@ -5,15 +5,17 @@ What an archive holds is looked at before a byte of it is written, and its XML b
 
 import os
 import stat
-import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import BinaryIO
 from xml.parsers import expat
 
 from cosim.errors import FmuError, SecurityError, UsageError
+from cosim.files import opened_plain
+from cosim.temporary import temporary_folder
 
 MOST_BYTES = 2**30  # of an unpacked FMU
 MOST_ENTRIES = 10_000
@@ -41,12 +43,17 @@ def opened(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[zipfile.
     name = source if isinstance(source, str | os.PathLike) else "this file"
     if not (name is source or hasattr(source, "seek")):
         raise UsageError.of_type("an FMU's reader", source, "a file name")
+    stream = None
     try:
-        archive = zipfile.ZipFile(source)
+        if isinstance(source, str | os.PathLike):
+            stream = opened_plain(source)
+        archive = zipfile.ZipFile(stream or source)
     except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+        if stream is not None:
+            stream.close()
         reason = getattr(error, "strerror", None) or "it is not a zip archive"
         raise FmuError(f"cannot read {name}: {reason}; give an FMU") from error
-    with archive:
+    with stream or nullcontext(), archive:
         try:
             _refuse_dangerous_entries(archive, most_bytes)
             for entry in _READ_BY_TOOLS:
@@ -66,20 +73,18 @@ def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
     Raises:
         FmuError, SecurityError: See `opened`.
     """
-    with opened(source, most_bytes=most_bytes) as archive, _temporary_folder() as folder:
+    with opened(source, most_bytes=most_bytes) as archive, ExitStack() as held:
+        try:
+            folder = held.enter_context(temporary_folder())
+        except OSError as error:
+            raise FmuError(
+                f"there is no folder for temporary files: {error}; set TMPDIR"
+            ) from error
         try:
             archive.extractall(folder)
-        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+        except (OSError, ValueError, zipfile.BadZipFile, RuntimeError, zlib.error) as error:
             raise FmuError(f"cannot unpack {archive.filename}: {error}") from error
-        yield Path(folder).resolve()
-
-
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    try:
-        # Windows deletes no library that is loaded, and fmpy keeps one that refused to start
-        return tempfile.TemporaryDirectory(prefix="cosim-", ignore_cleanup_errors=True)
-    except OSError as error:
-        raise FmuError(f"there is no folder for temporary files: {error}; set TMPDIR") from error
+        yield folder.resolve()
 
 
 def content_of(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:
@@ -93,7 +98,7 @@ def content_of(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTE
         raise SecurityError(f"entry '{entry}' has more than {most_bytes} bytes; do not use it")
     try:
         return archive.read(entry)
-    except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
+    except (OSError, zipfile.BadZipFile, RuntimeError, EOFError, ValueError, zlib.error) as error:
         raise FmuError(f"entry '{entry}' cannot be read: {error}") from error
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.files import MOST_TEXT, read_plain
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
@@ -101,7 +102,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae) -> InputSeries:
 
 def _rows(path: Path) -> list[list[str]]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_plain(path, MOST_TEXT).decode("utf-8-sig")
     except OSError as error:
         raise UsageError(
             f"cannot read the input series {path}: {error.strerror or error}"

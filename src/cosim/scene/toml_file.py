@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
+from cosim.files import MOST_TEXT, read_plain
 
 Key = tuple[str | int, ...]
 
@@ -81,7 +82,7 @@ def read_toml(path: Path) -> TomlFile:
         UsageError: It cannot be read or is no TOML; line and column are named.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_plain(path, MOST_TEXT).decode("utf-8-sig")
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

@@ -13,6 +13,7 @@ import numpy as np
 from casadi_models.units import UNITS
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UsageError
+from cosim.escaping import csv_cell
 
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIMES = ("time", "t", "zeit", "temps")
@@ -46,7 +47,7 @@ def write_csv(
         table: (n, columns).
     """
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(names)
+    writer.writerow([csv_cell(name) for name in names])
     if units is not None:
         writer.writerow(units)
     writer.writerows([repr_17(value) for value in row] for row in table.tolist())

@@ -7,33 +7,37 @@ import csv
 import io
 import json
 import os
-import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import FmuError
+from cosim.escaping import sentence
 from cosim.files import refuse_unwritable, write_atomically
-from cosim.fmi.archive import content_of, opened
+from cosim.fmi.archive import DESCRIPTION, content_of, opened
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.platforms import NATIVE
-from cosim.fmi.run.instance import INTERFACES
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.run.simulate import simulate_fmu
+from cosim.fmi.trust import is_made_here, remember
 from cosim.integrate.simulate import simulate
+from cosim.scene.roads import FMU_ROADS
+from cosim.temporary import temporary_folder
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import compare
 from cosim.verify.crosscheck import BOUND, Check
 
 REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
+OWN = "reference"
 MOST_ROWS = 201
 NOISE = 1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
 FINER = 10  # output times of a check within each of the reference: fmpy's solver takes 500 steps
@@ -53,7 +57,7 @@ def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) 
     """
     refuse_unwritable(target)
     tolerance = dae.experiment.reference_tolerance
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
         run = _reference(dae, tolerance)
         local = plain  # what can be run here
@@ -86,7 +90,9 @@ def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) 
         MEASURED: (json.dumps(facts, indent=1) + "\n").encode(),
         "model.png": _picture(run),
     }
-    return write_atomically(target, zipped(files | extra))
+    content = zipped(files | extra)
+    remember(content)
+    return write_atomically(target, content)
 
 
 def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> Iterator[Check]:
@@ -105,13 +111,24 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
         with opened(path) as fmu:
             table = content_of(fmu, REFERENCE).decode()
             facts = json.loads(content_of(fmu, MEASURED))
-    except (KeyError, ValueError) as error:
+            against = _whose(path, ET.fromstring(content_of(fmu, DESCRIPTION)))
+            run = _from_csv(table, facts)
+            tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
+    except (KeyError, ValueError, TypeError, IndexError, RecursionError, csv.Error) as error:
         raise FmuError(
             f"{path} carries no reference result; export it with cosim export"
         ) from error
-    tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
     apart = partial(simulate_apart, timeout=timeout)
-    yield from _checks(path, _from_csv(table, facts), tolerance, bound, apart)
+    for check in _checks(path, run, tolerance, bound, apart):
+        yield replace(check, against=against)
+
+
+def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
+    """Return what to call the reference inside an FMU: its maker's own, but for ours."""
+    if is_made_here(path):
+        return OWN
+    tool = sentence(description.get("generationTool") or "an unnamed tool")[:60]
+    return f"{OWN} by {tool}"
 
 
 def _reference(dae: Dae, tolerance: float) -> Trajectory:
@@ -151,22 +168,21 @@ def _checks(
     bound: float,
     simulate_file: Callable[..., Trajectory],
 ) -> Iterator[Check]:
-    for interface in INTERFACES:
-        road = f"fmpy {interface}"
+    for road in FMU_ROADS:
         try:
             fine = simulate_file(
                 path,
-                interface=interface,
+                interface=road.interface,
                 stop_time=float(run.time[-1]),
                 output_interval=float(run.time[1] - run.time[0]) / FINER,
                 relative_tolerance=tolerance,
             )
         except FmuError as error:
-            yield Check(run.model, road, "reference", None, failure=str(error))
+            yield Check(run.model, road, OWN, None, failure=str(error))
             continue
         again = replace(fine, time=fine.time[::FINER], values=fine.values[::FINER])
         difference = compare(run, again, bound=bound)
-        yield Check(run.model, road, "reference", difference, dict(again.stats))
+        yield Check(run.model, road, OWN, difference, dict(again.stats))
 
 
 def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:

@@ -55,7 +55,7 @@ def command(*words, **more):
 
 def simulate(path, behaviour, *words):
     step = ["--output-interval", str(BAD_STEPS[behaviour])]
-    return command("simulate", path, "--stop-time", "1", *step, *words)
+    return command("simulate", path, "--trust", "--stop-time", "1", *step, *words)
 
 
 @POSIX

@@ -29,6 +29,7 @@ from cosim.fmi.export.solver_choice import solver_for, uses_dop853
 from cosim.fmi.export.tunable import tunable_parameters
 from cosim.fmi.export.variables import fmu_variables
 from cosim.fmi.platforms import NATIVE, targets
+from cosim.fmi.trust import remember
 from cosim.model.values import A_DAE, listed, number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
@@ -107,6 +108,7 @@ def export_fmu(
             f"{path} is not written, as it would not be sound: {'; '.join(problems)}; "
             f"remove what {cache_folder()} holds and try again"
         )
+    remember(content)
     return write_atomically(path, content)
 
 

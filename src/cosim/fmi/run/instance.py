@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import FmuError, SecurityError, UnknownName
+from cosim.escaping import sentence
 
 INTERFACES = ("ModelExchange", "CoSimulation")
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_MOST_LETTERS = 200  # of a library's name; file systems take 255
+_OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _MESSAGES = 3  # of an FMU's log, in an error
 
 
@@ -25,7 +28,8 @@ def read_description(folder: Path, name: object) -> Any:
     try:
         return read_model_description(str(folder), validate=False)
     except Exception as error:
-        raise FmuError(f"{name}: modelDescription.xml cannot be read: {error}") from error
+        told = f"{type(error).__name__}: {sentence(str(error))}"
+        raise FmuError(f"{name}: modelDescription.xml cannot be read: {told}") from error
 
 
 def choose_interface(folder: Path, description: Any, wanted: str | None, name: object) -> str:
@@ -51,7 +55,10 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
     import fmpy
 
     if not _IDENTIFIER.fullmatch(identifier):
-        raise SecurityError(f"{name}: modelIdentifier '{identifier}' is no C name; do not use it")
+        told = sentence(identifier)
+        raise SecurityError(f"{name}: modelIdentifier '{told}' is no C name; do not use it")
+    if len(identifier) > _MOST_LETTERS:
+        raise FmuError(f"{name}: its modelIdentifier has {len(identifier)} letters; do not use it")
     own = fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform
     if (folder / "binaries" / own / f"{identifier}{fmpy.sharedLibraryExtension}").is_file():
         return
@@ -79,7 +86,8 @@ def instantiated(
         log.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
 
     def explained(error: Exception) -> FmuError:
-        reasons = dict.fromkeys((str(error), *log[-_MESSAGES:]))
+        told = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
+        reasons = dict.fromkeys(map(sentence, (told, *log[-_MESSAGES:])))
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
     with chdir("."):  # fmpy stays in the library's folder where it cannot load it
@@ -89,10 +97,24 @@ def instantiated(
             )
         except Exception as error:
             raise explained(error) from error
+    _refuse_unknown_status(instance)
     try:
         yield instance, explained
     finally:
         instance.freeInstance()
+
+
+def _refuse_unknown_status(instance: Any) -> None:
+    """Have a status below 0 end the run, which fmpy takes for success."""
+    original = instance._call
+
+    def checked(function: str, *arguments: Any) -> Any:
+        result = original(function, *arguments)
+        if isinstance(result, int) and result < 0:
+            raise FmuError(f"{function} returned {result}, which is no status of the FMI")
+        return result
+
+    instance._call = checked
 
 
 def count_derivatives(instance: Any) -> list[int]:

@@ -3,39 +3,45 @@
 The child has the rights of its user: this guards against mistakes, not against malice.
 """
 
+import ctypes
 import json
 import os
+import secrets
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
-from contextlib import suppress
-from dataclasses import asdict
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 from typing import IO, Any
 
-import numpy as np
-
 from cosim import errors
-from cosim.errors import CosimError, FmuError
+from cosim.errors import CosimError, FmuError, UsageError
+from cosim.escaping import sentence, visible
+from cosim.fmi.run.limits import VARIABLE, Limits
 from cosim.model.values import number
-from cosim.trajectory import Column, Trajectory
+from cosim.temporary import temporary_folder
+from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.json", "answer.json", "values.npz"
+_SUNDIALS = "[ERROR][rank"  # how fmpy's solver begins what its error says, too
 MOST_OUTPUT = 10_000  # bytes of what an FMU prints
+_MARK = "COSIM_RUN"  # by which what an FMU has started is found again
 _ENVIRONMENT = (
-    *("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "PYTHONPATH", "LD_LIBRARY_PATH"),
-    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP", "USERPROFILE"),
+    *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
+    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", VARIABLE),
 )
 
 
 def simulate_apart(
     path: str | os.PathLike[str], *, timeout: float | None = None, **options: Any
 ) -> Trajectory:
-    """Simulate an FMU like `simulate_fmu`, in a child process.
+    """Simulate an FMU like `simulate_fmu`, in a child process with the limits of `Limits.chosen`.
 
-    What the FMU prints goes to stderr, the first 10 kB of it.
+    It works in an empty folder of its own, without our environment and open files, and is gone
+    afterwards with all it started. What it prints goes to stderr, the first 10 kB of it.
 
     Args:
         path: The FMU.
@@ -48,17 +54,34 @@ def simulate_apart(
     """
     if timeout is not None:
         number(str(path), "timeout", timeout, positive=True)
-    with tempfile.TemporaryDirectory(prefix="cosim-", ignore_cleanup_errors=True) as name:
-        folder, place = Path(name), str(Path(path).absolute())
+    Limits.chosen()  # refuses before anything has been started
+    with _ended_by_signals(), _own_folder() as folder:
+        place = str(Path(path).absolute())
         (folder / _REQUEST).write_text(json.dumps({"path": place, "options": options}))
         code, printed = _child(folder, timeout)
-        sys.stderr.write(printed)
+        if printed and sys.stderr is not None:
+            sys.stderr.write(printed)
         if code is None:
             raise FmuError(f"{path}: the FMU did not end within {timeout:g} s and was stopped")
         try:
             return _answer(folder, place, str(path))
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise FmuError(f"{path}: the FMU {_end(code)} while it ran; do not use it") from error
+
+
+@contextmanager
+def _own_folder() -> Iterator[Path]:
+    try:
+        made = temporary_folder()
+        folder = made.__enter__()
+        for name in ("work", "temporary"):
+            (folder / name).mkdir()
+    except OSError as error:
+        raise FmuError(f"there is no folder for temporary files: {error}; set TMPDIR") from error
+    try:
+        yield folder
+    finally:
+        made.__exit__(None, None, None)
 
 
 def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
@@ -69,13 +92,16 @@ def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
         while chunk := os.read(pipe.fileno(), 65536):
             kept.extend(chunk[: MOST_OUTPUT - len(kept)])
 
+    mark = secrets.token_hex(16)
+    own = {name: str(folder / "temporary") for name in ("TMPDIR", "TEMP", "TMP")}
+    own |= {_MARK: mark, "OPENBLAS_NUM_THREADS": "1"}  # whose threads reserve memory
     with subprocess.Popen(
-        [sys.executable, "-m", __name__, str(folder)],
+        [sys.executable, "-P", "-m", __name__, str(folder)],
         stdin=subprocess.PIPE,  # its end tells the child that we are gone
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        cwd=folder,
-        env={name: os.environ[name] for name in _ENVIRONMENT if name in os.environ},
+        cwd=folder / "work",
+        env={name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | own,
         start_new_session=True,
     ) as process:
         assert process.stdout is not None
@@ -86,18 +112,61 @@ def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
         except subprocess.TimeoutExpired:
             code = None
         finally:
-            _stop(process)
+            _stop(process, mark)
             reader.join(1.0)
-    return code, kept.decode(errors="replace")
+    printed = kept.decode(errors="replace").splitlines(keepends=True)
+    others = (line for line in printed if not line.startswith(_SUNDIALS))
+    return code, visible("".join(others), lines=True)
 
 
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    """End a child and what it started."""
+def _stop(process: subprocess.Popen[bytes], mark: str) -> None:
+    """End a child and what it started, also where that has left its group."""
     with suppress(OSError):
         if hasattr(os, "killpg"):
             os.killpg(process.pid, signal.SIGKILL)
         else:
             process.kill()
+    known = f"{_MARK}={mark}".encode()
+    for _ in range(10):  # as they may start others meanwhile
+        found = False
+        for entry in Path("/proc").glob("[0-9]*/environ"):
+            with suppress(OSError):
+                if known in entry.read_bytes().split(b"\0"):
+                    os.kill(int(entry.parent.name), signal.SIGKILL)
+                    found = True
+        if not found:
+            return
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Remove folder and child before a signal ends this process, which it then does."""
+    kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
+    usual = threading.current_thread() is threading.main_thread()
+    kinds = [k for k in kinds if usual and signal.getsignal(k) is signal.SIG_DFL]
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        raise _Ended(number)
+
+    for kind in kinds:
+        signal.signal(kind, end)
+    try:
+        yield
+    except _Ended as ended:
+        signal.signal(ended.number, signal.SIG_DFL)
+        os.kill(os.getpid(), ended.number)
+        raise
+    finally:
+        for kind in kinds:
+            signal.signal(kind, signal.SIG_DFL)
+
+
+class _Ended(BaseException):
+    """A signal that ends the process."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
 
 
 def _answer(folder: Path, place: str, name: str) -> Trajectory:
@@ -105,44 +174,59 @@ def _answer(folder: Path, place: str, name: str) -> Trajectory:
     if "error" in answer:
         kind = getattr(errors, answer["error"])
         raise kind(answer["message"].replace(place, name))
-    with np.load(folder / _VALUES, allow_pickle=False) as arrays:
-        time, values = arrays["time"], arrays["values"]
-    columns = tuple(Column(**column) for column in answer["columns"])
-    return Trajectory(answer["model"], time, columns, values, answer["stats"])
+    try:
+        return Trajectory.from_npz(folder / _VALUES)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 def _end(code: int) -> str:
     if code >= 0:
         return f"ended the process with exit code {code}"
     with suppress(ValueError):
-        return f"crashed ({signal.Signals(-code).name})"
+        kind = signal.Signals(-code)
+        limits = {"SIGXCPU": "time on the processor", "SIGXFSZ": "size of a file"}
+        if kind.name in limits:
+            return f"exceeded the limit of the {limits[kind.name]} ({VARIABLE})"
+        return f"crashed ({kind.name})"
     return f"crashed (signal {-code})"
 
 
 def _main(folder: Path) -> None:
     """Be the child: answer the request in a folder."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(ImportError):
-        from resource import RLIMIT_CORE, setrlimit
-
-        setrlimit(RLIMIT_CORE, (0, 0))
-    from cosim.fmi.run.simulate import simulate_fmu
-
+    Limits.chosen().apply()
+    if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
+        signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
     request = json.loads((folder / _REQUEST).read_text())
+    path = request["path"]
     try:
-        run = simulate_fmu(request["path"], **request["options"])
+        from cosim.fmi.run.simulate import simulate_fmu
+
+        run = simulate_fmu(path, **request["options"])
     except CosimError as error:
-        answer: dict[str, Any] = {"error": type(error).__name__, "message": str(error)}
+        answer = {"error": type(error).__name__, "message": str(error)}
+    except MemoryError:
+        told = f"{path}: the FMU exceeded the limit of memory ({VARIABLE})"
+        answer = {"error": "FmuError", "message": told}
+    except BaseException as error:
+        told = f"{path}: it cannot be run: {type(error).__name__}: {sentence(str(error))}"
+        answer = {"error": "FmuError", "message": told}
     else:
-        np.savez(folder / _VALUES, time=run.time, values=run.values)
-        columns = [asdict(column) for column in run.columns]
-        answer = {"model": run.model, "columns": columns, "stats": dict(run.stats)}
+        run.to_npz(folder / _VALUES)
+        answer = {}
     (folder / _ANSWER).write_text(json.dumps(answer))
+    with suppress(OSError, TypeError, AttributeError):  # Windows has no C library of this name
+        ctypes.CDLL(None).fflush(None)
+    os._exit(0)  # whatever threads and handlers the FMU has left
 
 
 def _end_with_parent() -> None:
-    while os.read(0, 1):  # nothing is ever sent
-        pass
+    with suppress(OSError):
+        while os.read(0, 1):  # nothing is ever sent
+            pass
+    if hasattr(os, "killpg"):
+        os.killpg(0, signal.SIGKILL)  # this process and all it started
     os._exit(1)
 
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -234,17 +235,37 @@ def _moving(start: float, interrupts: Sequence[int]) -> Callable[[float, Any], b
 def simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
     from fmpy import simulate_fmu as run
 
-    with _noticed_interrupts() as interrupts:
+    with _noticed_interrupts() as interrupts, _noticed_errors() as errors:
         moving = _moving(start, interrupts)
         try:
             result = run(start_time=start, step_finished=moving, **arguments)
         except Exception as error:
             if interrupts:
                 raise KeyboardInterrupt from error
-            raise explained(error) from error
+            cause = errors[0] if errors else error
+            raise explained(cause) from cause
         if interrupts:
             raise KeyboardInterrupt
+        if errors:
+            raise explained(errors[0]) from errors[0]
     return result
+
+
+@contextmanager
+def _noticed_errors() -> Iterator[list[Exception]]:
+    """Collect the exceptions within callbacks of fmpy's solver, which ctypes prints and forgets."""
+    seen: list[Exception] = []
+    usual = sys.unraisablehook
+
+    def notice(unraisable: "sys.UnraisableHookArgs") -> None:
+        if isinstance(unraisable.exc_value, Exception):
+            seen.append(unraisable.exc_value)
+
+    sys.unraisablehook = notice
+    try:
+        yield seen
+    finally:
+        sys.unraisablehook = usual
 
 
 @contextmanager

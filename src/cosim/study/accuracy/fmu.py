@@ -6,7 +6,6 @@ who gives no tolerance.
 """
 
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +18,9 @@ from cosim.fmi.export.package import export_fmu
 from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.instance import INTERFACES
 from cosim.fmi.run.simulate import simulate_fmu
-from cosim.study.accuracy.accurate_runs import SAFETY
 from cosim.study.accuracy.front import TOLERANCES
+from cosim.study.accuracy.solver_selection import SAFETY
+from cosim.temporary import temporary_folder
 from cosim.verify.comparison import Difference, compare
 from cosim.verify.reference import Reference, reference
 from cosim.verify.reference_result import export_with_proof
@@ -84,7 +84,7 @@ def export_accurate(
     refuse_unwritable(target)
     best = reference(dae)
     here = options | {"platforms": (NATIVE,)}
-    with tempfile.TemporaryDirectory(prefix="cosim-") as folder:
+    with temporary_folder() as folder:
         probe = export_fmu(dae, Path(folder) / "probe.fmu", **here)
         tolerance = _loosest(dae, probe, best, accuracy)
         final = export_with_proof(dae, Path(folder) / "final.fmu", tolerance=tolerance, **options)
