@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cosim.model.from_casadi import from_casadi
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
+    from cosim.present.animate import animate
     from cosim.present.figures import draw_figures
     from cosim.scene.scene import Scene
     from cosim.scene.scene_file import read_scene
@@ -40,6 +41,7 @@ _HOMES = {
     "Scene": "scene.scene",
     "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
+    "animate": "present.animate",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
@@ -69,6 +71,7 @@ __all__ = [
     "Scene",
     "SweepResult",
     "Trajectory",
+    "animate",
     "compare",
     "crosscheck",
     "draw_figures",

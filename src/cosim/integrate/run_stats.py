@@ -18,6 +18,7 @@ class RunStats(Mapping[str, Any]):
         compiled: Whether the equations were machine code.
         wall_time: What everything took, s.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
+        invalid_from: From when on it does, s; None where it does not.
     """
 
     solver: str
@@ -30,6 +31,7 @@ class RunStats(Mapping[str, Any]):
     compiled: bool
     wall_time: float
     invalid: tuple[str, ...] = ()
+    invalid_from: float | None = None
 
     def _known(self) -> dict[str, Any]:
         found = {field.name: getattr(self, field.name) for field in fields(self)}
