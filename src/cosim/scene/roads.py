@@ -11,7 +11,7 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.integrate.simulate import simulate
-from cosim.integrate.solvers import SOLVERS, solver_class
+from cosim.integrate.solvers import SOLVERS, solver_class, solver_name
 from cosim.model.catalogue import formulations, load, no_such_output, observable
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
@@ -144,6 +144,7 @@ def with_solver(scene: Scene, name: str) -> Scene:
     Raises:
         UnknownName: There is no such solver.
     """
+    name = solver_name(scene.dae, name)
     if name not in SOLVERS:
         raise UnknownName.among("cosim", "solver", name, SOLVERS)
     scene = without_goal(scene)

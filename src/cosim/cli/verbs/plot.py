@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING
 
@@ -61,9 +62,13 @@ def run(args: argparse.Namespace) -> int:
     if args.output_file is None:
         show(figures)
         return code
-    for path in save(figures, args.output_file):
-        if not args.quiet:
-            print(path, file=sys.stderr)
+    paths = save(figures, args.output_file)
+    if args.json:
+        print(
+            json.dumps({"files": [str(p) for p in paths], "model": run.model, "status": run.status})
+        )
+    elif not args.quiet:
+        print(*paths, sep="\n", file=sys.stderr)
     return code
 
 
