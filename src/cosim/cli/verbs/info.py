@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import common
+from cosim.cli.options import add_timeout, common
 
 if TYPE_CHECKING:
     from casadi_models.dae import Variable
@@ -17,14 +17,17 @@ def add_parser(verbs: Verbs) -> None:
     """Declare the verb."""
     parser = verbs.add_parser("info", parents=[common()], help="variables and equations of a model")
     parser.add_argument("model", metavar="MODEL")
+    add_timeout(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the variables and the size of the equations."""
+    from cosim.cli.running import refuse_timeout
     from cosim.cli.tables import show_table
     from cosim.integrate.inspection import inspect_start
     from cosim.model.catalogue import load
 
+    refuse_timeout(args)
     dae = load(args.model)
     groups = {
         "states": dae.states,

@@ -10,6 +10,7 @@ from cosim.cli.options import (
     add_output_file,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -36,6 +37,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     add_output_file(parser, "FILE", "PNG, SVG or PDF; a window by default")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ from cosim.cli.options import (
     add_output_file,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -29,6 +30,7 @@ def add_parser(verbs: Verbs) -> None:
     add_solver(parser)
     add_output_file(parser, "FILE", "CSV; standard output by default")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:
