@@ -25,11 +25,11 @@ from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.archive import DESCRIPTION, content_of, opened
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.platforms import NATIVE
-from cosim.fmi.run.instance import INTERFACES
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
 from cosim.integrate.simulate import simulate
+from cosim.scene.roads import FMU_ROADS
 from cosim.temporary import temporary_folder
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import compare
@@ -168,12 +168,11 @@ def _checks(
     bound: float,
     simulate_file: Callable[..., Trajectory],
 ) -> Iterator[Check]:
-    for interface in INTERFACES:
-        road = f"fmpy {interface}"
+    for road in FMU_ROADS:
         try:
             fine = simulate_file(
                 path,
-                interface=interface,
+                interface=road.interface,
                 stop_time=float(run.time[-1]),
                 output_interval=float(run.time[1] - run.time[0]) / FINER,
                 relative_tolerance=tolerance,
