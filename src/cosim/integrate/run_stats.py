@@ -50,3 +50,6 @@ class RunStats(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._known())
+
+    def __or__(self, more: Mapping[str, Any]) -> dict[str, Any]:
+        return self._known() | dict(more)
