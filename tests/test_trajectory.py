@@ -2,12 +2,14 @@
 
 import csv
 import io
+import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.errors import ExportError, UnknownName, UsageError
+from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.trajectory import Column, Trajectory
 
 # Numbers whose shortest text needs all 17 digits, and the ends of the range
@@ -119,3 +121,162 @@ def test_xarray_dataset_carries_units_and_meaning(run):
     data = run.to_xarray()
     assert data["x"].attrs == {"units": "rad", "long_name": "angle"}
     np.testing.assert_array_equal(data["time"], run.time)
+
+
+def test_npz_brings_everything_back_bit_for_bit(tmp_path, run):
+    path = tmp_path / "run.npz"
+    run.to_npz(path)
+    again = Trajectory.from_npz(path)
+    assert (again.model, again.columns, again.status) == (run.model, run.columns, run.status)
+    assert again.stats == dict(run.stats)
+    assert again.time.tobytes() == run.time.tobytes()
+    assert again.values.tobytes() == run.values.tobytes()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"no zip at all"])
+def test_what_is_no_npz_is_refused(tmp_path, content):
+    path = tmp_path / "run.npz"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match="holds no trajectory"):
+        Trajectory.from_npz(path)
+
+
+# -- as people who know pandas expect it ----------------------------------------------------------
+
+
+def test_names_are_what_is_contained_and_iterated(run):
+    assert "x" in run
+    assert "time" in run
+    assert "z" not in run
+    assert [*run] == ["x", "y"]
+    assert {*dict(run)} == {"x", "y"}
+    assert run._ipython_key_completions_() == ["time", "x", "y"]
+
+
+def test_list_of_names_is_a_run_of_these(run):
+    assert run[["y"]].names == ("y",)
+    assert run[["y", "x"]].names == ("y", "x")
+    assert run.select("y").names == ("y",)
+    assert len(run.plot("x").axes) == 1
+
+
+@pytest.fixture
+def sine():
+    time = np.linspace(0, 1, 51)
+    columns = (Column("a", "rad", "deg", 0.1, "angle"), Column("f", "N", "lbf"))
+    return Trajectory("m", time, columns, np.c_[np.sin(6 * time), 2 * time], {"solver": "erk"})
+
+
+def test_other_times_are_interpolated_where_nothing_can_compute_them(sine):
+    found = sine.at([0.013, 0.5, 0.777])
+    bound = 0.12**6 / 720 * 17  # of 6 points, a point and a half from the middle; measured 0.16
+    np.testing.assert_allclose(found["a"], np.sin(6 * found.time), rtol=0, atol=bound)
+    assert sine.at(0.25)["f"] == pytest.approx(0.5, rel=1e-14)
+    assert sine.final == {"a": np.sin(6.0), "f": 2.0}
+
+
+def test_other_times_are_computed_where_something_can(sine):
+    asked = []
+
+    def again(times):
+        asked.append(times)
+        return Trajectory("m", times, sine.columns, np.zeros((len(times), 2)))
+
+    run = replace(sine, again=again)
+    assert run.select("f").at([0.1, 0.2]).names == ("f",)
+    np.testing.assert_array_equal(asked, [[0.1, 0.2]])
+    assert pickle.loads(pickle.dumps(sine)).again is None
+
+
+@pytest.mark.parametrize(
+    ("times", "told"),
+    [
+        (2, "time 2.0 is not within the run, 0 ... 1 s"),
+        ([0.1, -1], "time -1.0 is not within"),
+        (np.nan, "time nan is not within"),
+        ("soon", "give numbers"),
+        ([0.2, 0.1], "the times fall"),
+        ([[0.1]], "is not within"),
+    ],
+)
+def test_times_that_cannot_be_are_refused(sine, times, told):
+    with pytest.raises(ParameterError, match=told):
+        sine.at(times)
+
+
+def test_summary_is_in_display_units_and_knows_when(sine):
+    angle, force = sine.summary()
+    assert angle["unit"] == "deg"
+    assert angle["max"] == pytest.approx(np.degrees(np.sin(6 * 0.26)))
+    assert angle["max at [s]"] == 0.26
+    assert force["end"] == pytest.approx(2 / 4.4482216152605, rel=1e-15)
+    assert "min at [s]" in repr(sine.summary())
+
+
+def test_run_says_in_few_lines_what_it_is(sine):
+    many = tuple(Column(f"v{i}") for i in range(99))
+    for run in (sine, Trajectory("m", np.zeros(2), many, np.zeros((2, 99)))):
+        assert len(repr(run).splitlines()) <= 15
+        assert '<img alt="curves" src="data:image/png;base64,' in run._repr_html_()
+    assert repr(sine).startswith("m: 51 times from 0 to 1 s, 2 variables, erk, complete\n")
+    empty = Trajectory("m", [], (), np.zeros((0, 0)))
+    assert "no time" in repr(empty)
+    assert "no time" in empty._repr_html_()
+    assert "nan" in repr(Trajectory("m", [0], (Column("x"),), [[np.nan]]))
+
+
+# -- files of others ------------------------------------------------------------------------------
+
+
+def test_file_in_the_book_s_units_comes_back_in_si(sine, tmp_path):
+    sine.to_csv(tmp_path / "a.csv", units="book")
+    assert (tmp_path / "a.csv").read_text().splitlines()[1] == "s,deg,lbf"
+    again = Trajectory.read_csv(tmp_path / "a.csv")
+    np.testing.assert_allclose(again.values, sine.values, rtol=1e-15)
+    assert again.units == sine.units
+    assert again.column("a").display_unit == "deg"
+    with pytest.raises(UnknownName, match="no kind of units 'SI'; did you mean si"):
+        sine.to_csv(tmp_path / "a.csv", units="SI")
+
+
+def test_own_file_comes_back_bit_for_bit_and_takes_what_a_run_knows(run, tmp_path):
+    run.to_csv(tmp_path / "a.csv")
+    again = Trajectory.read_csv(tmp_path / "a.csv", like=run, model="x")
+    assert again.values.tobytes() == run.values.tobytes()
+    assert again.columns == run.columns
+    assert (again.model, Trajectory.read_csv(tmp_path / "a.csv").model) == ("x", "a")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time [ms];phi [deg]\n0;180\n1000;90\n",
+        "# measured\n\nTime\tphi\ns\tdeg\n0\t180\n1\t90\n",
+        '"phi (deg)","t"\n180,0\n90,1\n',
+    ],
+)
+def test_files_of_other_tools_are_read(text, tmp_path):
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8-sig")
+    run = Trajectory.read_csv(tmp_path / "a.csv")
+    np.testing.assert_array_equal(run.time, [0, 1])
+    np.testing.assert_allclose(run["phi"], [np.pi, np.pi / 2], rtol=1e-15)
+    assert run.units["phi"] == "rad"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is empty"),
+        ("0,1\n1,2\n", "line 1: no header"),
+        ("time,x\n", "no sample"),
+        ("time,x\n0,1\n1,2,3\n", "line 3: 3 cells under 2 names"),
+        ("time,x\n0,1\n1,one\n", "line 3, column 'x': 'one' is not a number"),
+        ("time,x\n1,1\n0,1\n", "line 3: the time falls"),
+        ("time,x [furlong]\n1,1\n", "'furlong', which is unknown"),
+        ("time [deg],x\n1,1\n", "time is in 'deg'"),
+    ],
+)
+def test_files_that_make_no_sense_are_refused_with_the_line(text, told, tmp_path):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(UsageError, match=told):
+        Trajectory.read_csv(tmp_path / "a.csv")

@@ -1,12 +1,15 @@
 """`Dae`: a semi-explicit symbolic DAE that knows its variables."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
+from typing import Any
 
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae import packed, shown
+from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Variable
@@ -35,6 +38,7 @@ class Dae:
         closing: How drift decays; None where no equation sees to that.
         monitors: (variable, scalar expression) of how well conditioned the equations are; no
             outputs until somebody asks for them.
+        drawing: What the system looks like; see `Model.shape`.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -67,6 +71,7 @@ class Dae:
     invariants: tuple[Invariant, ...] = ()
     closing: Closing | None = None
     monitors: tuple[tuple[Variable, SX], ...] = ()
+    drawing: Drawing = field(default_factory=Drawing)
 
     def __post_init__(self) -> None:
         for what, variables, columns in (
@@ -81,6 +86,15 @@ class Dae:
                     f"{self.full_name}: {len(variables)} {what}, "
                     f"but columns of shape {', '.join(str(rows.shape) for rows in columns)}"
                 )
+
+    def __repr__(self) -> str:
+        return shown.text(self)
+
+    def _repr_html_(self) -> str:
+        return shown.html(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return packed.unpacked, packed.packed(self)
 
     @property
     def full_name(self) -> str:

@@ -24,10 +24,11 @@ static unsigned settable(const Instance *self, const VariableInfo *variable) {
     const unsigned start = INSTANTIATED | INITIALIZATION_MODE;
     switch (variable->role) {
     case INPUT: return start | EVENT_MODE | CONTINUOUS_TIME_MODE | STEP_MODE;
-    case PARAMETER: return start;
+    case PARAMETER:
+        return variable->tunable ? start | EVENT_MODE | CONTINUOUS_TIME_MODE | STEP_MODE : start;
     case ALGEBRAIC: return INSTANTIATED;
     case STATE:
-        return (variable->start_kind == CALCULATED ? 0 : start) | CONTINUOUS_TIME_MODE |
+        return (variable->start_kind == CALCULATED ? INSTANTIATED : start) | CONTINUOUS_TIME_MODE |
                (self->host.fmi_version == 3 ? EVENT_MODE : 0);
     default: return 0;
     }
@@ -83,7 +84,8 @@ Status get_values(Instance *self, const uint32_t references[], size_t count, dou
     for (size_t i = 0; i < count; i++) {
         const VariableInfo *variable = &variables[references[i]];
         needed |= needed_by[variable->role];
-        if (self->state.mode == INSTANTIATED && variable->start_kind == CALCULATED)
+        if (self->state.mode == INSTANTIATED && variable->start_kind == CALCULATED &&
+            variable->role != STATE)
             return refuse(self, DISCARD, "%s has no value before initialization", variable->name);
     }
     if (self->state.mode != INSTANTIATED) { /* there, start values as they stand */
@@ -105,8 +107,8 @@ static Status check_setting(Instance *self, const VariableInfo *variable, double
     if (!isfinite(value))
         return refuse(self, DISCARD, "%s = %g is not finite", variable->name, value);
     const bool starting = self->state.mode & (INSTANTIATED | INITIALIZATION_MODE);
-    if (starting && variable->role != INPUT &&
-        !(value >= variable->minimum && value <= variable->maximum))
+    const bool bounded = variable->role == PARAMETER || (starting && variable->role != INPUT);
+    if (bounded && !(value >= variable->minimum && value <= variable->maximum))
         return refuse(self, DISCARD, "%s = %g is not within %g ... %g", variable->name, value,
                       variable->minimum, variable->maximum);
     return OK;
@@ -123,8 +125,13 @@ Status set_values(Instance *self, const uint32_t references[], size_t count,
         if (status != OK) return status;
     }
     for (size_t i = 0; i < count; i++) {
+        const VariableInfo *variable = &variables[references[i]];
+        if (variable->start_kind == CALCULATED && self->state.mode == INSTANTIATED)
+            self->state.guesses[references[i] - FIRST_STATE] = values[i];
+        if (variable->role == PARAMETER && values[i] != self->state.values[references[i]])
+            self->state.retuned = true;
         self->state.values[references[i]] = values[i];
-        self->state.stale |= dependents(self, &variables[references[i]]);
+        self->state.stale |= dependents(self, variable);
     }
     return OK;
 }

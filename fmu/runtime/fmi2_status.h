@@ -6,6 +6,14 @@
 #include "instance.h"
 #include "logging.h"
 
+/* In a program that links several FMUs, whoever builds it defines FMI2_FUNCTION_PREFIX for each;
+   some copies of fmi2Functions.h leave it out. FMI 2.0 cannot take a prefix back for shared
+   libraries, so that the default is none. */
+#ifdef FMI2_FUNCTION_PREFIX
+#undef fmi2FullName
+#define fmi2FullName(name) INSIDE_NAME(FMI2_FUNCTION_PREFIX, name)
+#endif
+
 _Static_assert((int)OK == (int)fmi2OK && (int)WARNING == (int)fmi2Warning &&
                    (int)DISCARD == (int)fmi2Discard && (int)ERROR == (int)fmi2Error,
                "the numbers are the same");

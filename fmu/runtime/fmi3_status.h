@@ -2,6 +2,14 @@
 #ifndef FMI3_STATUS_H
 #define FMI3_STATUS_H
 
+#include "model.h"
+
+/* In a program that links several FMUs each function has the model's name before it; a shared
+   library is compiled with FMI3_OVERRIDE_FUNCTION_PREFIX. */
+#ifndef FMI3_FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX MODEL_PREFIX
+#endif
+
 #include "fmi3Functions.h"
 #include "instance.h"
 #include "logging.h"

@@ -106,6 +106,7 @@ void reset(Instance *self) {
     const uint32_t interface = self->state.interface;
     memset(&self->state, 0, sizeof self->state);
     for (size_t i = 0; i < N_VARIABLES; i++) self->state.values[i] = variables[i].start;
+    for (int i = 0; i < NX; i++) self->state.guesses[i] = variables[FIRST_STATE + i].guess;
     self->state.stop_time = INFINITY;
     self->state.tolerance = DEFAULT_TOLERANCE;
     self->state.interface = interface;

@@ -134,7 +134,9 @@ bool integrate_to(Instance *self, double end) {
     bool resting = true;
     for (int i = 0; i < NU; i++) resting &= state->slopes[i] == 0;
     const bool first = !(memory->next > 0);
-    const bool same = first || memcmp(memory->inputs, u, NU * sizeof *u) == 0;
+    const bool same =
+        first || (memcmp(memory->inputs, u, NU * sizeof *u) == 0 && !self->state.retuned);
+    self->state.retuned = false;
     const double ahead = resting && same ? fmax(state->stop_time, end) : end;
     const bool goes_on = !first && resting && same && memory->rested > 0;
     if (!goes_on && !begin(&ode, self, memory, ahead)) {

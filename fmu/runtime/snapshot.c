@@ -12,7 +12,7 @@
 
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 2 };
+enum { LAYOUT_VERSION = 3 };
 
 typedef struct {
     uint64_t magic;
@@ -74,11 +74,12 @@ static bool plausible(const Instance *self, const State *state) {
     if (state->interface != self->state.interface || !is_mode(state->mode, state->interface))
         return false;
     if (state->stale > EVERYTHING || state->experiment_set > 1 || state->slopes_spent > 1 ||
-        state->step_status > ERROR)
+        state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS || state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     for (int i = 0; i < NU; i++)
         if (!isfinite(state->slopes[i])) return false;
+    if (!all_finite(state->guesses, NX)) return false;
     if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;

@@ -42,6 +42,7 @@ enum {
 typedef struct {
     double values[N_VARIABLES]; /* by value reference */
     double slopes[ROOM(NU)];    /* du/dt within the communication step */
+    double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
     SolverMemory memory;
     double stop_time;        /* infinite where none was given */
     double tolerance;        /* relative, of co-simulation */
@@ -51,6 +52,8 @@ typedef struct {
     uint32_t experiment_set; /* start time and tolerance are settled */
     uint32_t slopes_spent;   /* they belong to a step that is over */
     uint32_t step_status;    /* of the last communication step */
+    uint32_t retuned;        /* a parameter has changed since the last one */
+    uint32_t outside;        /* limits of the model that are left, a bit each */
 } State;
 
 typedef struct Instance Instance;

@@ -3,6 +3,8 @@
 #ifndef VARIABLES_H
 #define VARIABLES_H
 
+#include <stdbool.h>
+
 #include "model.h"
 #include "visibility.h"
 
@@ -18,8 +20,10 @@ typedef struct {
     const char *name;
     Role role;
     StartKind start_kind;
-    double start; /* of a calculated state: where its solution begins */
+    double start; /* of a calculated state: what it comes to, about */
     double nominal, minimum, maximum;
+    double guess; /* of a calculated state: where its solution begins */
+    bool tunable; /* a parameter that may change during a run */
 } VariableInfo;
 
 /* Value reference of the first variable of each role. */
@@ -36,6 +40,7 @@ enum {
 INSIDE_BEGIN
 
 extern const VariableInfo variables[];
+extern const char *const limits[]; /* what is true while the model holds; N_LIMITS of them */
 
 INSIDE_END
 

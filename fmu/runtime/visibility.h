@@ -1,6 +1,9 @@
-/* Only the FMI functions leave the library: what stands between the two is for its inside. */
+/* Only the FMI functions leave the library: what stands between the two is for its inside, under
+   names of its own. */
 #ifndef VISIBILITY_H
 #define VISIBILITY_H
+
+#include "internal_names.h"
 
 #if defined __GNUC__ && !defined _WIN32
 #define INSIDE_BEGIN _Pragma("GCC visibility push(hidden)")

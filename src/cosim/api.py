@@ -5,16 +5,26 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
+from numpy.typing import ArrayLike
+
 from casadi_models.dae import Dae
+from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
+from cosim.integrate.asked_times import AskedTimes, again, for_many_grids
 from cosim.integrate.outputs import wanted_names, watching
 from cosim.integrate.solver import Solver
-from cosim.model.inputs import InputSeries
-from cosim.model.values import assign, listed
+from cosim.integrate.solvers import SOLVERS
+from cosim.integrate.stopping import run_until
+from cosim.memo import kept_per_thread
+from cosim.model.catalogue import load
+from cosim.model.driving import driven
+from cosim.model.quantities import quantity
+from cosim.model.values import A_DAE, assign, listed
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.accuracy.solver_selection import promised_run
 from cosim.trajectory import Trajectory
@@ -26,10 +36,12 @@ class Options(native.Shorthand, total=False):
     compiled: bool | None
     on_invalid: str
     drift_control: str | None
+    output_times: ArrayLike | None
+    stop_when: str | None
 
 
 def simulate(
-    dae: Dae,
+    dae: Dae | str,
     *,
     start_time: float = 0.0,
     stop_time: float | None = None,
@@ -37,15 +49,15 @@ def simulate(
     solver: str | Solver | None = None,
     accuracy: float | None = None,
     budget: float | None = None,
-    start_values: Mapping[str, float] | None = None,
-    inputs: InputSeries | None = None,
+    start_values: Mapping[str, float | str] | None = None,
+    inputs: Any = None,
     outputs: Sequence[str] | None = None,
     **options: Unpack[Options],
 ) -> Trajectory:
     """Integrate a DAE with CVODES, or with IDAS when it has algebraic unknowns.
 
     Args:
-        dae: The model; SI units throughout.
+        dae: The model, or the name of one; SI units throughout.
         start_time: Begin of the run, s.
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
@@ -55,8 +67,13 @@ def simulate(
         accuracy: Instead of solver and tolerance: largest global error of the outputs, in nominal
             values. The cheapest configuration that was measured to do is taken, and checked.
         budget: Instead of these, too: time that the solver may take, s.
-        start_values: Values by name that replace starts of states, parameters, or inputs.
-        inputs: Time series of some inputs, piecewise linear; the others keep their start value.
+        start_values: Numbers in SI units, or texts with a unit, by name, that replace starts of
+            states, parameters, or inputs.
+        inputs: An `InputSeries`, piecewise linear; or by name a number, a text with a unit, a
+            formula of time, states and parameters, a function of time, samples at the output
+            times (n,), or an `InputSeries`. A formula, and a function that CasADi can take
+            (`lambda t: np.sin(t)`), are followed exactly; any other function is sampled at the
+            output times. Other inputs keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
         options: What few runs need.
             `compiled`: whether to compile the equations; if a compiler is there when None.
@@ -69,10 +86,16 @@ def simulate(
             named or left out: error per step relative to each state's size (1), 1e-8 when None;
             in SI units, a hundredth of the relative one when None; largest step of `rk4` and
             `ode8`, s, the output interval when None.
+            `output_times`: times of one's own, s, (n,), in place of `stop_time` and
+            `output_interval`.
+            `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes
+            true; `stats.stop` says so. It is looked at on the output times, then located as
+            accurately as the solver integrates by repeating the run with closer output times.
             `start`: another name of `start_values`.
 
     Returns:
-        Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
+        Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit. Its
+        `at` computes the run at other times.
 
     Raises:
         UnknownName: A name does not exist: of a value, an output, a solver or an option.
@@ -84,56 +107,178 @@ def simulate(
             is what there is.
         Interrupted: Ctrl-C, a `KeyboardInterrupt` whose `partial` holds the run up to there.
         MissingTool: `compiled` is True and no compiler works.
+
+    Example:
+        >>> run = simulate("crank_shaft", start_values={"omega": "60rpm"}, stop_when="phi > 2*pi")
+        >>> round(run.stats.stop_time, 6)  # of 2 pi t + 5 t^2 = 2 pi
+        0.656758
     """
     native.refuse_unknown(options, Options.__optional_keys__)
+    dae = named(dae) if isinstance(dae, str) else dae
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("a run", dae, A_DAE)
     fixed = {name: options.get(name) for name in (*OVERRULED, "drift_control")}
     refuse_contradiction(accuracy, budget, **fixed | {"solver": solver})
-    given = native.one_of(dae, start_values, options.pop("start", None))
-    run: dict[str, Any] = {"start_time": start_time, "stop_time": stop_time}
-    run |= {"output_interval": output_interval, "start_values": given, "inputs": inputs}
-    if accuracy is None and budget is None:
-        return native.simulate(dae, solver=solver, outputs=outputs, **run, **options)
-    assign(dae, given)
+    given = _numbers(dae, native.one_of(dae, start_values, options.pop("start", None)))
+    own_times, condition = options.pop("output_times", None), options.pop("stop_when", None)
+    times = AskedTimes(dae, start_time, stop_time, output_interval, own_times)
+    settled = driven(dae, inputs, times.grid)
+    dae = settled.dae
+    run: dict[str, Any] = {"inputs": settled.series}
+    run["start_values"] = _together(dae, given, settled.constants)
+    if condition is not None:
+        if accuracy is not None or budget is not None:
+            raise UsageError(
+                f"{dae.full_name}: stop_when needs a solver; leave accuracy or budget out"
+            )
+        found = _until(dae, condition, times, outputs, run | {"solver": solver, **options})
+    elif accuracy is None and budget is None:
+        run |= {"solver": solver, "outputs": outputs, **options}
+        found = native.simulate(dae, **times.given, **run)
+    else:
+        found = _promised(dae, accuracy, budget, times, outputs, run, options)
+    if accuracy is None and budget is None and SOLVERS[found.stats["solver"]].adaptive:
+        settings = run | {"solver": solver, **options}
+        span = float(times.grid()[0]), float(found.time[-1])
+        found = replace(found, again=partial(again, dae, settings, *span))
+    return times.asked(found)
+
+
+def _promised(
+    dae: Dae,
+    accuracy: float | None,
+    budget: float | None,
+    times: AskedTimes,
+    outputs: Sequence[str] | None,
+    run: dict[str, Any],
+    options: Options,
+) -> Trajectory:
+    """Run with what an accuracy or a budget chooses."""
+    assign(dae, run["start_values"])
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
     names = wanted_names(dae, wanted)
-    grid = native.output_times(dae, start_time, stop_time, output_interval)
+    grid = times.grid()
     compiled = options.get("compiled")
     compiled = has_compiler() if compiled is None else compiled
-    run["on_invalid"] = options.get("on_invalid", "warn")
+    run = run | times.given | {"on_invalid": options.get("on_invalid", "warn")}
     solve = partial(native.simulate, dae, outputs=names, compiled=compiled, **run)
     length = float(grid[-1] - grid[0])
     return promised_run(dae, solve, names, length, compiled, accuracy, budget)
 
 
-def run_scene(scene: Scene, road: str | None = None, **options: Any) -> Trajectory:
-    """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
+def _until(
+    dae: Dae,
+    condition: str,
+    times: AskedTimes,
+    outputs: Sequence[str] | None,
+    run: dict[str, Any],
+) -> Trajectory:
+    """Run until a condition becomes true."""
+    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
+    dae = watching(dae, wanted or ())
+    run = for_many_grids(dae, run)
+
+    def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
+        return native.simulate(watched, output_interval=grid, outputs=names, **run)
+
+    return run_until(dae, condition, solve, times.grid(), wanted_names(dae, wanted))
+
+
+def _together(dae: Dae, given: Any, constants: Mapping[str, float]) -> Any:
+    """Return start values with those of constant inputs."""
+    if not constants or not isinstance(given, Mapping | None):
+        return given
+    if twice := constants.keys() & (given or {}).keys():
+        raise UsageError(f"{dae.full_name}: {min(twice)} is given twice; give it once")
+    return {**(given or {}), **constants}
+
+
+def _numbers(dae: Dae, given: Any) -> Any:
+    """Return what is given for starts, texts as numbers in the variables' units."""
+    if not isinstance(given, Mapping) or not isinstance(dae, Dae):
+        return given  # and refused with the rest
+    units = {v.name: v.unit for v in dae.variables}
+    return {
+        name: quantity(name, value, units[name])
+        if isinstance(value, str) and name in units
+        else value
+        for name, value in given.items()
+    }
+
+
+@kept_per_thread(16)
+def _catalogued(name: str) -> Dae:
+    return load(name)
+
+
+def named(name: str) -> Dae:
+    """Return the model of a name, the same one for the same name of the catalogue.
+
+    Raises:
+        CosimError: See `load`.
+    """
+    return load(name) if ".py:" in name else _catalogued(name)
+
+
+def run_scene(
+    scene: Scene,
+    road: Road | str | None = None,
+    *,
+    stop_when: str | None = None,
+    output_times: ArrayLike | None = None,
+    **options: Any,
+) -> Trajectory:
+    """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
 
     With an accuracy or a budget, the front of the model with its author's values is what chooses,
     so that it need not be measured anew for each of the scene's values.
 
     Args:
         scene: What to run.
-        road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
-        options: `compiled`, `on_invalid`, `drift_control` of CasADi's integrators.
+        road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
+        stop_when: A condition that ends the run; see `simulate`.
+        output_times: Times of one's own, s; see `simulate`.
+        options: `compiled`, `on_invalid`, `drift_control` of the native road.
 
     Raises:
-        UsageError: An FMU shall run with an accuracy or a budget.
+        UsageError: An FMU shall run with an accuracy, a budget or a condition.
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
+
+    Example:
+        >>> import cosim
+        >>> run_scene(cosim.read_scene("crank_torque.toml")).names
+        ('T',)
     """
     goals = {name: getattr(scene.settings, name) for name in GOALS} if _is(scene) else {}
-    if not any(goal is not None for goal in goals.values()):
+    goal = any(value is not None for value in goals.values())
+    asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
+    if not goal and (not _is(scene) or all(value is None for value in asked.values())):
         return roads.run_scene(scene, road, **options)
-    if road is not None:
+    if not _way(road).native:
+        words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
-            f"{scene.name}: accuracy and budget are for CasADi's integrators; an FMU gets its "
-            "accuracy when it is exported: cosim export --accuracy"
+            f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
+            "exported: cosim export --accuracy"
         )
-    dae = roads.scene_dae(replace(scene, values={}))
+    options = _as_asked(road, options)
+    dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
+    settings = roads.native_settings(scene, dae)
+    if output_times is not None:
+        settings["stop_time"] = None
+    if not goal:
+        return simulate(dae, **asked, **settings, **options)
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
     start = {name: value for name, value in scene.values.items() if name in known}
-    settings = roads.native_settings(scene, dae)
-    return simulate(dae, start_values=start, **goals, **settings, **options)
+    return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
+
+
+def _way(road: Road | str | None) -> Road:
+    return Road.NATIVE if road is None else Road.named(road)
+
+
+def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
+    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options
 
 
 def _is(scene: object) -> bool:

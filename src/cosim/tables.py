@@ -1,6 +1,7 @@
 """Rows as text and as HTML: what a terminal, a prompt and a notebook show."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -10,15 +11,50 @@ MOST_LINES = 15  # of what a value says of itself at a prompt
 GAP = "  "
 
 
-def cell(value: Any) -> str:
-    """Return a value as it stands in a table: numbers with three digits."""
+@dataclass(frozen=True)
+class Table:
+    """Rows with the same keys, e.g. for `pandas.DataFrame(table.rows)`; shown as a table.
+
+    Attributes:
+        rows: One mapping per line.
+        caption: What stands above them.
+        digits: Of numbers, where they are shown.
+    """
+
+    rows: tuple[Mapping[str, Any], ...]
+    caption: str = ""
+    digits: int = 3
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, position: int) -> Mapping[str, Any]:
+        return self.rows[position]
+
+    def __repr__(self) -> str:
+        text = text_table(self.rows, digits=self.digits)
+        return "\n".join(part for part in (self.caption, text) if part)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows, self.caption, digits=self.digits)
+
+
+def cell(value: Any, digits: int = 3) -> str:
+    """Return a value as it stands in a table: numbers with a few digits."""
     if isinstance(value, float):
-        return f"{value:.3g}"
+        return f"{value:.{digits}g}"
     return "" if value is None else visible(str(value))
 
 
 def text_table(
-    rows: Sequence[Mapping[str, Any]], *, width: int | None = None, most: int | None = None
+    rows: Sequence[Mapping[str, Any]],
+    *,
+    width: int | None = None,
+    most: int | None = None,
+    digits: int = 3,
 ) -> str:
     """Return rows that have the same keys as aligned lines under a header; "" without rows.
 
@@ -26,12 +62,13 @@ def text_table(
         rows: One mapping per line.
         width: Number of letters of a line; the longest cells are cut for it.
         most: Number of lines; what is left out is counted in the last one.
+        digits: Of numbers.
     """
     if not rows:
         return ""
     left_out = 0 if most is None else max(0, len(rows) + 1 - most)
     shown = rows[: len(rows) - left_out - 1] if left_out else rows
-    lines = [[*rows[0]], *([cell(value) for value in row.values()] for row in shown)]
+    lines = [[*rows[0]], *([cell(value, digits) for value in row.values()] for row in shown)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     if width is not None:
         widths = _fitting(widths, width - len(GAP) * (len(widths) - 1))
@@ -44,13 +81,13 @@ def text_table(
     return "\n".join(text)
 
 
-def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "") -> str:
+def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: int = 3) -> str:
     """Return rows that have the same keys as an HTML table."""
     if not rows:
         return f"<p>{escape(caption)}</p>"
     head = "".join(f"<th>{escape(str(key))}</th>" for key in rows[0])
     body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell(v))}</td>" for v in row.values()) + "</tr>"
+        "<tr>" + "".join(f"<td>{escape(cell(v, digits))}</td>" for v in row.values()) + "</tr>"
         for row in rows
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""

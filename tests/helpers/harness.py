@@ -26,7 +26,9 @@ RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
 SOLVERS = RUNTIME.parent / "solvers"
 HERE = Path(__file__).parents[1] / "runtime"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+# A shared library has FMI's own names; two instances of a model in one program need no others.
+NAMES = "-DFMI3_OVERRIDE_FUNCTION_PREFIX"
+STRICT = ["-std=c11", NAMES, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 OK, WARNING, DISCARD, ERROR = range(4)
 NAN, INF = float("nan"), float("inf")

@@ -4,7 +4,7 @@ from ctypes import byref, c_double, c_int
 
 import numpy as np
 import pytest
-from helpers.harness import DISCARD, ERROR, INF, NAN, OK, reals, references
+from helpers.harness import DISCARD, ERROR, INF, NAN, OK, WARNING, reals, references
 from scipy.integrate import solve_ivp
 
 ONE = (c_int * 1)(1)
@@ -58,6 +58,21 @@ def test_a_change_of_inputs_at_a_communication_point_counts_from_there_on(cs):
         law = (lambda t, level=force: level, 0.5)
         x = solve_ivp(rates, (0, 0.4), x, "DOP853", rtol=1e-12, atol=1e-13, args=law).y[:, -1]
     assert np.abs(np.array(cs.get("q", "v", "w", "s")) - x).max() < 1e-10  # measured 7e-12
+
+
+def test_a_change_of_a_parameter_at_a_communication_point_counts_from_there_on(cs, fmi2):
+    """An instance that begins at the changed state with the new value goes the same way."""
+    walk(cs.initialize(q=1.0, v=0.5), 1.0, 0.25)
+    q, v, w, s = cs.get("q", "v", "w", "s")
+    assert cs.set(damping=0.9) == OK
+    for i in range(4):
+        assert cs("DoStep", 1.0 + 0.25 * i, 0.25, 1) == OK
+    other = fmi2(1)
+    other.initialize({"start": 1.0}, q=q, v=v, s=s, load=w + w**2, damping=0.9)
+    for i in range(4):
+        assert other("DoStep", 1.0 + 0.25 * i, 0.25, 1) == OK
+    np.testing.assert_allclose(cs.get("q", "v"), other.get("q", "v"), rtol=0, atol=1e-7)
+    assert cs.get("q")[0] != pytest.approx(solution(2.0)[0], abs=1e-3)  # it had an influence
 
 
 def test_inputs_with_derivatives_move_linearly_within_a_step(cs):
@@ -154,6 +169,13 @@ def test_a_blow_up_ends_the_step_early_at_the_last_good_state(cs):
     assert s > 1e6  # measured 1.2e9
 
 
+def test_the_message_of_a_failed_step_tells_which_limit_was_left_before(cs):
+    cs.initialize({"tolerance": 1e-8}, blow=1.0, s=1.0, q=2.5)  # s blows up at 1 s
+    cs.get("energy")
+    assert cs("DoStep", 0.0, 2.0, 1) == DISCARD
+    assert cs.said.endswith("; before, it was no longer true that q < 2 m")
+
+
 def test_after_an_early_end_the_step_can_be_retried_from_a_saved_state(cs):
     cs.initialize(blow=1.0)
     snapshot = cs.take()
@@ -209,13 +231,26 @@ def test_a_step_beyond_the_stop_time_is_an_error(cs):
 
 @pytest.mark.parametrize(
     ("name", "order", "value", "status"),
-    [("q", 1, 1.0, ERROR), ("force", 0, 1.0, ERROR), ("force", 2, 1.0, ERROR),
+    [("q", 1, 1.0, ERROR), ("force", 0, 1.0, ERROR),
      ("force", -1, 1.0, ERROR), ("force", 1, NAN, DISCARD)],
 )  # fmt: skip
 def test_senseless_input_derivatives_are_refused(cs, name, order, value, status):
     cs.initialize()
     orders = (c_int * 1)(order)
     assert cs("SetRealInputDerivatives", cs.refs(name), 1, orders, reals(value)) == status
+
+
+def test_input_derivatives_of_higher_order_are_dropped_with_a_warning(cs, fmi2):
+    other = fmi2(1).initialize()
+    cs.initialize()
+    for fmu, orders in ((cs, (1, 2)), (other, (1,))):
+        count = len(orders)
+        references, values = fmu.refs(*["force"] * count), reals(*[2.0] * count)
+        status = fmu("SetRealInputDerivatives", references, count, (c_int * count)(*orders), values)
+        assert status == (WARNING if 2 in orders else OK)
+        assert fmu("DoStep", 0.0, 0.5, 1) == OK
+    assert cs.messages[-1][2].endswith("the derivative of order 2 is dropped")
+    assert cs.get("q", "v") == other.get("q", "v")
 
 
 def test_unknown_status_information_is_discarded(cs):

@@ -111,16 +111,16 @@ def test_reset_makes_a_run_repeatable_to_the_bit(me):
 # -- what is refused ------------------------------------------------------------------------------
 
 NOT_SETTABLE = {
-    "instantiated": ["time", "w", "v_dot", "energy"],
+    "instantiated": ["time", "v_dot", "energy"],
     "initialization": ["time", "w", "a", "v_dot", "energy"],
     "event": ["time", "q", "w", "a", "v_dot", "mass", "energy"],
     "continuous": ["time", "a", "v_dot", "mass", "energy"],
 }
 SETTABLE = {
-    "instantiated": ["q", "v", "a", "force", "mass"],
+    "instantiated": ["q", "v", "w", "a", "force", "mass"],
     "initialization": ["q", "v", "force", "mass"],
-    "event": ["force"],
-    "continuous": ["q", "w", "force"],
+    "event": ["force", "damping"],
+    "continuous": ["q", "w", "force", "damping"],
 }
 
 
@@ -141,6 +141,44 @@ def bring(fmu, mode):
 @pytest.mark.parametrize(("mode", "name"), [(m, n) for m in SETTABLE for n in SETTABLE[m]])
 def test_a_variable_can_be_set_where_the_standard_allows_it(me, mode, name):
     assert bring(me, mode).set(**{name: 0.25}) == OK
+
+
+def test_a_value_given_to_a_calculated_start_is_where_its_solution_begins(me, fmi2):
+    """w + w^2 = 2 has the roots 1 and -2; after a reset the model's own guess counts again."""
+    me.set(w=-3.0)
+    assert me.initialize().get("w") == [pytest.approx(-2.0, abs=1e-12)]
+    assert me("Reset") == OK
+    assert me.initialize().get("w") == fmi2().initialize().get("w")
+
+
+def test_a_limit_of_the_model_is_told_once_per_crossing(me, fmi2):
+    """The toy holds while q < 2 m."""
+    continuous(me.initialize())
+    told = []
+    for time, q in ((0.1, 1.9), (0.2, 2.1), (0.3, 2.2), (0.4, 1.8), (0.5, 2.5)):
+        me("SetTime", time)
+        me.set(q=q)
+        me.get("energy")
+        told.append(len(me.messages))
+    assert told == [0, 1, 1, 1, 2]
+    status, category, text = me.messages[-1]
+    assert (status, category) == (WARNING, "logStatusWarning")
+    assert text == "fmi2GetReal: from time 0.5 on it is no longer true that q < 2 m"
+    snapshot, again = me.take(), continuous(fmi2().initialize())
+    assert again("SetFMUstate", snapshot) == OK
+    again.get("energy")
+    assert again.messages == []  # the crossing belongs to the FMU state
+
+
+def test_a_tunable_parameter_counts_from_when_it_is_set(me):
+    """mass v' + damping v + stiffness q = force + 0.1 r, r = 2 a + w."""
+    continuous(me.initialize(v=1.0))
+    before = me.get("v_dot")[0]
+    assert me.set(damping=0.9) == OK
+    mass = me.get("mass")[0]
+    assert me.get("v_dot")[0] - before == pytest.approx(-0.4 / (mass - 0.2), rel=1e-12)
+    assert me.set(damping=-1.0) == DISCARD
+    assert me.said == "fmi2SetReal: damping = -1 is not within 0 ... inf"
 
 
 @pytest.mark.parametrize(("mode", "name"), [(m, n) for m in NOT_SETTABLE for n in NOT_SETTABLE[m]])

@@ -1,6 +1,7 @@
 """Comparing runs: scaled, worst first, and nothing that is not a number slips through."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_what_is_not_finite_agrees_with_nothing_and_comes_first(bad, both):
 )
 def test_runs_that_cannot_be_compared_are_refused(second, reason):
     with pytest.raises(UsageError, match=reason):
-        compare(run(x=[0, 0, 0]), second)
+        compare(run(x=[0, 0, 0]), second, resample=False)
 
 
 def test_runs_without_output_times_are_refused():
@@ -85,3 +86,51 @@ def test_verdict_in_words_names_both_runs_the_variable_and_the_bound():
     text = str(compare(run(x=[0, 0, 1], solver="erk"), run(x=[0, 0, 0], model="n")))
     expected = "m [erk] and n DIFFER: x by 1.00e-01 of its nominal value at 2 s (bound 1e-06)"
     assert text == expected
+
+
+# -- other output times ---------------------------------------------------------------------------
+
+
+def sampled(n, law=np.sin, start=0.0, stop=2.0, **more):
+    time = np.linspace(start, stop, n)
+    return replace(run(time=time, x=law(time)), **more)
+
+
+def test_other_output_times_are_interpolated_and_the_comparison_says_so():
+    result = compare(sampled(21), sampled(32))
+    assert result.agrees
+    assert "compared at 21 times of the first run, 0 ... 2 s" in str(result)
+    assert "the second one is interpolated, with an estimated error of" in result.note
+    off = compare(sampled(21), sampled(32, lambda t: np.sin(t) + 1e-3))
+    assert off.worst.scaled == pytest.approx(1e-4, rel=1e-3)  # nominal 10
+
+
+def test_other_output_times_are_computed_again_where_that_can_be_done():
+    second = sampled(3)
+    again = replace(second, again=lambda t: run(time=t, x=np.sin(t)))
+    assert not compare(sampled(21), second).agrees
+    result = compare(sampled(21), again)
+    assert result.worst.scaled == 0
+    assert result.note.endswith("the second one is computed again there")
+
+
+def test_only_the_common_span_is_compared_and_that_is_told():
+    result = compare(sampled(21, stop=2.0), sampled(101, start=0.5, stop=9.5))
+    assert "compared at 16 times of the first run, 0.5 ... 2 s" in result.note
+
+
+def test_runs_without_a_common_time_are_refused():
+    with pytest.raises(UsageError, match="no time in common: they run from 0 to 2 s and from 3"):
+        compare(sampled(21), sampled(21, start=3, stop=5))
+
+
+def test_comparison_shows_its_worst_variables_in_few_lines():
+    many = {f"v{i}": [0, 0, i] for i in range(99)}
+    zero = {name: [0, 0, 0] for name in many}
+    result = compare(run(**many), run(**zero))
+    lines = repr(result).splitlines()
+    assert len(lines) == 15
+    assert lines[0] == str(result)
+    assert lines[2].split() == ["v98", "9.8", "2"]
+    assert "<td>v98</td><td>9.8</td><td>2</td>" in result._repr_html_()
+    assert next(iter(result)) is result.worst

@@ -19,6 +19,7 @@ from cosim.errors import ExportError, MissingTool, UnknownName
 _PORTABLE = (
     *("-std=c11", "-O1", "-fvisibility=hidden", "-ffp-contract=off", "-ffunction-sections"),
     *("-fno-asynchronous-unwind-tables", "-fno-stack-protector"),
+    "-DFMI3_OVERRIDE_FUNCTION_PREFIX",  # the names in a shared library are FMI's own
 )
 _UNUSED_CODE_OUT = {
     "linux": ("-s", "-Wl,--gc-sections"),

@@ -14,9 +14,8 @@ from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, watc
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import CALL, driven, prepared, symbols_of
 from cosim.integrate.engine import Engine, Problem, reported
-from cosim.integrate.plugin import COMMON, plugin_engine
+from cosim.integrate.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
-from cosim.integrate.sundials import tolerances
 
 _NAMES = ("n_steps", "n_rhs", "n_jac")
 
@@ -24,12 +23,13 @@ _NAMES = ("n_steps", "n_rhs", "n_jac")
 @dataclass(frozen=True, kw_only=True)
 class _OwnOfCasadi(AdaptiveSolver):
     order = 5
+    code_per_grid = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
         if problem.compiled:
             return self._generated(problem)
-        options = COMMON | tolerances(self) | {"control_group_size": [len(problem.grid)]}
+        options = COMMON | tolerances(self) | _grouped(problem)
         return plugin_engine(problem, self.name, options, _NAMES)
 
     def _generated(self, problem: Problem) -> Engine:
@@ -44,7 +44,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         ode, alg = function(t, x, z, driven(dae, inputs, t, u), c)
         symbols = [s, x, z, u, ca.vertcat(c, span)]
         system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
-        options: dict[str, Any] = COMMON | {"control_group_size": [len(grid)]}
+        options: dict[str, Any] = COMMON | _grouped(problem)
         if inputs is not None:
             options["max_step_size"] = float(np.diff(inputs.time).min() / length)
         original = ca.Function("driven", symbols, [system["ode"], alg])
@@ -67,7 +67,9 @@ class _OwnOfCasadi(AdaptiveSolver):
         library = ctypes.CDLL(path)
         parameters = ca.Function("parameters", [p], [extended])
         run = ca.external("run", path)
-        return Engine(run, parameters, False, reported(library, start, length), True, library)
+        return Engine(
+            run, parameters, problem.piecewise, reported(library, start, length), True, library
+        )
 
     @staticmethod
     def finished(code: str) -> str:
@@ -94,6 +96,11 @@ class Rosenbrock(_OwnOfCasadi):
     name = "rosenbrock"
     solves_dae = True
     uses_jacobian = True
+
+
+def _grouped(problem: Problem) -> dict[str, Any]:
+    """Let steps pass output times where inputs do not change there."""
+    return {} if problem.piecewise else {"control_group_size": [len(problem.grid)]}
 
 
 def _unit_grid(grid: Vector) -> Vector:

@@ -2,7 +2,9 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from time import perf_counter
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
+
+import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
@@ -19,9 +21,11 @@ from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
-from cosim.model.time_grid import time_grid
-from cosim.model.values import assign, listed, number
+from cosim.model.time_grid import checked_grid, time_grid
+from cosim.model.values import assign, listed, number, numbers_of
 from cosim.trajectory import Trajectory
+
+T = TypeVar("T")
 
 
 class Shorthand(TypedDict, total=False):
@@ -38,7 +42,7 @@ def simulate(
     *,
     start_time: float = 0.0,
     stop_time: float | None = None,
-    output_interval: float | None = None,
+    output_interval: float | Vector | None = None,
     solver: str | Solver | None = None,
     start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
@@ -55,7 +59,7 @@ def simulate(
         start_time: Begin of the run, s.
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
-            output is at `stop_time` in any case.
+            output is at `stop_time` in any case. An array holds the times themselves, (n,).
         solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
             the name of one; CVODES, or IDAS for a DAE, when None.
         start_values: Values by name that replace starts of states, parameters, or inputs.
@@ -121,7 +125,9 @@ def simulate(
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
-    every = Trajectory(dae.full_name, time, all_columns(dae), solution.table, stats, status)
+    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
+    columns = all_columns(dae)
+    every = Trajectory(dae.full_name, time, columns, solution.table, stats, status, drawing=drawing)
     run = every.select(names)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
@@ -146,8 +152,8 @@ def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
 
 
 def one_of(
-    dae: Dae, start_values: Mapping[str, float] | None, start: Mapping[str, float] | None
-) -> Mapping[str, float] | None:
+    dae: Dae, start_values: Mapping[str, T] | None, start: Mapping[str, T] | None
+) -> Mapping[str, T] | None:
     """Return the start values, given by one of their two names.
 
     Raises:
@@ -161,13 +167,17 @@ def one_of(
 
 
 def output_times(
-    dae: Dae, start_time: float, stop_time: float | None, output_interval: float | None
+    dae: Dae, start_time: float, stop_time: float | None, output_interval: float | Vector | None
 ) -> Vector:
     """Return the output times of a run, s, (n,); see `simulate`.
+
+    An array in place of the interval holds these times themselves.
 
     Raises:
         ParameterError: A time is not finite, or they are not increasing.
     """
+    if isinstance(output_interval, np.ndarray):
+        return checked_grid(output_interval)
     start_time = number("run", "start_time", start_time)
     return time_grid(
         start_time,
@@ -192,4 +202,5 @@ def _stats(
         compiled=compiled,
         wall_time=wall_time,
         invalid=tuple(breach.text for breach in first.invalid),
+        invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

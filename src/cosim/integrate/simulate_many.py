@@ -59,13 +59,14 @@ def simulate_many(
         times: Instead of an interval: increasing output times after or at `start_time`, s; the
             last one is the stop time. One by one these must be evenly spaced.
         outputs: Names to record, monitors among them; everything but those when None.
-        solver: A name of `SOLVERS`; `dop853` in lanes where that is possible when None.
+        solver: As of `simulate`; `dop853` in lanes where that is possible when None.
         relative_tolerance, absolute_tolerance, step_size, inputs: See `simulate`.
         on_invalid: What happens where a run leaves the model's limits: "warn" says so in
             `Ensemble.invalid`, "stop" ends that run there, "ignore" does neither.
         threads: How many at most; one per processor when None.
         lanes: 1, 2, 4 or 8; what the processor has when None. Sums are rounded alike whatever it
             is; sines may differ in the last bits.
+        watch: Called with the position of each run that begins, where they go one by one.
 
     Returns:
         Every wanted output of every run, with how each run ended; runs that are refused or fail
@@ -130,7 +131,8 @@ def runs_in_lanes(dae: Dae, settings: Mapping[str, Any], inputs: InputSeries | N
     """Tell whether `simulate_many` runs variants in lanes with these of its arguments."""
     points = np.array([0.0, settings.get("stop_time") or 1.0])
     lean = _fits(dae, inputs, settings.get("step_size"), points)
-    return lean and settings.get("solver") in (None, "dop853")
+    solver = settings.get("solver")
+    return lean and (solver in (None, Dop853.name) or isinstance(solver, Dop853))
 
 
 def processors() -> int:

@@ -36,7 +36,6 @@ MORE: Mapping[str, Unit] = {
     "mph": _unit(_MILE / 3600, m=1, s=-1),
     "kph": UNITS["km/h"],
     "l": _unit(1e-3, m=3),
-    "t": _unit(1e3, kg=1),
     "lbm": _unit(_MASS_POUND, kg=1),
     "lb": UNITS["lbf"],  # as the book; a mass where only a mass fits
     "mN": _unit(1e-3, kg=1, m=1, s=-2),

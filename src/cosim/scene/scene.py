@@ -8,6 +8,9 @@ from cosim.errors import ParameterError
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign, number
 from cosim.scene.goals import OVERRULED, refuse_contradiction
+from cosim.tables import html_table, text_table
+
+WIDTH = 100  # letters of a line at a prompt
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,31 @@ class Scene:
 
     def __post_init__(self) -> None:
         assign(self.dae, self.values)
+
+    def rows(self) -> list[dict[str, str]]:
+        """Return what the scene sets, as pairs of a word and a text."""
+        settings = self.settings.__dataclass_fields__
+        own = {name: getattr(self.settings, name) for name in settings}
+        own = {name: value for name, value in own.items() if value != settings[name].default}
+        units = {v.name: v.unit for v in self.dae.variables}
+        facts = {
+            "model": self.dae.full_name,
+            "values": ", ".join(f"{n} = {v:g} {units[n]}" for n, v in self.values.items()),
+            "inputs": ", ".join(self.inputs.names) if self.inputs else "",
+            "outputs": ", ".join(self.outputs) or "everything",
+            "run": ", ".join(f"{name} = {value}" for name, value in own.items()),
+            "figures": ", ".join(figure.title for figure in self.figures),
+        }
+        return [{"of the scene": key, "is": text} for key, text in facts.items() if text]
+
+    def __repr__(self) -> str:
+        return f"{self._title()}\n{text_table(self.rows(), width=WIDTH)}"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows(), self._title())
+
+    def _title(self) -> str:
+        return f"Scene {self.name}: {self.title}".rstrip(": ")
 
     def configured(self) -> Dae:
         """Return the full model with the scene's values and span as its own.

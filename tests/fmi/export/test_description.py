@@ -8,8 +8,10 @@ from helpers.small_models import decay
 
 import cosim
 from casadi_models.dae import Dae, Model, Start
+from cosim.errors import UnknownName, UsageError
 from cosim.fmi.check.parsed import Description, parse
 from cosim.fmi.export.package import source_files
+from cosim.fmi.export.tunable import fixed_parameters, tunable_parameters
 
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
@@ -51,6 +53,8 @@ def test_every_fact_of_a_variable_arrives(fmi):
         assert float(texts.get("max", inf)) == variable.maximum
         if variable.start_kind is Start.EXACT:
             assert float(texts["start"]) == variable.start
+        elif variable.name == "c":  # what the start comes to: the root of p = 4
+            assert float(texts["start"]) == 2.0
         else:
             assert "start" not in texts
 
@@ -62,7 +66,7 @@ def test_causality_and_initial_follow_the_role(fmi):
         "time": ("independent", None),
         "a": ("output", "exact"),
         "b": ("output", "exact"),
-        "c": ("output", "calculated"),
+        "c": ("output", "approx"),
         "der(a)": ("local", "calculated"),
         "der(b)": ("local", "calculated"),
         "der(c)": ("local", "calculated"),
@@ -83,7 +87,7 @@ def test_dependencies_are_those_worked_out_by_hand(fmi):
         names = [v.name for v in file.variables]
         return {names[u.position]: {names[i] for i in u.needs} for u in file.sections[section]}
 
-    assert needs("Derivatives") == {"der(a)": {"b", "u"}, "der(b)": {"time"}, "der(c)": set()}
+    assert needs("Derivatives") == {"der(a)": {"b", "u", "k"}, "der(b)": {"time"}, "der(c)": set()}
     assert needs("Outputs") == {
         "a": {"a"},
         "b": {"b"},
@@ -99,6 +103,44 @@ def test_dependencies_are_those_worked_out_by_hand(fmi):
         "z": {"b", "u"},
         "y": {"a", "b", "u"},
     }
+
+
+@VERSIONS
+def test_fixed_parameters_are_knowns_of_fmi_3_only(fmi):
+    """FMI 3.0.2, 2.4.8: what is not listed has no influence; parameters are no exception."""
+    files = source_files(rich(), "rich", 1e-9, fmi, tunable=())
+    file = parse(files["modelDescription.xml"])
+    names = [v.name for v in file.variables]
+    listed = {u.position: {names[i] for i in u.needs} for u in file.sections["Derivatives"]}
+    assert listed[names.index("der(a)")] == {"b", "u"} | ({"k"} if fmi == 3 else set())
+    assert {v.variability for v in file.variables if v.causality == "parameter"} == {"fixed"}
+
+
+@VERSIONS
+def test_parameters_that_starts_follow_from_are_fixed(fmi):
+    kinds = {v.name: v.variability for v in described(rich(), fmi).variables}
+    assert (kinds["p"], kinds["k"]) == ("fixed", "tunable")
+    with pytest.raises(UsageError, match="p cannot be tunable, as nothing follows from it after"):
+        source_files(rich(), "rich", 1e-9, fmi, tunable=["p"])
+    with pytest.raises(UnknownName, match="no parameter 'q'"):
+        source_files(rich(), "rich", 1e-9, fmi, tunable=["q"])
+
+
+def test_inertias_and_what_starts_need_are_fixed_unless_asked_for():
+    pendulum, bicycle = map(cosim.load, ("double_pendulum/quaternion", "bicycle/independent"))
+    assert "momentum" in fixed_parameters(pendulum)["m"]
+    assert "g" not in fixed_parameters(pendulum)
+    assert fixed_parameters(bicycle)["w"] == "start values follow from it"
+    assert "w" not in tunable_parameters(bicycle, None)
+    assert {"w", "mB"} < set(tunable_parameters(bicycle, ["all"]))
+
+
+def test_adjoint_derivatives_are_offered_when_asked_for():
+    for adjoint in (False, True):
+        files = source_files(rich(), "rich", 1e-9, 3, adjoint=adjoint)
+        root = ET.fromstring(files["modelDescription.xml"])
+        told = [element.get("providesAdjointDerivatives") for element in root[:2]]
+        assert told == (["true"] * 2 if adjoint else [None] * 2)
 
 
 @VERSIONS

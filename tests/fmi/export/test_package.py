@@ -51,7 +51,7 @@ def test_exports_are_identical_from_every_folder_and_cache(tmp_path, monkeypatch
 
 
 def test_another_python_process_exports_the_same_bytes(target):
-    code = "import cosim, small_models as m, sys; cosim.export_fmu(m.decay(), sys.argv[1])"
+    code = "import cosim, sys, helpers.small_models as m; cosim.export_fmu(m.decay(), sys.argv[1])"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "PYTHONHASHSEED": "7"}
     subprocess.run([sys.executable, "-c", code, str(target)], check=True, env=environment)
     assert target.read_bytes() == cosim.export_fmu(decay(), target).read_bytes()

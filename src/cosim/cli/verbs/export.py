@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,14 @@ def add_parser(verbs: Verbs) -> None:
         metavar="NAME",
         help="of co-simulation: dop853 (default), rosenbrock (default of stiff models), erk",
     )
+    parser.add_argument(
+        "--tunable",
+        metavar="A,B|all|none",
+        help="parameters that may change during a run; all but inertias and what starts need",
+    )
+    parser.add_argument(
+        "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
+    )
     add_accuracy(parser)
     add_timeout(parser)
 
@@ -51,7 +60,9 @@ def run(args: argparse.Namespace) -> int:
     name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
     options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
-    options["platforms"] = names_in(args.platform)
+    options |= {"platforms": names_in(args.platform), "adjoint": args.adjoint}
+    if args.tunable is not None:
+        options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
     if accuracy is None:
         path = export_with_proof(dae, target, **options)
     else:
@@ -66,6 +77,9 @@ def run(args: argparse.Namespace) -> int:
     if scene.inputs and not args.quiet:
         told = ", ".join(scene.inputs.names)
         print(f"{told}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
+    if args.json:
+        facts = {"file": str(path), "bytes": path.stat().st_size, "model": dae.full_name}
+        print(json.dumps(facts | {"report": list(dae.report)}))
     if not args.quiet:
         print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
     return 0

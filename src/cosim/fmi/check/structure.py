@@ -13,9 +13,13 @@ def structure_problems(described: Description) -> Iterator[str]:
     states = {v.derivative_of for v in variables if v.derivative_of is not None}
     moving = {i for i, v in enumerate(variables) if v.causality in ("input", "independent")}
     given = moving | {i for i, v in enumerate(variables) if v.initial == "exact"}
+    parameters = {i for i, v in enumerate(variables) if v.causality == "parameter"}
+    if described.version == "2":  # there, only those that change during a run
+        parameters = {i for i in parameters if variables[i].variability == "tunable"}
+    running = moving | states | parameters
     for name, wanted, known in (
-        ("Outputs", _outputs(described), moving | states),
-        ("Derivatives", _derivatives(described), moving | states),
+        ("Outputs", _outputs(described), running),
+        ("Derivatives", _derivatives(described), running),
         ("InitialUnknowns", _initial_unknowns(described), given),
     ):
         listed = described.sections[name]

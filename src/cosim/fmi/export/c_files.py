@@ -3,7 +3,10 @@
 import re
 from collections.abc import Sequence
 
+import casadi as ca
+
 from casadi_models.dae import Dae
+from cosim.errors import UsageError
 from cosim.fmi.export.equations import equations_code
 from cosim.fmi.export.folding import folded
 from cosim.fmi.export.solver_choice import uses_dop853
@@ -21,6 +24,7 @@ def model_header(
 #ifndef MODEL_H
 #define MODEL_H
 #define MODEL_IDENTIFIER {_string(identifier)}
+#define MODEL_PREFIX {identifier}_
 #define MODEL_NAME {_string(dae.full_name)}
 #define MODEL_GUID {_string(guid)}
 #define NX {len(dae.states)}
@@ -28,6 +32,7 @@ def model_header(
 #define NU {len(dae.inputs)}
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
+#define N_LIMITS {len(dae.limits)}
 #define DEFAULT_TOLERANCE {tolerance!r}
 #define HAS_ADJOINT {int(fmi == 3)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
@@ -36,15 +41,21 @@ def model_header(
 """
 
 
-def variable_table(variables: Sequence[FmuVariable]) -> str:
-    """Return `model.c`: every variable, in the order of the value references."""
+def variable_table(dae: Dae, variables: Sequence[FmuVariable]) -> str:
+    """Return `model.c`: every variable, in the order of the value references, and the limits."""
+    limits = "".join(f"    {_string(meaning)},\n" for _, meaning in dae.limits)
     rows = "".join(f"    {{{', '.join(_row(variable))}}},\n" for variable in variables)
     return f"""/* Generated. */
 #include "variables.h"
 #include <float.h>
+#include <stddef.h>
 
 const VariableInfo variables[] = {{
 {rows}}};
+
+const char *const limits[] = {{
+{limits}    NULL,
+}};
 """
 
 
@@ -64,21 +75,40 @@ INSIDE_BEGIN
 _SMALL = re.compile(r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE)
 
 
-def equations(dae: Dae, fmi: int, solver: str) -> str:
-    """Return `equations.c`: CasADi's code, its functions visible inside the library only."""
-    code = re.sub(r"^ \* +$", " *", equations_code(dae, fmi, solver), flags=re.MULTILINE)
-    return _HEAD + _SMALL.sub(r"\1SMALL ", folded(code))
+_MODEL_NAME = re.compile(r"\bmodel_")  # what CasADi makes around a function has its name, too
+
+
+def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
+    """Return `equations.c`: CasADi's code, its functions visible inside the library only.
+
+    Raises:
+        UsageError: This version of CasADi generates code of another form.
+    """
+    code = re.sub(
+        r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
+    )
+    code, rare = _SMALL.subn(r"\1SMALL ", folded(code))
+    if not rare:
+        raise UsageError(
+            f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
+            "use casadi 3.8"
+        )
+    return _HEAD + _MODEL_NAME.sub(f"{identifier}_model_", code)
 
 
 def _row(variable: FmuVariable) -> tuple[str, ...]:
+    guess = variable.start if variable.guess is None else variable.guess
+    start = guess if variable.start is None else variable.start
     return (
         _string(variable.name),
         variable.role.name,
         variable.start_kind.name,
-        _number(variable.start or 0.0),
+        _number(start or 0.0),
         _number(variable.nominal),
         _number(variable.minimum),
         _number(variable.maximum),
+        _number(guess or 0.0),
+        str(variable.tunable).lower(),
     )
 
 

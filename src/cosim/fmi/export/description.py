@@ -1,12 +1,14 @@
-"""What the model descriptions of FMI 2.0 and 3.0 have in common."""
+"""`modelDescription.xml`: all but what the versions of FMI say in different ways."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
-from cosim.fmi.export.variables import Dependencies, FmuVariable, Role, rate_unit
+from cosim.fmi.export.dependencies import Dependencies
+from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
 from cosim.model.reduction.structure import Pattern
 
 LOG_CATEGORIES = {
@@ -18,13 +20,20 @@ LOG_CATEGORIES = {
 
 @dataclass(frozen=True)
 class Identity:
-    """What names an FMU: C identifier, GUID, tool, source files, tolerance."""
+    """What an FMU says of itself.
+
+    Attributes:
+        identifier, guid, tool, tolerance: C identifier, GUID, exporting tool, relative tolerance.
+        sources: Files to compile, by name.
+        adjoint: Whether it offers adjoint derivatives (FMI 3.0).
+    """
 
     identifier: str
     guid: str
     tool: str
     sources: tuple[str, ...]
     tolerance: float
+    adjoint: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,15 +53,94 @@ class Structure:
     initial_unknowns: tuple[Unknown, ...]
 
 
-def model_structure(variables: Sequence[FmuVariable], depends: Dependencies) -> Structure:
+@dataclass(frozen=True)
+class Dialect:
+    """Where the versions of FMI differ.
+
+    Attributes:
+        root: Attributes of the whole, from the identity.
+        interfaces: Elements of model exchange and co-simulation.
+        variable: Element of a variable, from its attributes and those of its type.
+        structure: Element of the model structure.
+        fixed_are_knowns: Whether unknowns depend on fixed parameters, too.
+    """
+
+    root: Callable[[Identity], dict[str, str]]
+    interfaces: Callable[[Identity], list[ET.Element]]
+    variable: Callable[[dict[str, str], dict[str, str]], ET.Element]
+    structure: Callable[[Structure], ET.Element]
+    fixed_are_knowns: bool
+
+
+def model_description(
+    dae: Dae,
+    identity: Identity,
+    variables: Sequence[FmuVariable],
+    depends: Dependencies,
+    dialect: Dialect,
+) -> bytes:
+    """Return the content of `modelDescription.xml`."""
+    common = {
+        "modelName": identity.identifier,
+        "description": dae.description,
+        "version": "1",
+        "generationTool": identity.tool,
+        "variableNamingConvention": "structured",
+    }
+    root = ET.Element("fmiModelDescription", dialect.root(identity) | common)
+    root.extend(dialect.interfaces(identity))
+    root.append(unit_definitions(variables))
+    root.append(log_categories())
+    root.append(default_experiment(dae, identity.tolerance))
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        listed.append(dialect.variable(*_attributes(reference, variable)))
+    structure = model_structure(variables, depends, fixed_are_knowns=dialect.fixed_are_knowns)
+    root.append(dialect.structure(structure))
+    return to_bytes(root)
+
+
+def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the attributes of a variable, and those that FMI 2.0 gives to its type."""
+    general = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.meaning,
+        "causality": causality(variable),
+        "variability": variability(variable),
+    }
+    if initial := initial_of(variable):
+        general["initial"] = initial
+    facts = {"unit": variable.unit}
+    if variable.display_unit:
+        facts["displayUnit"] = variable.display_unit
+    if variable.derivative_of is not None:
+        facts["derivative"] = str(variable.derivative_of)
+    for name, bound in (("min", variable.minimum), ("max", variable.maximum)):
+        if isfinite(bound):
+            facts[name] = shortest(bound)
+    if variable.nominal != 1:
+        facts["nominal"] = shortest(variable.nominal)
+    if variable.start is not None and initial in ("exact", "approx", None):
+        facts["start"] = shortest(variable.start)
+    return general, facts
+
+
+def model_structure(
+    variables: Sequence[FmuVariable], depends: Dependencies, *, fixed_are_knowns: bool
+) -> Structure:
     """Return outputs, derivatives and initial unknowns with their true dependencies."""
     positions = {role: [i for i, v in enumerate(variables) if v.role is role] for role in Role}
     time, states = positions[Role.TIME], positions[Role.STATE]
     inputs, parameters = positions[Role.INPUT], positions[Role.PARAMETER]
     computed = [*positions[Role.DERIVATIVE], *positions[Role.ALGEBRAIC], *positions[Role.OUTPUT]]
-    running = _lists(computed, depends.running, [*time, *states, *inputs])
+    knowns = [*time, *states, *inputs, *parameters]
+    running = _lists(computed, depends.running, knowns)
+    if not fixed_are_knowns:
+        fixed = {i for i in parameters if not variables[i].tunable}
+        running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
     running |= {i: (i,) for i in states}
-    initial = _lists([*states, *computed], depends.initial, [*time, *states, *inputs, *parameters])
+    initial = _lists([*states, *computed], depends.initial, knowns)
     observed = [i for i, v in enumerate(variables) if v.observed]
     unknown = {i for i in (*observed, *states) if variables[i].start_kind is not Start.EXACT}
     unknown |= set(positions[Role.DERIVATIVE])
@@ -126,9 +214,21 @@ def to_bytes(root: ET.Element) -> bytes:
     return content + b"\n"
 
 
-def may_be_set(variable: FmuVariable) -> bool:
-    """Tell whether an importer may give the start; algebraic guesses stay inside."""
-    return variable.start_kind is Start.EXACT
+def initial_of(variable: FmuVariable) -> str | None:
+    """Return FMI's initial: a calculated state begins near a number, others are results."""
+    if variable.role in (Role.TIME, Role.INPUT):
+        return None
+    if variable.start_kind is Start.EXACT:  # algebraic guesses stay inside
+        return "exact"
+    calculated = variable.role is Role.STATE and variable.start is not None
+    return "approx" if calculated else "calculated"
+
+
+def variability(variable: FmuVariable) -> str:
+    """Return FMI's variability."""
+    if variable.role is not Role.PARAMETER:
+        return "continuous"
+    return "tunable" if variable.tunable else "fixed"
 
 
 def shortest(value: float) -> str:

@@ -16,20 +16,24 @@ from cosim.codegen.runge_kutta_c import dop853_coefficients
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
-from cosim.fmi.export import fmi2_xml, fmi3_xml
 from cosim.fmi.export.build import binaries
+from cosim.fmi.export.build_description import build_description
 from cosim.fmi.export.c_files import equations, model_header, variable_table
-from cosim.fmi.export.description import Identity
+from cosim.fmi.export.dependencies import dependencies
+from cosim.fmi.export.description import Identity, model_description
 from cosim.fmi.export.documentation import documentation_page
+from cosim.fmi.export.fmi2_xml import FMI2
+from cosim.fmi.export.fmi3_xml import FMI3
 from cosim.fmi.export.identifier import model_identifier
 from cosim.fmi.export.solver_choice import solver_for, uses_dop853
-from cosim.fmi.export.variables import dependencies, fmu_variables
+from cosim.fmi.export.tunable import tunable_parameters
+from cosim.fmi.export.variables import fmu_variables
 from cosim.fmi.platforms import NATIVE, targets
 from cosim.fmi.trust import remember
 from cosim.model.values import A_DAE, listed, number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
-VERSIONS = {2: fmi2_xml, 3: fmi3_xml}
+VERSIONS = {2: FMI2, 3: FMI3}
 _DOP853 = ("dop853.h", "interpolant.h", "ode.h")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
@@ -44,6 +48,8 @@ def export_fmu(
     platforms: Sequence[str] = (NATIVE,),
     tolerance: float = TOLERANCE,
     solver: str | None = None,
+    tunable: Sequence[str] | None = None,
+    adjoint: bool = False,
 ) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
 
@@ -58,6 +64,10 @@ def export_fmu(
         tolerance: Relative tolerance that the FMU recommends.
         solver: Of co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock" (the
             default of models that are stiff at their start) or "erk" (explicit, order 5, ODEs).
+        tunable: Parameters that may change during a run, or `["all"]`; when None, all but inertias
+            and those that start values follow from.
+        adjoint: Whether the FMU says that it has adjoint derivatives (FMI 3.0). CasADi up to
+            3.8.2 gets wrong Jacobians from them: it writes all directions over the first.
 
     Returns:
         Path of the FMU.
@@ -65,8 +75,8 @@ def export_fmu(
     Raises:
         ExportError: The name is no C name, or the file cannot be written.
         UnknownName: The model has no such output, or FMI no such version, platform or solver.
-        UsageError: The solver cannot solve for algebraic unknowns; or an argument is of a type
-            that is of no use.
+        UsageError: The solver cannot solve for algebraic unknowns; a parameter cannot be tunable;
+            FMI 2.0 has no adjoint derivatives; or an argument is of a type that is of no use.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
     """
@@ -86,7 +96,11 @@ def export_fmu(
         raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
     if outputs is not None:
         dae = _observing(dae, listed(f"{dae.full_name}: outputs", outputs))
-    files = source_files(dae, name, tolerance, fmi, solver)
+    if tunable:
+        tunable = listed(f"{dae.full_name}: tunable", tunable)
+    if adjoint and fmi == 2:
+        raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
+    files = source_files(dae, name, tolerance, fmi, solver, tunable=tunable, adjoint=adjoint)
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
     content = zipped(files | binaries(sources, name, chosen))
     if problems := check_fmu(io.BytesIO(content)):
@@ -99,35 +113,41 @@ def export_fmu(
 
 
 def source_files(
-    dae: Dae, name: str, tolerance: float, fmi: int, solver: str | None = None
+    dae: Dae,
+    name: str,
+    tolerance: float,
+    fmi: int,
+    solver: str | None = None,
+    *,
+    tunable: Sequence[str] | None = None,
+    adjoint: bool = False,
 ) -> dict[str, bytes]:
     """Return the content of the FMU by path, without binaries; see `export_fmu`."""
     solver = solver_for(dae, solver)
-    variables = fmu_variables(dae)
+    variables = fmu_variables(dae, tunable_parameters(dae, tunable))
     others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
-        "model.c": variable_table(variables).encode(),
-        "equations.c": equations(dae, fmi, solver).encode(),
+        "model.c": variable_table(dae, variables).encode(),
+        "equations.c": equations(dae, name, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
         code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}
         code["dop853_coefficients.h"] = dop853_coefficients().encode()
     compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
-    draft = Identity(name, "", f"cosim-rigid {version('cosim-rigid')}", compiled, tolerance)
+    tool = f"cosim-rigid {version('cosim-rigid')}"
+    draft = Identity(name, "", tool, compiled, tolerance, adjoint)
     depends = dependencies(dae)
-    describe = VERSIONS[fmi].model_description
-    unsigned = describe(dae, draft, variables, depends)
+    unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
     digest = hashlib.sha256()
     for part in (unsigned, *code.values(), *runtime.values()):
         digest.update(part)
-    guid = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
-    code["model.h"] = model_header(dae, name, guid, tolerance, fmi, solver).encode()
-    if fmi == 3:
-        code["buildDescription.xml"] = fmi3_xml.build_description(draft)
+    signed = replace(draft, guid=f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}")
+    code["model.h"] = model_header(dae, name, signed.guid, tolerance, fmi, solver).encode()
+    code["buildDescription.xml"] = build_description(signed)
     return {
-        "modelDescription.xml": describe(dae, replace(draft, guid=guid), variables, depends),
-        "documentation/index.html": documentation_page(dae, variables).encode(),
+        "modelDescription.xml": model_description(dae, signed, variables, depends, VERSIONS[fmi]),
+        "documentation/index.html": documentation_page(dae, variables, solver, tolerance).encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
     }
 

@@ -1,16 +1,13 @@
-"""The variables of an FMU in the order of their value references, and what depends on what."""
+"""The variables of an FMU in the order of their value references."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
-from math import inf
-
-import numpy as np
-from casadi import SX
+from math import inf, isfinite
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, Unit
-from cosim.model.reduction.structure import Pattern, matching, pattern
+from cosim.codegen.initialization import start_function
 
 
 class Role(Enum):
@@ -35,6 +32,9 @@ class FmuVariable:
         role: What it is.
         observed: Whether it is an output of the FMU, which importers record.
         derivative_of: Value reference of the state, for a derivative.
+        tunable: Whether an importer may change a parameter during a run.
+        guess: Where the solution of a calculated start begins; `start` is then its result, which
+            importers are told, None where there is none.
     """
 
     name: str
@@ -49,18 +49,28 @@ class FmuVariable:
     maximum: float = inf
     observed: bool = False
     derivative_of: int | None = None
+    tunable: bool = False
+    guess: float | None = None
 
 
-def fmu_variables(dae: Dae) -> tuple[FmuVariable, ...]:
-    """Return time, states, derivatives, algebraics, inputs, parameters, outputs, in this order."""
-    return tuple(_variables(dae))
+def fmu_variables(dae: Dae, tunable: Collection[str] = ()) -> tuple[FmuVariable, ...]:
+    """Return time, states, derivatives, algebraics, inputs, parameters, outputs, in this order.
+
+    Args:
+        dae: The model.
+        tunable: Names of the parameters that may change during a run.
+    """
+    return tuple(_variables(dae, tunable))
 
 
-def _variables(dae: Dae) -> Iterator[FmuVariable]:
+def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
     observed = frozenset(dae.observed)
     yield FmuVariable("time", "simulation time", "s", Role.TIME)
-    for state, start in zip(dae.states, dae.x_start, strict=True):
-        yield _plain(state, Role.STATE, observed, start)
+    for state, guess, start in zip(dae.states, dae.x_start, _settled(dae), strict=True):
+        variable = _plain(state, Role.STATE, observed, guess)
+        if state.start_kind is Start.CALCULATED:
+            variable = replace(variable, start=start, guess=guess)
+        yield variable
     for i, state in enumerate(dae.states):
         yield FmuVariable(
             f"der({state.name})",
@@ -71,12 +81,28 @@ def _variables(dae: Dae) -> Iterator[FmuVariable]:
         )
     for algebraic in dae.algebraics:
         yield _plain(algebraic, Role.ALGEBRAIC, observed, algebraic.start)
-    for variable in dae.inputs:
-        yield _plain(variable, Role.INPUT, frozenset(), variable.start)
+    for quantity in dae.inputs:
+        yield _plain(quantity, Role.INPUT, frozenset(), quantity.start)
     for parameter in dae.parameters:
-        yield _plain(parameter, Role.PARAMETER, frozenset(), parameter.start)
+        variable = _plain(parameter, Role.PARAMETER, frozenset(), parameter.start)
+        yield replace(variable, tunable=parameter.name in tunable)
     for output in dae.output_variables:
         yield _plain(output, Role.OUTPUT, observed, None)
+
+
+def _settled(dae: Dae) -> list[float | None]:
+    """Return the starts of all states, as initialization solves for them; None where it cannot."""
+    p = [float(parameter.start or 0.0) for parameter in dae.parameters]
+    x, _ = start_function(dae)(list(dae.x_start), p)
+    return [
+        _rounded(float(value), state.nominal) if isfinite(value) else None
+        for value, state in zip(x.full().ravel(), dae.states, strict=True)
+    ]
+
+
+def _rounded(value: float, nominal: float) -> float:
+    """Return a solution without its rounding errors."""
+    return float(f"{value:.15g}") if abs(value) > 1e-14 * nominal else 0.0
 
 
 def _plain(
@@ -106,80 +132,3 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
         if known.factor == rate.factor and known.measures_like(rate):
             return name, known
     return f"{unit}/s", rate
-
-
-@dataclass(frozen=True)
-class Dependencies:
-    """What depends on what, structurally; rows in the order of the dependent variables.
-
-    Attributes:
-        running: Of [derivatives, algebraics, outputs] on [time, states, inputs].
-        initial: Of [states, derivatives, algebraics, outputs] on [time, starts, inputs,
-            parameters].
-    """
-
-    running: Pattern
-    initial: Pattern
-
-
-def dependencies(dae: Dae) -> Dependencies:
-    """Return the dependencies, algebraic unknowns being solved for."""
-    known = [dae.t, dae.x, dae.u, dae.p]
-    direct = _stack([pattern(e, *known) for e in (dae.ode, SX(0, 1), dae.outputs)], dae.algebraics)
-    through = _solved_for(dae) @ pattern(dae.alg, *known)  # z on what is known
-    for_z = [pattern(e, dae.z) for e in (dae.ode, dae.outputs)]
-    nx, nz = len(dae.states), len(dae.algebraics)
-    direct[:nx] |= for_z[0] @ through
-    direct[nx : nx + nz] = through
-    direct[nx + nz :] |= for_z[1] @ through
-
-    start = _start_pattern(dae)  # x on [starts, p]
-    on_x = direct[:, 1 : 1 + nx]
-    nu = len(dae.inputs)
-    initial = np.zeros((nx + len(direct), 1 + nx + nu + len(dae.parameters)), dtype=bool)
-    initial[:nx, 1 : 1 + nx] = start[:, :nx]
-    initial[:nx, 1 + nx + nu :] = start[:, nx:]
-    initial[nx:, 0] = direct[:, 0]
-    initial[nx:, 1 : 1 + nx] = on_x @ start[:, :nx]
-    initial[nx:, 1 + nx : 1 + nx + nu] = direct[:, 1 + nx : 1 + nx + nu]
-    initial[nx:, 1 + nx + nu :] = direct[:, 1 + nx + nu :] | (on_x @ start[:, nx:])
-    return Dependencies(direct[:, : 1 + nx + nu], initial)
-
-
-def _stack(patterns: Sequence[Pattern], algebraics: Sequence[Variable]) -> Pattern:
-    ode, _, outputs = patterns
-    return np.vstack((ode, np.zeros((len(algebraics), ode.shape[1]), dtype=bool), outputs))
-
-
-def _solved_for(dae: Dae) -> Pattern:
-    """Return which equations each algebraic unknown needs, (nz, nz).
-
-    Every unknown is matched with an equation; an unknown needs its own equation and those of all
-    unknowns that stand in it, and so on.
-    """
-    count = len(dae.algebraics)
-    if not count:
-        return np.zeros((0, 0), dtype=bool)
-    equation = matching(dae)
-    reach = pattern(dae.alg, dae.z)[equation] | np.eye(count, dtype=bool)
-    for _ in range(count.bit_length()):
-        reach = reach @ reach
-    own = np.zeros((count, count), dtype=bool)
-    own[np.arange(count), equation] = True
-    return reach @ own
-
-
-def _start_pattern(dae: Dae) -> Pattern:
-    """Return what each state's start depends on: the starts that are given, the parameters."""
-    nx = len(dae.states)
-    result = np.hstack((np.eye(nx, dtype=bool), np.zeros((nx, len(dae.parameters)), dtype=bool)))
-    for rule in dae.start_rules:
-        law = pattern(rule.expression, dae.x, dae.p)
-        own = list(rule.states)
-        on_x = law[:, :nx]
-        if rule.implicit:
-            on_x[:, own] = False
-        needs = on_x @ result
-        needs[:, nx:] |= law[:, nx:]
-        result[own] = needs.any(axis=0) if rule.implicit else needs
-    return result

@@ -139,10 +139,10 @@ def is_number(variable: Any) -> bool:
 
 
 def may_be_set(variable: Any) -> bool:
-    """Tell whether fmpy sets the variable before or during initialization."""
+    """Tell whether a run begins with what is given; an approximate start is but a guess."""
     if variable.start is None or variable.variability == "constant":
         return False
-    return variable.causality == "input" or variable.initial in ("exact", "approx", None)
+    return variable.causality == "input" or variable.initial in ("exact", None)
 
 
 def by_name(description: Any) -> Mapping[str, Any]:

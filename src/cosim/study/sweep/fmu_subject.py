@@ -32,6 +32,10 @@ class FmuSubject:
         """Return what is recorded."""
         return self._fmu.columns(outputs)
 
+    def unit(self, name: str) -> str | None:
+        """Return None: numbers are in the FMU's own units."""
+        return None
+
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Refuse what cannot be set; say how the runs are computed."""
         self._fmu.settable(dict.fromkeys(names, 0.0))

@@ -5,6 +5,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any
@@ -58,14 +59,28 @@ def run_processes(job: Job, samples: Samples, schedule: Schedule, tell: Tell, wo
 def after_death(job: Job, schedule: Schedule, chunk: Range, cause: str) -> Summary | None:
     """Decide what becomes of a chunk whose process died; return what is settled by that."""
     store = Store(job.store)
-    if chunk in store.finished():  # it died afterwards
+    if store.has(*chunk):  # it died afterwards
         summary = summary_of(store.read(*chunk))
         schedule.done(chunk, 0, 0.0)
         return summary
-    run = schedule.died(chunk, store.last_begun(*chunk))
+    began, at = store.last_begun(*chunk)
+    if not began and schedule.given_up(chunk) < _MOST_FAILED_STARTS:
+        return None
+    run = schedule.died(chunk, at)
     if run is None:
         return None
     return lost(job, run, f"every process that computes it ends ({cause})")
+
+
+def _buried(process: subprocess.Popen[bytes]) -> int:
+    """Wait for a process that is dead or dying, close its pipes; return its exit code."""
+    process.kill()
+    code = process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):
+                pipe.close()
+    return code
 
 
 class _Worker(Thread):
@@ -87,6 +102,8 @@ class _Worker(Thread):
                     self._ensure()
                     failed = 0
                 except (OSError, EOFError, pickle.UnpicklingError) as error:
+                    if self._process is not None:
+                        _buried(self._process)
                     self._process = None
                     self._schedule.given_up(chunk)
                     failed += 1
@@ -105,14 +122,17 @@ class _Worker(Thread):
         self._ended = True
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
+        if self.ident is not None:
+            self.join(10)
+        if self._process is not None:
+            _buried(self._process)
 
     def _compute(self, chunk: Range) -> None:
         try:
             answer = self._ask((chunk[0], self._samples.part(*chunk)))
         except (OSError, EOFError, pickle.UnpicklingError):
             process, self._process = self._process, None
-            code = process.wait() if process else None
+            code = None if process is None else _buried(process)
             if not self._ended:
                 told = after_death(self._job, self._schedule, chunk, f"exit code {code}")
                 if told is not None:
@@ -124,8 +144,10 @@ class _Worker(Thread):
         self._news.put(answer)
 
     def _ensure(self) -> None:
-        if self._process is not None and self._process.poll() is None:
-            return
+        if self._process is not None:
+            if self._process.poll() is None:
+                return
+            _buried(self._process)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "cosim.study.sweep.worker"],
             stdin=subprocess.PIPE,

@@ -28,6 +28,7 @@ from cosim.trajectory import Column, Trajectory, repr_17
 if TYPE_CHECKING:
     import xarray as xr
 
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the datasets
 _OPEN = STATES.index(RunState.INTERRUPTED)  # not computed yet
 
 
@@ -176,7 +177,11 @@ class SweepResult:
         return Trajectory(self.model, self.time[:n], self.columns, values, {}, status)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the table of runs: samples, status, reason, steps and numbers, one row per run."""
+        """Write the table of runs; the file is whole or not there."""
+        write_atomically(path, self.csv_text().encode())
+
+    def csv_text(self) -> str:
+        """Return the table of runs: samples, status, reason, steps, numbers; one row per run."""
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         varied = self.samples.columns
@@ -186,7 +191,7 @@ class SweepResult:
             row = [repr_17(float(column[i])) for column in columns]
             told = (str(STATES[self.codes[i]]), self.reasons.get(i, ""), str(self.steps[i]))
             writer.writerow((str(i), *row[: len(varied)], *told, *row[len(varied) :]))
-        write_atomically(path, text.getvalue().encode())
+        return text.getvalue()
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset`: dimension `run`, what was varied as its coordinates.
@@ -210,11 +215,15 @@ class SweepResult:
                 for kind in ("mean", "variance", "minimum", "maximum"):
                     table = getattr(self.statistics, kind)(name)
                     variables[f"{name}_over_runs_{kind}"] = ("time", table, facts)
+                bands = np.array([self.statistics.quantile(name, q) for q in _QUANTILES])
+                variables[f"{name}_over_runs_quantile"] = (("quantile", "time"), bands, facts)
         if self.tables:
             for i, output in enumerate(self.columns):
                 values = self.values[:, :, i]
                 variables[output.name] = (("run", "time"), values, about[output.name])
         coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": "s"})}
+        if self.statistics is not None:
+            coordinates["quantile"] = ("quantile", np.array(_QUANTILES))
         for name, column in self.samples.columns.items():
             free = name if name not in variables else f"{name}_start"
             coordinates[free] = ("run", column)

@@ -1,6 +1,7 @@
 """What is swept: a model, a scene or an FMU, named so that every process can open it itself."""
 
 import os
+import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,18 +14,17 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.lane_library import lane_library, processor_lanes
-from cosim.errors import UsageError
+from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble import Ensemble
 from cosim.integrate.outputs import all_columns, wanted_names, watching
 from cosim.integrate.simulate_many import runs_in_lanes, simulate_many
 from cosim.model.catalogue import load
 from cosim.model.inputs import InputSeries
-from cosim.model.values import assign, listed
+from cosim.model.values import assign, listed, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.study.sweep.samples import digest_of
-from cosim.study.sweep.serial import dae_from_bytes, dae_to_bytes
 from cosim.study.sweep.watch import Watch
 from cosim.trajectory import Column
 
@@ -51,6 +51,9 @@ class Opened(Protocol):
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return what is recorded."""
 
+    def unit(self, name: str) -> str | None:
+        """Return the unit of what can be varied; None where numbers have none to be read."""
+
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Refuse names that cannot be set, compile; say how the runs are computed."""
 
@@ -74,7 +77,7 @@ def as_subject(given: Any) -> Subject:
     if isinstance(given, Subject):
         return given
     if isinstance(given, Dae):
-        return Subject("dae", dae_to_bytes(given))
+        return Subject("dae", pickle.dumps(given))
     if isinstance(given, str | os.PathLike):
         name = os.fspath(given)
         if Path(name).suffix in (".fmu", ".toml"):
@@ -105,7 +108,7 @@ def opened(subject: Subject) -> Opened:
     if subject.kind == "scene":
         return _of_scene(read_scene(str(subject.source)))
     if isinstance(subject.source, bytes):
-        return ModelSubject(dae_from_bytes(subject.source), {}, {}, None)
+        return ModelSubject(pickle.loads(subject.source), {}, {}, None)
     return ModelSubject(load(subject.source), {}, {}, None)
 
 
@@ -151,6 +154,14 @@ class ModelSubject:
         dae = watching(self._dae, wanted or ())
         known = {column.name: column for column in all_columns(dae)}
         return tuple(known[name] for name in wanted_names(dae, wanted))
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit of what can be varied."""
+        known = settable(self._dae)
+        if name not in known:
+            kind = "state, parameter or input"
+            raise UnknownName.of_model(self.name, kind, name, known)
+        return known[name].unit
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Refuse names that cannot be set, compile; say how the runs are computed."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from cosim.errors import Interrupted, ParameterError, UsageError
 from cosim.integrate.simulate_many import processors
+from cosim.integrate.solver import Solver
 from cosim.study.sweep.chunk import Job
 from cosim.study.sweep.cluster import connected, run_cluster
 from cosim.study.sweep.extra import extra
@@ -47,7 +48,7 @@ def sweep(
     start_time: float | None = None,
     stop_time: float | None = None,
     output_interval: float | None = None,
-    solver: str | None = None,
+    solver: str | Solver | None = None,
     relative_tolerance: float | None = None,
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
@@ -212,6 +213,13 @@ class _Crew:
 
 def _settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
     """Return what is not None, in forms that JSON keeps."""
+    solver = given.get("solver")
+    if isinstance(solver, Solver):
+        numbers = {name: value for name, value in vars(solver).items() if value is not None}
+        twice = next((name for name in numbers if given.get(name) is not None), None)
+        if twice is not None:
+            raise UsageError(f"sweep: {twice} is given beside {solver}; give it once")
+        given |= {"solver": solver.name, **numbers}
     settings = {name: value for name, value in given.items() if value is not None}
     if times is not None:
         if "stop_time" in settings or "output_interval" in settings:

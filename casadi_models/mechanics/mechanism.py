@@ -1,0 +1,301 @@
+"""Mechanisms with closed loops in one call: to an explicit ODE, or to an index-1 DAE.
+
+Given are coordinates q, their rates u, inertias, loads and loops g(q) = 0. Everything that follows
+from these is declared: speeds, equations of motion, starts on the loops, invariants, monitors.
+
+Source  Kane & Levinson, Dynamics, 1985; Baumgarte, Comput. Methods Appl. Mech. Eng. 1, 1972.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+from casadi import DM, SX
+
+from casadi_models.dae import Model
+from casadi_models.mechanics import conditions, kane
+
+CLOSING_RATE = 1.0  # 1/s
+REPEATED = 1e-9  # of the largest entry: what is left of a loop that repeats others
+STEPS = 50  # of Newton's method at the start
+
+
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
+class Mechanism:
+    """What was derived; columns in the model's symbols.
+
+    Attributes:
+        speeds, accelerations: Of every coordinate.
+        loop_loads: What the loops exert against g (forces where g is a length).
+        system: Inertias and loads as the caller wrote them.
+        u: The symbols that stand for the speeds there.
+    """
+
+    speeds: SX
+    accelerations: SX
+    loop_loads: SX
+    system: kane.System
+    u: SX
+
+    @property
+    def kinetic_energy(self) -> SX:
+        """J."""
+        return self.at(kane.kinetic_energy(self.system))
+
+    def at(self, expression: SX) -> SX:
+        """Return an expression of q and u in the model's symbols."""
+        return ca.substitute(expression, self.u, self.speeds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    model: Model
+    q: SX
+    u: SX
+    names: tuple[str, ...]
+    system: kane.System
+    g: SX
+    starts: Mapping[str, float] = field(default_factory=dict)
+
+
+def mechanism(
+    model: Model,
+    q: SX,
+    u: SX,
+    inertias: Sequence[kane.InertialTerm],
+    loads: Sequence[kane.Load] = (),
+    loops: Mapping[str, SX] | None = None,
+    *,
+    independent: SX | None = None,
+    speed_starts: Mapping[str, float] | None = None,
+    closing_rate: float = CLOSING_RATE,
+) -> Mechanism:
+    """Declare the motion of a mechanism in a model.
+
+    Args:
+        model: Has the coordinates as states without derivative.
+        q: The coordinates, (n, 1).
+        u: What stands for their rates in `inertias` and `loads`: free symbols, (n, 1).
+        inertias, loads: See `kane`; rates linear in u.
+        loops: g(q) of each loop by name, columns of functions of q and parameters.
+        independent: Coordinates whose speeds remain; the others are eliminated and the result is an
+            ODE. All speeds remain when None: a DAE with accelerations and loop loads as unknowns,
+            which passes where the elimination is singular.
+        speed_starts: By coordinate, 0 where it is not named; of dependent ones, it follows.
+        closing_rate: Of drift from the loops in the DAE, 1/s; see `Model.closing_rate`.
+
+    Raises:
+        ValueError: A rate is not linear in u, a loop repeats others or depends on something else
+            than q and parameters, or the number of independent coordinates is wrong.
+    """
+    names = tuple(variable.name for variable in model.declared(q))
+    g = ca.vertcat(SX(0, 1), *(loops or {}).values())
+    _refuse_nonlinear(inertias, loads, u)
+    system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
+    parts = _Parts(model, q, u, names, system, g, dict(speed_starts or {}))
+    for name in parts.starts:
+        if name not in names:
+            raise ValueError(f"start of the speed of '{name}': no such coordinate")
+    if not g.numel():
+        return _open(parts)
+    jacobian = ca.jacobian(g, q)
+    if independent is None:
+        dependent = _dependent(parts, loops or {}, jacobian)
+    else:
+        kept = [variable.name for variable in model.declared(independent)]
+        dependent = [i for i, name in enumerate(names) if name not in kept]
+        if len(dependent) != g.numel():
+            raise ValueError(
+                f"{g.numel()} loops for {len(names)} coordinates leave {len(names) - g.numel()} "
+                f"independent ones; {len(kept)} are named"
+            )
+        _dependent(parts, loops or {}, jacobian[:, dependent])
+    free = [i for i in range(len(names)) if i not in dependent]
+    model.start_equation(q[dependent], g, "the loops are closed")
+    model.invariant("position_drift", q, g, "the loops are closed")
+    if independent is None:
+        return _with_multipliers(parts, loops or {}, free, dependent, closing_rate)
+    return _eliminated(parts, free, dependent)
+
+
+def _open(parts: _Parts) -> Mechanism:
+    solution = kane.accelerations(parts.system)
+    speeds = _speed_states(parts, range(len(parts.names)))
+    accelerations = ca.substitute(solution.free, parts.u, speeds)
+    parts.model.derivative(ca.vertcat(parts.q, speeds), ca.vertcat(speeds, accelerations))
+    conditions.watch_masses(parts.model, ca.substitute(solution.mass, parts.u, speeds))
+    return Mechanism(speeds, accelerations, SX(0, 1), parts.system, parts.u)
+
+
+def _eliminated(parts: _Parts, free: list[int], dependent: list[int]) -> Mechanism:
+    model, q, u = parts.model, parts.q, parts.u
+    order = [*free, *dependent]
+    back = [order.index(i) for i in range(len(order))]
+    system = kane.System(
+        q=q,
+        q_dot=u,
+        free=u[free],
+        dependent=u[dependent],
+        inertias=parts.system.inertias,
+        loads=parts.system.loads,
+        constraints=ca.jtimes(parts.g, q, u),
+    )
+    solution = kane.accelerations(system)
+    states = _speed_states(parts, free)
+    speeds = ca.vertcat(states, solution.relation @ states)[back]
+    accelerations, loop_loads = (
+        ca.substitute(expression, u, speeds)
+        for expression in (
+            solution.unknown[back],
+            kane.constraint_loads(system, solution.unknown),
+        )
+    )
+    model.derivative(q, speeds)
+    model.derivative(states, accelerations[free])
+    conditions.watch_masses(model, ca.substitute(solution.mass, u, speeds))
+    conditions.watch_elimination(model, ca.jacobian(parts.g, q)[:, dependent])
+    return Mechanism(speeds, accelerations, loop_loads, parts.system, u)
+
+
+def _with_multipliers(
+    parts: _Parts, loops: Mapping[str, SX], free: list[int], dependent: list[int], rate: float
+) -> Mechanism:
+    model, q, g = parts.model, parts.q, parts.g
+    speeds = _speed_states(parts, range(len(parts.names)))
+    nominals = [variable.nominal for variable in model.declared(speeds)]
+    accelerations = ca.vertcat(
+        *(
+            model.algebraic(f"{n}_dot_dot", *_rate(parts, i, 2), nominal=10.0 * size)
+            for i, (n, size) in enumerate(zip(parts.names, nominals, strict=True))
+        )
+    )
+    loop_loads = ca.vertcat(
+        *(
+            model.algebraic(f"load_{name}", "1", 0.0, f"load of loop {name}")
+            for name in _rows(loops)
+        )
+    )
+    inertias, loads = _in_states(parts, speeds)
+    velocity = ca.jtimes(g, q, speeds)
+    system = kane.System(
+        q=q, q_dot=speeds, free=speeds, inertias=inertias, loads=loads, constraints=velocity
+    )
+    decay = model.closing_rate(rate)
+    residual = kane.multiplier_equations(system, accelerations, loop_loads)
+    closing = 2 * decay * velocity + decay**2 * g
+    model.equation(residual + ca.vertcat(SX.zeros(len(parts.names)), closing))
+    model.derivative(ca.vertcat(q, speeds), ca.vertcat(speeds, accelerations))
+    jacobian = kane.constraint_matrix(system)
+    relation = -ca.solve(jacobian[:, dependent], jacobian[:, free])
+    model.start(speeds[dependent], relation @ speeds[free], "the loops stay closed")
+    mass = kane.mass_matrix(system)
+    sizes = conditions.equal_energies(mass)
+    model.invariant("velocity_drift", speeds, velocity, "the loops stay closed", sizes=sizes)
+    conditions.watch_masses(model, mass)
+    conditions.watch_constraints(model, jacobian, mass)
+    return Mechanism(speeds, accelerations, loop_loads, parts.system, parts.u)
+
+
+def _in_states(
+    parts: _Parts, speeds: SX
+) -> tuple[tuple[kane.InertialTerm, ...], tuple[kane.Load, ...]]:
+    def put(expression: SX) -> SX:
+        return ca.substitute(SX(expression), parts.u, speeds)
+
+    inertias = tuple(
+        kane.InertialTerm(
+            put(term.rate),
+            put(term.momentum),
+            None if term.frame_rate is None else put(term.frame_rate),
+        )
+        for term in parts.system.inertias
+    )
+    return inertias, tuple(kane.Load(put(x.rate), put(x.force)) for x in parts.system.loads)
+
+
+def _rate(parts: _Parts, i: int, order: int) -> tuple[str, float, str]:
+    """Return unit, start and meaning of a derivative of a coordinate."""
+    (variable,) = parts.model.declared(parts.q[i])
+    power = {1: "s", 2: "s2"}[order]
+    unit = f"1/{power}" if variable.unit == "1" else f"{variable.unit}/{power}"
+    what = "rate" if order == 1 else "second rate"
+    return (
+        unit,
+        parts.starts.get(variable.name, 0.0) if order == 1 else 0.0,
+        (f"{what} of {variable.name}"),
+    )
+
+
+def _speed_states(parts: _Parts, which: Sequence[int]) -> SX:
+    variables = parts.model.declared(parts.q)
+    return ca.vertcat(
+        SX(0, 1),
+        *(
+            parts.model.state(
+                f"{parts.names[i]}_dot", *_rate(parts, i, 1), nominal=variables[i].nominal
+            )
+            for i in which
+        ),
+    )
+
+
+def _rows(loops: Mapping[str, SX]) -> list[str]:
+    """Return the name of every row of the loops."""
+    return [
+        name if SX(rows).numel() == 1 else f"{name}_{i + 1}"
+        for name, rows in loops.items()
+        for i in range(SX(rows).numel())
+    ]
+
+
+def _refuse_nonlinear(
+    inertias: Sequence[kane.InertialTerm], loads: Sequence[kane.Load], u: SX
+) -> None:
+    rates = {f"inertia {i}": term.rate for i, term in enumerate(inertias, start=1)}
+    rates |= {f"load {i}": load.rate for i, load in enumerate(loads, start=1)}
+    for what, rate in rates.items():
+        if ca.depends_on(ca.jacobian(SX(rate), u), u):
+            raise ValueError(f"the rate of {what} is not linear in the speeds")
+
+
+def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int]:
+    """Return coordinates that the loops determine at the start, later ones first.
+
+    Raises:
+        ValueError: Names a loop that repeats others there.
+    """
+    at_start = parts.model.numbers(ca.vertcat(parts.g, ca.vec(jacobian)), but=parts.q)
+    m, n = jacobian.shape
+    full = ca.Function(
+        "slope", [parts.q], [parts.model.numbers(ca.jacobian(parts.g, parts.q), but=parts.q)]
+    )
+    law = ca.Function("law", [parts.q], [at_start])
+    place = DM([variable.start or 0.0 for variable in parts.model.declared(parts.q)])
+    for _ in range(STEPS):  # the nearest closed position
+        residual = law(place)[:m]
+        if float(ca.norm_inf(residual)) < 1e-12:
+            break
+        place -= ca.pinv(ca.densify(full(place)) + 1e-14 * DM.ones(*full.size_out(0))) @ residual
+    rows = [
+        [float(v) for v in ca.horzsplit(row)]
+        for row in ca.vertsplit(ca.reshape(law(place)[m:], m, n))
+    ]
+    largest = max((abs(v) for row in rows for v in row), default=0.0)
+    names, found, open_rows = _rows(loops), list[int](), list(range(m))
+    for column in reversed(range(n)):
+        if not open_rows:
+            break
+        pivot = max(open_rows, key=lambda r: abs(rows[r][column]))
+        if abs(rows[pivot][column]) <= max(REPEATED, 1e-6 * (n > m)) * largest:
+            continue
+        open_rows.remove(pivot)
+        found.append(column)
+        for r in open_rows:
+            factor = rows[r][column] / rows[pivot][column]
+            rows[r] = [a - factor * b for a, b in zip(rows[r], rows[pivot], strict=True)]
+    if open_rows:
+        raise ValueError(
+            f"loop '{names[open_rows[0]]}' repeats others at the start, or the dependent "
+            "coordinates cannot close it; leave it out, or choose other independent ones"
+        )
+    return sorted(found)

@@ -1,0 +1,171 @@
+"""Formulas as people type them, `10*sin(2*pi*t)` or `abs(phi) > 45deg`, to CasADi expressions."""
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Mapping
+from math import e, pi
+from typing import Any
+
+import casadi as ca
+from casadi import SX
+
+from cosim.errors import ParameterError, UnknownName
+from cosim.model.quantities import parse_unit
+
+_NUMBER_WITH_UNIT = re.compile(
+    r"(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)"
+    r"([A-Za-z\u00b0\u03a9]+\d*(?:[./*^][A-Za-z\u00b0]+\d*)*)"
+)
+_CONSTANTS = {"pi": pi, "e": e}
+_FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
+    **{
+        name: (1, getattr(ca, name))
+        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
+    },
+    **{name: (1, getattr(ca, name)) for name in ("exp", "log", "sqrt", "sign", "floor", "ceil")},
+    "abs": (1, ca.fabs),
+    "atan2": (2, ca.atan2),
+    "min": (2, ca.fmin),
+    "max": (2, ca.fmax),
+    "where": (3, ca.if_else),  # where(condition, value if so, value if not)
+}
+_OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+
+
+def expression(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
+    """Read a formula.
+
+    Numbers may carry a unit without a blank, `45deg`; `^` is a power; `where(t > 1, 2, 0)` chooses.
+
+    Args:
+        owner: Who asks, for messages.
+        text: The formula.
+        symbols: What may stand in it, by name.
+
+    Raises:
+        ParameterError: It is no formula of numbers, names and known functions.
+        UnknownName: A name in it does not exist.
+    """
+    return SX(_Reader(owner, text, symbols).value(_parsed(owner, text)))
+
+
+def margin(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
+    """Read a condition (comparisons, `and`, `or`) as a number that is positive while it holds.
+
+    Raises:
+        ParameterError: It is no condition.
+        UnknownName: A name in it does not exist.
+    """
+    return SX(_Reader(owner, text, symbols).margin(_parsed(owner, text)))
+
+
+def _parsed(owner: str, text: str) -> ast.expr:
+    if not isinstance(text, str):
+        raise ParameterError(f"{owner}: {text!r} is no formula; give a text, e.g. '10*sin(t)'")
+    try:
+        return ast.parse(_NUMBER_WITH_UNIT.sub(_in_si, text).strip(), mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        raise ParameterError(
+            f"{owner}: '{text}' is no formula ({getattr(error, 'msg', error)}); write it as in "
+            "Python, e.g. 10*sin(2*pi*t)"
+        ) from None
+
+
+def _in_si(match: re.Match[str]) -> str:
+    """Return a number with a unit as a product; the longest text that is a unit counts."""
+    number, unit = match[1], match[2]
+    for end in range(len(unit), 0, -1):
+        found = parse_unit(unit[:end])
+        rest = unit[end:]
+        if found is not None and not (rest and rest[0].isalnum()):
+            return f"({number}*{found.factor!r}){rest}"
+    return match[0]
+
+
+class _Reader:
+    def __init__(self, owner: str, text: str, symbols: Mapping[str, SX]) -> None:
+        self.owner, self.text, self.symbols = owner, text, symbols
+
+    def value(self, node: ast.expr) -> Any:
+        """Return the value of an arithmetic expression."""
+        match node:
+            case ast.Constant(value=bool()):
+                raise self.refusal(node)
+            case ast.Constant(value=int() | float() as number):
+                return float(number)
+            case ast.Name(id=name):
+                return self.named(name)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return -self.value(operand)
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self.value(operand)
+            case ast.BinOp(left=left, op=ast.BitXor(), right=right):
+                return self.value(left) ** self.value(right)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)](SX(self.value(left)), SX(self.value(right)))
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self.called(node, name, arguments)
+        raise self.refusal(node)
+
+    def margin(self, node: ast.expr) -> Any:
+        """Return what is positive while a condition holds."""
+        match node:
+            case ast.Compare(left=left, ops=operators, comparators=others):
+                sides = [self.value(side) for side in (left, *others)]
+                gaps = []
+                for op, low, high in zip(operators, sides[:-1], sides[1:], strict=True):
+                    if isinstance(op, ast.Lt | ast.LtE):
+                        gaps.append(high - low)
+                    elif isinstance(op, ast.Gt | ast.GtE):
+                        gaps.append(low - high)
+                    else:
+                        raise self.refusal(node)
+                return _folded(ca.fmin, gaps)
+            case ast.BoolOp(op=op, values=parts):
+                both = isinstance(op, ast.And)
+                return _folded(ca.fmin if both else ca.fmax, [self.margin(part) for part in parts])
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return -self.margin(operand)
+        raise ParameterError(
+            f"{self.owner}: '{self.text}' is no condition; compare two values, e.g. "
+            "abs(phi) > 45deg"
+        )
+
+    def named(self, name: str) -> Any:
+        if name in self.symbols:
+            return self.symbols[name]
+        if name in _CONSTANTS:
+            return _CONSTANTS[name]
+        raise UnknownName.among(f"{self.owner}: '{self.text}'", "name", name, self.symbols)
+
+    def called(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> Any:
+        if name not in _FUNCTIONS:
+            raise UnknownName.among(f"{self.owner}: '{self.text}'", "function", name, _FUNCTIONS)
+        count, function = _FUNCTIONS[name]
+        if len(arguments) != count:
+            raise self.refusal(node)
+        if name == "where":
+            condition, *values = arguments
+            first, second = (SX(self.value(value)) for value in values)
+            return ca.if_else(SX(self.margin(condition)) > 0, first, second)
+        return function(*(SX(self.value(argument)) for argument in arguments))
+
+    def refusal(self, node: ast.expr) -> ParameterError:
+        return ParameterError(
+            f"{self.owner}: '{ast.unparse(node)}' in '{self.text}' is not understood; use numbers, "
+            f"names, + - * / ^ and {', '.join(_FUNCTIONS)}"
+        )
+
+
+def _folded(function: Callable[[Any, Any], Any], parts: list[Any]) -> Any:
+    result = parts[0]
+    for part in parts[1:]:
+        result = function(result, part)
+    return result

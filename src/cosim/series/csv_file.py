@@ -1,0 +1,178 @@
+"""Tables of numbers over time as CSV text: written by us, and as other tools write them."""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from casadi_models.units import UNITS
+from cosim.arrays import Vector
+from cosim.errors import ParameterError, UsageError
+from cosim.escaping import csv_cell
+
+_NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
+_TIMES = ("time", "t", "zeit", "temps")
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a CSV file says.
+
+    Attributes:
+        names: Of the columns besides time.
+        units: As written, a column each; None where none is.
+        time, values: As written, (n,) and (n, columns); time in s.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    time: Vector
+    values: Vector
+
+
+def write_csv(
+    stream: TextIO, names: Sequence[str], units: Sequence[str] | None, table: Vector
+) -> None:
+    """Write a header, a second one of units where they are given, and every number in 17 digits.
+
+    Args:
+        stream: An open text file.
+        names: Of the columns, time first.
+        units: Of the columns, time first; no second line when None.
+        table: (n, columns).
+    """
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([csv_cell(name) for name in names])
+    if units is not None:
+        writer.writerow(units)
+    writer.writerows([repr_17(value) for value in row] for row in table.tolist())
+
+
+def repr_17(value: float) -> str:
+    """Write a number with 17 significant digits, so that reading returns the same bits."""
+    return f"{value:.17g}"
+
+
+def read_samples(path: Path) -> Samples:
+    """Read a CSV file with a header, times in its first column or in one that is called time.
+
+    Columns are separated by commas, semicolons or tabs; units stand in brackets behind the names
+    or in a second line; lines that begin with # are comments.
+
+    Raises:
+        UsageError: The file cannot be read, or has no header, time or sample.
+        ParameterError: A cell is no number, or a time falls; the line is named.
+    """
+    rows = _rows(path)
+    header = [_NAMED.fullmatch(cell) for cell in rows[0][1]]
+    if len(header) < 2 or any(_is_number(cell) for cell in rows[0][1]):
+        raise UsageError(f"{path}, line {rows[0][0]}: no header; write 'time,NAME,...' there")
+    if not all(header):
+        raise UsageError(f"{path}, line {rows[0][0]}: a column has no name; give each one a name")
+    names = [match[1] for match in header if match]
+    units: list[str | None] = [match[2] for match in header if match]
+    body = rows[1:]
+    if body and not any(_is_number(cell) for cell in body[0][1]):
+        units = [cell.strip() or None for cell in body[0][1]]
+        body = body[1:]
+    if not body:
+        raise UsageError(f"{path}: there is no sample below the header; give one line or more")
+    table = np.array([_numbers(path, line, row, names) for line, row in body])
+    at = next((i for i, name in enumerate(names) if name.lower() in _TIMES), 0)
+    time = table[:, at] * _time_factor(path, units[at])
+    if (falling := np.flatnonzero(np.diff(time) < 0)).size:
+        line = body[int(falling[0]) + 1][0]
+        raise ParameterError(f"{path}, line {line}: the time falls; sort the lines by time")
+    rest = [i for i in range(len(names)) if i != at]
+    return Samples(
+        tuple(names[i] for i in rest), tuple(units[i] for i in rest), time, table[:, rest]
+    )
+
+
+def in_si(
+    path: Path, samples: Samples, units: Mapping[str, str], wanted: Mapping[str, str]
+) -> tuple[list[tuple[str, str | None]], Vector]:
+    """Return SI unit and display unit of each column, and the values in SI units.
+
+    Args:
+        path: The file, for messages.
+        samples: What it says.
+        units: Units of columns that the file does not tell.
+        wanted: SI units that the columns shall have, where somebody knows.
+
+    Raises:
+        UsageError: A unit is unknown, or does not measure what it should.
+    """
+    pairs: list[tuple[str, str | None]] = []
+    values = samples.values.copy()
+    for i, (name, written) in enumerate(zip(samples.names, samples.units, strict=True)):
+        unit, target = units.get(name, written), wanted.get(name)
+        if unit is None or unit == target:
+            pairs.append((target or "1", None))
+            continue
+        if unit not in UNITS:
+            raise UsageError(
+                f"{path}: {name} is in '{unit}', which is unknown; give units={{'{name}': ...}}, "
+                f"one of {', '.join(UNITS)}"
+            )
+        target = target or _si_name(unit)
+        if not UNITS[unit].measures_like(UNITS[target]):
+            raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
+        values[:, i] *= UNITS[unit].factor / UNITS[target].factor
+        pairs.append((target, unit if unit != target else None))
+    return pairs, values
+
+
+def _si_name(unit: str) -> str:
+    if UNITS[unit].factor == 1:
+        return unit
+    fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(UNITS[unit]))
+    return next(fitting, unit)
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is not a UTF-8 text; save it as CSV in UTF-8") from error
+    lines = [*enumerate(text.splitlines(), 1)]
+    lines = [(i, line) for i, line in lines if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise UsageError(f"{path} is empty; give a CSV file with a header")
+    head = lines[0][1]
+    mark = next((mark for mark in (";", "\t", ",") if mark in head), ",")
+    return [(i, next(csv.reader(io.StringIO(line), delimiter=mark))) for i, line in lines]
+
+
+def _numbers(path: Path, line: int, cells: Sequence[str], names: Sequence[str]) -> list[float]:
+    if len(cells) != len(names):
+        raise ParameterError(
+            f"{path}, line {line}: {len(cells)} cells under {len(names)} names; give each its own"
+        )
+    for name, cell in zip(names, cells, strict=True):
+        if not _is_number(cell):
+            raise ParameterError(f"{path}, line {line}, column '{name}': '{cell}' is not a number")
+    return [float(cell) for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell if "_" not in cell else "none")  # Python's 1_000 is no CSV number
+    except ValueError:
+        return False
+    return True
+
+
+def _time_factor(path: Path, unit: str | None) -> float:
+    if unit is None:
+        return 1.0
+    if unit not in UNITS or not UNITS[unit].measures_like(UNITS["s"]):
+        raise UsageError(f"{path}: time is in '{unit}'; give it in s or ms")
+    return UNITS[unit].factor

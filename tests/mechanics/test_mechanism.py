@@ -1,0 +1,138 @@
+"""Mechanisms with loops in one call, against energy, closed forms and each other."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from casadi import SX, cos, sin
+
+import cosim
+from casadi_models.dae import Model
+from casadi_models.mechanics import kane
+from casadi_models.mechanics.mechanism import mechanism
+
+LENGTHS = (1.0, 2.0, 1.5)  # crank, coupler, rocker; the ground link is 2
+
+
+def four_bar(form: str = "", **options):
+    """Return a four-bar of slender bars, 1 kg/m, under gravity; absolute angles."""
+    model = Model("four_bar", form)
+    q = ca.vertcat(
+        *(
+            model.state(f"q{i}", "rad", start, f"angle {i}")
+            for i, start in ((1, 1.2), (2, 0.4), (3, 1.3))
+        )
+    )
+    u = SX.sym("u", 3)
+    g = model.parameter("g", "m/s2", 9.81, "gravity")
+    along = [length * ca.vertcat(cos(q[i]), sin(q[i])) for i, length in enumerate(LENGTHS)]
+    starts = [SX(2, 1), along[0], ca.vertcat(2, 0)]
+    inertias, loads, potential = [], [], SX(0)
+    for i, length in enumerate(LENGTHS):
+        centre = starts[i] + along[i] / 2
+        velocity = ca.jtimes(centre, q, u)
+        inertias += [
+            kane.InertialTerm(velocity, length * velocity),
+            kane.InertialTerm(u[i], length**3 / 12 * u[i]),
+        ]
+        loads.append(kane.Load(velocity, ca.vertcat(0, -length * g)))
+        potential += length * g * centre[1]
+    loops = {"closure": along[0] + along[1] - starts[2] - along[2]}
+    if form == "ode":
+        options = {"independent": q[0]} | options
+    found = mechanism(model, q, u, inertias, loads, loops, speed_starts={"q1": 2.0}, **options)
+    model.energies(found.kinetic_energy, potential)
+    model.output("gap", "m", ca.norm_2(loops["closure"]), "gap of the loop")
+    return model.freeze()
+
+
+@pytest.fixture(scope="module")
+def runs():
+    options = {"stop_time": 2.0, "relative_tolerance": 1e-10, "compiled": False}
+    return {form: cosim.simulate(four_bar(form), **options) for form in ("ode", "multipliers")}
+
+
+def test_both_forms_keep_the_energy_and_close_the_loop(runs):
+    for run in runs.values():
+        assert np.abs(run["energy"] - run["energy"][0]).max() < 1e-6
+        assert run["gap"].max() < 1e-7
+    assert runs["ode"]["gap"][0] < 1e-12
+
+
+def test_both_forms_agree(runs):
+    for name in ("q1", "q2", "q3", "q1_dot", "energy"):
+        assert np.abs(runs["ode"][name] - runs["multipliers"][name]).max() < 1e-5
+
+
+def test_starts_follow_from_the_loops(runs):
+    run = runs["multipliers"]
+    assert run["q1"][0] == 1.2
+    assert run["q1_dot"][0] == 2.0
+    q = [run[f"q{i}"][0] for i in (1, 2, 3)]
+    u = [run[f"q{i}_dot"][0] for i in (1, 2, 3)]
+    slip = [
+        sum(
+            s * length * u[i] * f(q[i])
+            for i, (length, s) in enumerate(zip(LENGTHS, (1, 1, -1), strict=True))
+        )
+        for f in (np.sin, np.cos)
+    ]
+    np.testing.assert_allclose(slip, 0, atol=1e-12)
+
+
+def test_open_chain_is_an_ode():
+    model = Model("pendulum")
+    q = model.state("q", "rad", 0.0, "angle")
+    u = SX.sym("u")
+    mechanism(
+        model, q, u, [kane.InertialTerm(u, u)], [kane.Load(u, -4 * q)], speed_starts={"q": 2.0}
+    )
+    run = cosim.simulate(model.freeze(), stop_time=1.0, relative_tolerance=1e-10, compiled=False)
+    np.testing.assert_allclose(run["q"], np.sin(2 * run.time), rtol=0, atol=1e-8)
+    assert run.units["q_dot"] == "rad/s"
+
+
+def test_load_of_a_loop_carries_the_weight():
+    """Two points of 1 kg, one hanging from the other by a rod; the upper one is held by springs."""
+    model = Model("rod")
+    q = ca.vertcat(*(model.state(n, "m", s, n) for n, s in (("y1", 0.0), ("y2", -1.0))))
+    u = SX.sym("u", 2)
+    inertias = [kane.InertialTerm(u[i], u[i]) for i in (0, 1)]
+    loads = [kane.Load(u[0], 2 * 9.81 - 9.81), kane.Load(u[1], SX(-9.81))]
+    found = mechanism(model, q, u, inertias, loads, {"rod": q[0] - q[1] - 1}, independent=q[0])
+    model.output("tension", "N", found.loop_loads[0], "force of the rod")
+    run = cosim.simulate(model.freeze(), stop_time=0.1, compiled=False)
+    np.testing.assert_allclose(np.abs(run["tension"]), 9.81, rtol=1e-12)
+    np.testing.assert_allclose(run["y2"], -1.0, rtol=0, atol=1e-12)
+
+
+def small(loops=None, inertias=None, **options):
+    model = Model("small")
+    q = ca.vertcat(*(model.state(n, "m", 0.5, n) for n in "abc"))
+    u = SX.sym("u", 3)
+    inertias = inertias(q, u) if inertias else [kane.InertialTerm(u, u)]
+    if "independent" in options:
+        options["independent"] = q[options["independent"]]
+    mechanism(model, q, u, inertias, (), loops(q) if loops else None, **options)
+    return model.freeze()
+
+
+@pytest.mark.parametrize(
+    ("loops", "named"),
+    [
+        (lambda q: {"one": q[0] - q[1], "two": 2 * q[0] - 2 * q[1]}, "loop '(one|two)' repeats"),
+        (lambda q: {"one": q[0] - 1, "two": q[0] ** 2 - 1}, "loop '(one|two)' repeats"),
+        (lambda q: {"both": ca.vertcat(q[0], q[0] + q[1] - q[1])}, "loop 'both_[12]' repeats"),
+    ],
+)
+def test_loop_that_repeats_another_is_named(loops, named):
+    with pytest.raises(ValueError, match=named):
+        small(loops)
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="the rate of inertia 1 is not linear in the speeds"):
+        small(inertias=lambda q, u: [kane.InertialTerm(u[0] ** 2, u[0])])
+    with pytest.raises(ValueError, match="speed of 'd': no such coordinate"):
+        small(speed_starts={"d": 1.0})
+    with pytest.raises(ValueError, match=r"1 loops for 3 coordinates .* 1 are named"):
+        small(lambda q: {"l": q[0] - q[1]}, independent=0)

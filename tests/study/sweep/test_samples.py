@@ -1,0 +1,66 @@
+"""Samples from tables, grids and designs."""
+
+import numpy as np
+import pytest
+
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.study.sweep.samples import Samples, as_samples, design, grid, read_samples
+
+
+def test_a_grid_has_every_combination_and_its_last_name_varies_fastest():
+    found = grid({"g": [1.62, 9.81], "phi": [0, 1, 2]})
+    assert found.columns["g"].tolist() == [1.62] * 3 + [9.81] * 3
+    assert found.columns["phi"].tolist() == [0, 1, 2, 0, 1, 2]
+
+
+def test_samples_survive_a_file_bit_for_bit(tmp_path):
+    random = np.random.default_rng(1)
+    samples = Samples({"a": random.normal(size=50), "b": random.normal(size=50) * 1e-300})
+    samples.to_csv(tmp_path / "s.csv")
+    again = read_samples(tmp_path / "s.csv")
+    assert again.digest == samples.digest
+    np.testing.assert_array_equal(again.columns["b"], samples.columns["b"])
+
+
+@pytest.mark.parametrize("kind", ["sobol", "lhs", "halton", "random"])
+def test_a_design_fills_its_ranges_and_repeats_with_its_seed(kind):
+    pytest.importorskip("scipy")
+    ranges = {"a": (2.0, 3.0), "b": 7.0, "c": (-1.0, 1.0)}
+    found = design(kind, 64, ranges, seed=4)
+    assert design(kind, 64, ranges, seed=4).digest == found.digest
+    assert design(kind, 64, ranges, seed=5).digest != found.digest
+    assert (found.columns["b"] == 7).all()
+    a = found.columns["a"]
+    assert 2 <= a.min() < 2.2
+    assert 2.8 < a.max() <= 3
+    if kind in ("sobol", "lhs"):  # one sample in each 64th
+        assert sorted(np.floor((a - 2) * 64).astype(int)) == list(range(64))
+
+
+def test_a_design_follows_a_distribution():
+    stats = pytest.importorskip("scipy.stats")
+    found = design("sobol", 1024, {"m": stats.norm(80, 5)})
+    assert found.columns["m"].mean() == pytest.approx(80, abs=0.05)
+    assert found.columns["m"].std() == pytest.approx(5, rel=0.01)
+
+
+def test_what_is_no_table_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="CSV file"):
+        as_samples(3)
+    with pytest.raises(ParameterError, match="there are none"):
+        as_samples({})
+    with pytest.raises(ParameterError, match="others have"):
+        as_samples({"a": [1, 2], "b": [1, 2, 3]})
+    file = tmp_path / "bad.csv"
+    for text, told in (
+        ("a,b\n1\n", "row 2"),
+        ("a\nx\n", "could not convert"),
+        ("a,a\n1,2\n", "twice"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ParameterError, match=told):
+            read_samples(file)
+    with pytest.raises(UnknownName, match="sobol"):
+        design("sobbol", 4, {"a": (0, 1)})
+    with pytest.raises(ParameterError, match="no range"):
+        design("random", 4, {"a": (1, 0)})

@@ -1,0 +1,346 @@
+"""Sweeps: the same bits on every engine, failures as rows, kills without a loss."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.integrate.ensemble import RunState
+from cosim.study.sweep.store import Store
+
+MODEL = textwrap.dedent(
+    """
+    from casadi_models.dae import Model
+
+    def growth():
+        model = Model("growth", stop_time=1.0, output_interval=0.05)
+        x = model.state("x", "m", 1.0, "place")
+        rate = model.parameter("rate", "1/s", 0.5, "rate")
+        model.derivative(x, rate * x**2)
+        model.output("inverse", "1", 1 / x, "1 / x")
+        return model.freeze()
+    """
+)
+RATES = np.linspace(0.1, 0.9, 48)
+
+
+@pytest.fixture
+def growth(tmp_path):
+    (tmp_path / "models.py").write_text(MODEL)
+    return f"{tmp_path}/models.py:growth"
+
+
+def same(a, b):
+    assert a.states == b.states
+    assert a.reasons == b.reasons
+    assert list(a.numbers) == list(b.numbers)
+    for name in a.numbers:
+        np.testing.assert_array_equal(a[name], b[name])
+    if a.tables:
+        np.testing.assert_array_equal(a.values, b.values)
+    if a.statistics:
+        for kind in ("mean", "variance", "minimum", "maximum"):
+            for name in a.statistics.names:
+                np.testing.assert_array_equal(
+                    getattr(a.statistics, kind)(name), getattr(b.statistics, kind)(name)
+                )
+        np.testing.assert_array_equal(a.statistics.sketch.counts, b.statistics.sketch.counts)
+
+
+KEPT = ["trajectories", "statistics", "final", "first(x, 1.2)"]
+
+
+def test_numbers_follow_the_closed_form_and_failures_are_rows(growth):
+    rates = [0.5, 3.0, np.nan, 0.9]
+    found = cosim.sweep(growth, {"rate": rates}, keep=KEPT, workers=0)
+    assert [str(s) for s in found.states] == ["complete", "failed", "refused", "complete"]
+    np.testing.assert_allclose(found["x_final"][[0, 3]], [2, 10], rtol=1e-7)
+    assert np.isnan(found["x_final"][[1, 2]]).all()
+    assert "step size too small at t = 0.333" in found.reasons[1]
+    assert "not finite" in found.reasons[2]
+    assert found.run(1).time[-1] == pytest.approx(0.3)
+    np.testing.assert_allclose(found["x_first_1.2"][0], (1 - 1 / 1.2) / 0.5, rtol=2e-3)
+    assert found.statistics.count("x").tolist() == [2] * 21
+    np.testing.assert_allclose(found.statistics.mean("x")[-1], 6, rtol=1e-7)
+    assert found.status == "2 complete, 1 failed, 1 refused"
+
+
+@pytest.mark.parametrize("solver", [None, "cvodes"])
+def test_bits_depend_neither_on_processes_nor_on_chunks_nor_on_order(growth, solver):
+    def run(rates, **how):
+        return cosim.sweep(growth, {"rate": rates}, keep=KEPT, solver=solver, **how)
+
+    rates = np.append(RATES, 3.0)
+    here = run(rates, workers=0)
+    same(run(rates, workers=2, chunk=4), here)
+    same(run(rates, workers=0, chunk=1), here)
+    shuffled = np.random.default_rng(5).permutation(len(rates))
+    other = run(rates[shuffled], workers=0)
+    np.testing.assert_array_equal(other["x_final"], here["x_final"][shuffled])
+
+
+def test_a_dae_and_a_scene_are_swept_like_a_model(tmp_path, growth):
+    dae = cosim.load(growth)
+    by_name = cosim.sweep(growth, {"rate": RATES[:5]}, workers=0)
+    by_value = cosim.sweep(dae, {"rate": RATES[:5]}, workers=1)
+    np.testing.assert_array_equal(by_name["x_final"], by_value["x_final"])
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        'title = "crank"\nmodel = "crank_shaft"\noutputs = ["phi"]\n'
+        "[start]\nphi = 0.25\n[run]\nstop_time = 0.5\n"
+    )
+    found = cosim.sweep(scene, {"omega": [1.0, 2.0]}, workers=0)
+    np.testing.assert_allclose(found["phi_final"], 0.25 + 0.5 * np.array([1, 2]) + 1.25)
+
+
+def test_a_function_adds_numbers_and_its_faults_are_rows(growth):
+    def function(run):
+        if run["x"][-1] > 5:
+            raise ValueError("too much")
+        return {"sum": run["x"].sum()}
+
+    found = cosim.sweep(growth, {"rate": [0.5, 0.9]}, function=function, workers=0)
+    again = cosim.sweep(growth, {"rate": [0.5, 0.9]}, function=function, workers=1)
+    same(found, again)
+    assert found["sum"][0] == pytest.approx(found_sum(0.5), rel=1e-6)
+    assert found.states[1] is RunState.FAILED
+    assert "ValueError: too much" in found.reasons[1]
+
+
+def found_sum(rate):
+    return (1 / (1 - rate * np.linspace(0, 1, 21))).sum()
+
+
+def test_a_store_resumes_without_computing_anything_twice(growth, tmp_path):
+    pytest.importorskip("zarr")
+    store = tmp_path / "store"
+    whole = cosim.sweep(growth, {"rate": RATES}, keep=KEPT, workers=0, chunk=8)
+    cosim.sweep(growth, {"rate": RATES}, keep=KEPT, workers=0, chunk=8, store=store)
+    chunks = sorted((store / "chunks").iterdir())
+    for path in chunks[2:4]:
+        path.unlink()
+    kept = {path: path.stat().st_mtime_ns for path in chunks if path.exists()}
+    again = cosim.sweep(growth, keep=KEPT, workers=0, chunk=2, store=store, resume=True)
+    same(again, whole)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    with pytest.raises(UsageError, match="holds another sweep: its samples"):
+        cosim.sweep(growth, {"rate": RATES + 1}, keep=KEPT, store=store, resume=True)
+    with pytest.raises(UsageError, match="is there already"):
+        cosim.sweep(growth, {"rate": RATES}, keep=KEPT, store=store)
+    xarray = pytest.importorskip("xarray")
+    with xarray.open_zarr(store / "results.zarr", consolidated=False, chunks=None) as data:
+        np.testing.assert_array_equal(data["x"], whole.values[:, :, 0])
+        np.testing.assert_array_equal(data.coords["rate"], RATES)
+        assert data["x"].attrs["units"] == "m"
+    rows = (store / "runs.csv").read_text().splitlines()
+    assert rows[0].startswith("run,rate,status,reason,steps,x_final")
+    assert len(rows) == len(RATES) + 1
+
+
+KILLER = """
+import os, signal, sys
+from pathlib import Path
+
+def function(run):
+    marks = Path({marks!r})
+    number = round(run["inverse"][-1] * 1e6)
+    if number in {once}:
+        mark = marks / f"once-{{number}}"
+        if not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    if number in {always}:
+        with (marks / "deaths").open("a") as stream:
+            stream.write("x")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {{"number": number}}
+"""
+
+
+def killer(tmp_path, once, always):
+    pytest.importorskip("cloudpickle")
+    space = {}
+    numbers = [[round((1 - rate) * 1e6) for rate in rates] for rates in (once, always)]
+    exec(KILLER.format(marks=str(tmp_path), once=numbers[0], always=numbers[1]), space)
+    return space["function"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_killed_workers_lose_nothing_and_a_poisonous_run_is_labelled(growth, tmp_path):
+    harmless = killer(tmp_path, [], [])
+    whole = cosim.sweep(growth, {"rate": RATES}, keep=KEPT, function=harmless, workers=0)
+    deadly = killer(tmp_path, RATES[[3, 20, 41]], [RATES[30]])
+    found = cosim.sweep(growth, {"rate": RATES}, keep=KEPT, function=deadly, workers=2, chunk=16)
+    assert found.states[30] is RunState.LOST
+    assert "every process that computes it ends" in found.reasons[30]
+    assert (tmp_path / "deaths").read_text() == "xxx"  # in company once, alone twice
+    assert len(list(tmp_path.glob("once-*"))) == 3
+    others = np.arange(len(RATES)) != 30
+    assert found.complete[others].all()
+    np.testing.assert_array_equal(found.values[others], whole.values[others])
+    np.testing.assert_array_equal(found["number"][others], whole["number"][others])
+
+
+SCRIPT = """
+import sys, time
+import numpy as np
+import cosim
+
+def slowly(run):
+    time.sleep(0.02)
+    return {"end": run["x"][-1]}
+
+if __name__ == "__main__":
+    resume = sys.argv[3] == "resume"
+    cosim.sweep(
+        sys.argv[1], {"rate": np.linspace(0.1, 0.9, 64)}, keep=["trajectories", "statistics"],
+        function=slowly, workers=1, chunk=4, store=sys.argv[2], resume=resume,
+    )
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT], ids=["killed", "Ctrl-C"])
+def test_a_stopped_coordinator_goes_on_where_it_was(growth, tmp_path, blow):
+    pytest.importorskip("zarr")
+    pytest.importorskip("cloudpickle")
+    script, store = tmp_path / "script.py", tmp_path / "store"
+    script.write_text(SCRIPT)
+
+    def start(how):
+        call = [sys.executable, str(script), growth, str(store), how]
+        return subprocess.Popen(call, start_new_session=True, stderr=subprocess.PIPE)
+
+    process = start("begin")
+    chunks = store / "chunks"
+    deadline = time.monotonic() + 60
+    while len(list(chunks.glob("*.npz"))) < 3:
+        assert time.monotonic() < deadline
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.02)
+    process.send_signal(blow)
+    told = process.communicate(timeout=30)[1].decode()
+    if blow == signal.SIGINT:
+        assert "go on with resume (--resume)" in told
+    time.sleep(0.3)  # a worker of a killed coordinator may write the chunk that it is at
+    kept = {path: path.stat().st_mtime_ns for path in chunks.glob("*.npz")}
+    assert 3 <= len(kept) < 16
+    process = start("resume")
+    assert process.wait(60) == 0, process.stderr.read()
+    process.stderr.close()
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    calm = tmp_path / "calm"
+    cosim.sweep(
+        growth, {"rate": np.linspace(0.1, 0.9, 64)}, keep=["trajectories", "statistics"],
+        function=lambda run: {"end": run["x"][-1]}, workers=0, chunk=4, store=calm,
+    )  # fmt: skip
+    assert Store(calm).finished() == Store(store).finished()
+    for path in sorted((calm / "chunks").iterdir()):
+        assert (chunks / path.name).read_bytes() == path.read_bytes(), path.name
+    for path in sorted((calm / "results.zarr").rglob("*")):
+        if path.is_file():
+            twin = store / path.relative_to(calm)
+            assert twin.read_bytes() == path.read_bytes(), path
+    assert (calm / "runs.csv").read_bytes() == (store / "runs.csv").read_bytes()
+
+
+def test_a_dask_cluster_yields_the_same_bits(growth):
+    distributed = pytest.importorskip("distributed")
+    here = cosim.sweep(growth, {"rate": RATES}, keep=KEPT, workers=0)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        same(cosim.sweep(growth, {"rate": RATES}, keep=KEPT, client=client, chunk=8), here)
+
+
+def test_an_fmu_is_instantiated_once_and_reset(tmp_path):
+    path = cosim.export_fmu(cosim.load("crank_shaft"), tmp_path / "crank.fmu")
+    omegas = [1.0, 2.0, 3.0]
+    found = cosim.sweep(
+        path, {"omega": omegas}, outputs=["phi"], keep=["trajectories", "final"], stop_time=0.5,
+        workers=0,
+    )  # fmt: skip
+    for i, omega in enumerate(omegas):
+        single = cosim.simulate_fmu(path, start={"omega": omega}, outputs=["phi"], stop_time=0.5)
+        np.testing.assert_array_equal(found.values[i], single.values)
+    refused = cosim.sweep(path, {"omega": [1.0, np.inf]}, outputs=["phi"], stop_time=0.1, workers=0)
+    assert [str(state) for state in refused.states] == ["complete", "refused"]
+    with pytest.raises(UsageError, match="takes no solver"):
+        cosim.sweep(path, {"omega": omegas}, solver="cvodes", workers=0)
+    with pytest.raises(UnknownName, match="omega"):
+        cosim.sweep(path, {"omegaa": omegas}, workers=0)
+
+
+def test_what_is_wrong_for_all_runs_is_refused_before_any(growth):
+    with pytest.raises(UnknownName, match="rate"):
+        cosim.sweep(growth, {"ratee": [1.0]})
+    with pytest.raises(UnknownName, match="output"):
+        cosim.sweep(growth, {"rate": [1.0]}, outputs=["y"])
+    with pytest.raises(UsageError, match="give samples"):
+        cosim.sweep(growth)
+    with pytest.raises(ParameterError, match="workers"):
+        cosim.sweep(growth, {"rate": [1.0]}, workers=-1)
+    with pytest.raises(UsageError, match="not both"):
+        cosim.sweep(growth, {"rate": [1.0]}, scheduler="local", client=object())
+
+
+def test_sobol_indices_of_a_linear_number_are_its_shares(tmp_path):
+    pytest.importorskip("SALib")
+    from cosim.study.sweep.indices import sensitivity_design
+
+    samples = sensitivity_design("sobol", 64, {"phi": (0.0, 1.0), "omega": (0.0, 2.0)})
+    found = cosim.sweep(
+        "crank_shaft", samples, outputs=["phi"], times=[1.0], workers=0, relative_tolerance=1e-9
+    )
+    indices = found.indices("phi_final")  # phi + omega + 5: variances 1/12 and 4/12
+    np.testing.assert_allclose(indices["S1"], [0.2, 0.8], atol=0.05)
+    np.testing.assert_allclose(indices["ST"], [0.2, 0.8], atol=0.05)
+
+
+def test_a_worker_ends_with_the_process_that_asked():
+    worker = subprocess.Popen(
+        [sys.executable, "-m", "cosim.study.sweep.worker"], stdin=subprocess.PIPE
+    )
+    worker.stdin.close()
+    assert worker.wait(30) != 0
+    assert Path(os.curdir).exists()
+
+
+CLUSTER = """
+import os
+import numpy as np
+import cosim
+
+def function(run):
+    if abs(run["phi"][-1] - 5.5) < 1e-6:
+        os._exit(9)
+    return {"end": run["phi"][-1]}
+
+if __name__ == "__main__":
+    found = cosim.sweep(
+        "crank_shaft", {"omega": np.arange(32) / 2}, outputs=["phi"], times=[1.0],
+        function=function, scheduler="local", workers=2, chunk=8,
+    )
+    print(found.status, [i for i, state in enumerate(found.states) if state == "lost"])
+"""
+
+
+@pytest.mark.slow
+def test_a_poisonous_run_costs_a_cluster_no_other_run(tmp_path):
+    pytest.importorskip("distributed")
+    (tmp_path / "script.py").write_text(CLUSTER)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout == "31 complete, 1 lost [1]\n", done.stderr

@@ -1,0 +1,62 @@
+"""What values say of themselves at a prompt: few lines, whatever their size; models in pickles."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import casadi_models
+import cosim
+from casadi_models.dae import Model
+
+
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_model_says_what_it_is_in_few_lines(name):
+    dae = cosim.load(name)
+    lines = repr(dae).splitlines()
+    assert lines[0].startswith(f"Dae {name}: ")
+    assert len(lines) <= 9
+    assert max(map(len, lines)) < 160
+    assert all(f"<td>{v.name}</td>" in dae._repr_html_() for v in dae.variables)
+
+
+def test_reduced_model_says_so():
+    assert "reduced: " in repr(cosim.reduce(cosim.load("bicycle"), ["phi"]))
+
+
+def test_builder_says_what_is_declared():
+    model = Model("pendulum")
+    assert repr(model) == "Model pendulum: nothing declared; freeze() makes a Dae of it"
+    model.state("phi", "rad", 0.1, "angle")
+    assert "1 states" in repr(model)
+
+
+@pytest.mark.parametrize("name", ["bicycle_model_1.toml", "bar_on_frame_two_body.toml"])
+def test_scene_says_what_it_sets(name):
+    scene = cosim.read_scene(name)
+    lines = repr(scene).splitlines()
+    assert lines[0].startswith(f"Scene {scene.name}: {scene.title}")
+    assert len(lines) <= 9
+    assert max(map(len, lines[1:])) <= 100
+    assert f"<td>{scene.dae.full_name}</td>" in scene._repr_html_()
+
+
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_pickled_model_is_the_same_model(name):
+    dae = cosim.load(name)
+    again = pickle.loads(pickle.dumps(dae))
+    assert repr(again) == repr(dae)
+    assert again.variables == dae.variables
+    assert again.operations(with_outputs=True) == dae.operations(with_outputs=True)
+    assert len(again.invariants) == len(dae.invariants)
+
+
+@pytest.mark.parametrize("name", ["bicycle/multipliers", "crank_shaft"])
+def test_pickled_model_runs_to_the_same_bits(name):
+    dae = cosim.load(name)
+    first, second = (
+        cosim.simulate(d, stop_time=0.1, compiled=False)
+        for d in (dae, copy.deepcopy(dae))  # deepcopy takes the way of pickle
+    )
+    np.testing.assert_array_equal(first.values, second.values)
