@@ -226,6 +226,7 @@ def run_scene(
     road: Road | str | None = None,
     *,
     stop_when: str | None = None,
+    output_times: ArrayLike | None = None,
     **options: Any,
 ) -> Trajectory:
     """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
@@ -237,6 +238,7 @@ def run_scene(
         scene: What to run.
         road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
         stop_when: A condition that ends the run; see `simulate`.
+        output_times: Times of one's own, s; see `simulate`.
         options: `compiled`, `on_invalid`, `drift_control` of the native road.
 
     Raises:
@@ -249,25 +251,26 @@ def run_scene(
         ('T',)
     """
     goals = {name: getattr(scene.settings, name) for name in GOALS} if _is(scene) else {}
-    if not any(goal is not None for goal in goals.values()):
-        if stop_when is None or not _is(scene):
-            return roads.run_scene(scene, road, **options)
-        if not _way(road).native:
-            raise UsageError(f"{scene.name}: stop_when is for CasADi's integrators, not for FMUs")
-        dae = roads.scene_dae(scene)
-        settings = roads.native_settings(scene, dae)
-        return simulate(dae, stop_when=stop_when, **settings, **_as_asked(road, options))
+    goal = any(value is not None for value in goals.values())
+    asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
+    if not goal and (not _is(scene) or all(value is None for value in asked.values())):
+        return roads.run_scene(scene, road, **options)
     if not _way(road).native:
+        words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
-            f"{scene.name}: accuracy and budget are for CasADi's integrators; an FMU gets its "
-            "accuracy when it is exported: cosim export --accuracy"
+            f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
+            "exported: cosim export --accuracy"
         )
     options = _as_asked(road, options)
-    dae = roads.scene_dae(replace(scene, values={}))
+    dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
+    settings = roads.native_settings(scene, dae)
+    if output_times is not None:
+        settings["stop_time"] = None
+    if not goal:
+        return simulate(dae, **asked, **settings, **options)
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
     start = {name: value for name, value in scene.values.items() if name in known}
-    settings = roads.native_settings(scene, dae)
-    return simulate(dae, start_values=start, stop_when=stop_when, **goals, **settings, **options)
+    return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
 
 
 def _way(road: Road | str | None) -> Road:

@@ -1,6 +1,8 @@
 """Results as text: aligned tables or JSON on standard output, whole files."""
 
 import json
+import os
+import re
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
@@ -10,13 +12,27 @@ from typing import Any
 from cosim.files import write_atomically
 from cosim.tables import text_table
 
+_COLOURS = {"ok": "32", "DIFFERS": "31", "FAILED": "31"}
+_VERDICT = re.compile(rf"(?<= )({'|'.join(_COLOURS)})(?=  |$)", re.MULTILINE)
 
-def show_table(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
-    """Print rows that have the same keys; on a terminal no wider than it is."""
+
+def show_table(rows: Sequence[Mapping[str, Any]], *, as_json: bool, digits: int = 3) -> None:
+    """Print rows that have the same keys; on a terminal no wider than it is, verdicts coloured."""
     if as_json:
         print(json.dumps(rows, indent=1))
     elif rows:
-        print(text_table(rows, width=terminal_width()))
+        text = text_table(rows, width=terminal_width(), digits=digits)
+        print(_coloured(text) if colours() else text)
+
+
+def colours() -> bool:
+    """Tell whether output may be coloured: to a terminal that can, where nobody objects."""
+    wanted = "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"
+    return wanted and sys.stdout.isatty()
+
+
+def _coloured(text: str) -> str:
+    return _VERDICT.sub(lambda match: f"\x1b[{_COLOURS[match[1]]}m{match[1]}\x1b[0m", text)
 
 
 def terminal_width() -> int | None:

@@ -47,6 +47,9 @@ class AskedTimes:
         except (TypeError, ValueError):
             raise UsageError.of_type("output_times", own, "times in s, (n,)") from None
         self.led = bool(wanted.ndim == 1 and wanted.size and wanted[0] != start)
+        if wanted.size == 1 and not self.led:
+            self.given["stop_time"] = start
+            return
         grid = np.concatenate(([start], wanted)) if self.led else wanted
         self.given["output_interval"] = checked_grid(grid)
 

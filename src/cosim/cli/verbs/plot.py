@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING
 
@@ -75,9 +76,12 @@ def run(args: argparse.Namespace) -> int:
     if args.output_file is None:
         show(figures)
         return code
-    for path in save(figures, args.output_file, args.dpi):
-        if not args.quiet:
-            print(path, file=sys.stderr)
+    paths = save(figures, args.output_file, args.dpi)
+    if args.json:
+        told = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
+        print(json.dumps({"files": [str(path) for path in paths], **told}))
+    elif not args.quiet:
+        print(*paths, sep="\n", file=sys.stderr)
     return code
 
 
