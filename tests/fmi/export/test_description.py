@@ -182,8 +182,6 @@ def test_author_license_and_date_are_told_when_given(fmi):
     root = ET.fromstring(given["modelDescription.xml"])
     names = ("author", "license", "generationDateAndTime")
     assert [root.get(name) for name in names] == [*about.values()]
-        *about.values()
-    ]
     assert "generationDateAndTime" not in described(rich(), fmi).root.attrib
 
 
