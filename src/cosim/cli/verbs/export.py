@@ -40,6 +40,8 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
     )
+    for name in ("author", "license", "date"):
+        parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} that the FMU tells")
     add_accuracy(parser)
     add_timeout(parser)
 
@@ -61,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
     options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
     options |= {"platforms": names_in(args.platform), "adjoint": args.adjoint}
+    given = {name: getattr(args, name) for name in ("author", "license", "date")}
+    options["about"] = {name: text for name, text in given.items() if text is not None}
     if args.tunable is not None:
         options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
     if accuracy is None:
