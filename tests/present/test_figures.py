@@ -294,7 +294,7 @@ def test_window_needs_no_file(monkeypatch):
     monkeypatch.setattr("cosim.present.picture_files.show", shown.extend)
     monkeypatch.setattr("cosim.present.picture_files.require_screen", lambda: None)
     assert main(["plot", "crank_torque.toml"]) == 0
-    assert [type(figure) for figure in shown] == [Figure]
+    assert [isinstance(figure, Figure) for figure in shown] == [True]
 
 
 def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):

@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from cosim.errors import UnknownName
-from cosim.integrate.solvers import SOLVERS
+from cosim.integrate.solvers import SOLVERS, solver_name
 from cosim.model.catalogue import formulations, load, no_such_output, observable
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
@@ -40,6 +40,7 @@ def with_solver(scene: Scene, name: str) -> Scene:
     Raises:
         UnknownName: There is no such solver.
     """
+    name = solver_name(scene.dae, name)
     if name not in SOLVERS:
         raise UnknownName.among("cosim", "solver", name, SOLVERS)
     scene = without_goal(scene)
