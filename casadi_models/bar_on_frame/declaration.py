@@ -6,6 +6,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
+from casadi_models.bar_on_frame.shapes import draw
 from casadi_models.dae import Family, Model
 from casadi_models.units import DEGREE, FOOT, FOOT_POUND, INCH, SLUG
 
@@ -22,6 +23,7 @@ FAMILY = Family(
         "N.m.s/rad": "ft.lbf.s/rad",
     },
     stop_time=10.0,
+    draw=draw,
 )
 
 # Loads and motion of the bar: unit, meaning, size

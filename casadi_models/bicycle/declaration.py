@@ -11,6 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX, cos
 
+from casadi_models.bicycle.shapes import draw
 from casadi_models.dae import Family, Model
 from casadi_models.mechanics import conditions
 
@@ -20,6 +21,7 @@ FAMILY = Family(
     "Unit 7, Example 3; Meijaard et al., Proc. R. Soc. A 463, 2007",
     {"rad": "deg"},
     stop_time=20.0,
+    draw=draw,
 )
 
 # Unit, value, meaning; the benchmark bicycle. A `+` marks what must be positive.

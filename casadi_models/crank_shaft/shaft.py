@@ -1,5 +1,6 @@
 """What the formulations share: shape, parameters, states, names of loads."""
 
+from functools import partial
 from itertools import pairwise
 from math import pi
 from typing import NamedTuple
@@ -7,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
+from casadi_models.crank_shaft.shapes import draw
 from casadi_models.dae import Family, Model
 from casadi_models.mechanics import kane
 from casadi_models.units import FOOT, INCH, POUND
@@ -20,6 +22,7 @@ FAMILY = Family(
     "Unit 7, Example 1",
     {"rad": "deg", "rad/s": "rpm", "N": "lbf", "N.m": "ft.lbf", "m": "in", "kg": "slug"},
     stop_time=4.0,
+    draw=partial(draw, path=PATH),
 )
 
 # Loads on the shaft: name, unit, meaning, size

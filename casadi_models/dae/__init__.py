@@ -6,6 +6,7 @@ The symbols and expressions are plain CasADi `SX`; every variable carries unit, 
 meaning, start value, nominal value and bounds, which travel with it to XML, CSV and axis labels.
 """
 
+from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.family import Family
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
@@ -16,6 +17,7 @@ from casadi_models.dae.variables import Experiment, Start, Variable
 __all__ = [
     "Closing",
     "Dae",
+    "Drawing",
     "Experiment",
     "Family",
     "Invariant",

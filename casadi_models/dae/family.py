@@ -1,6 +1,6 @@
 """What the formulations of one system have in common."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -18,6 +18,7 @@ class Family:
         display: Display unit by SI unit, for every variable that does not name its own.
         stop_time, output_interval: Of the run that the system is shown with, s.
         reference_tolerance: See `Experiment`.
+        draw: Declares what all its formulations look like, by the names of variables.
     """
 
     name: str
@@ -27,10 +28,11 @@ class Family:
     stop_time: float = 10.0
     output_interval: float = 0.01
     reference_tolerance: float = 1e-10
+    draw: Callable[[Model], object] | None = None
 
     def formulation(self, name: str, description: str) -> Model:
         """Begin a formulation: `description` says which equations and which unknowns."""
-        return Model(
+        model = Model(
             self.name,
             name,
             description=f"{self.description}: {description}",
@@ -40,3 +42,6 @@ class Family:
             output_interval=self.output_interval,
             reference_tolerance=self.reference_tolerance,
         )
+        if self.draw is not None:
+            self.draw(model)
+        return model

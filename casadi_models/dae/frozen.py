@@ -1,7 +1,7 @@
 """`Dae`: a semi-explicit symbolic DAE that knows its variables."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
 
@@ -9,6 +9,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import packed, shown
+from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule
 from casadi_models.dae.variables import Experiment, Variable
@@ -37,6 +38,7 @@ class Dae:
         closing: How drift decays; None where no equation sees to that.
         monitors: (variable, scalar expression) of how well conditioned the equations are; no
             outputs until somebody asks for them.
+        drawing: What the system looks like; see `Model.shape`.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -69,6 +71,7 @@ class Dae:
     invariants: tuple[Invariant, ...] = ()
     closing: Closing | None = None
     monitors: tuple[tuple[Variable, SX], ...] = ()
+    drawing: Drawing = field(default_factory=Drawing)
 
     def __post_init__(self) -> None:
         for what, variables, columns in (

@@ -17,6 +17,7 @@ from casadi_models.dae.expressions import (
 )
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
+from casadi_models.dae.scenery import Scenery
 from casadi_models.dae.starts import StartRule, refuse_disorder
 from casadi_models.dae.variables import Experiment, Start, Variable, is_name, number
 from casadi_models.units import convert
@@ -35,7 +36,7 @@ class Facts(TypedDict, total=False):
     foreign_unit: bool
 
 
-class Model:
+class Model(Scenery):
     """Builder of a `Dae`: declare, relate, freeze.
 
     Every declaring call returns the bare CasADi symbol, so that equations read as in the book.
@@ -64,6 +65,7 @@ class Model:
         output_interval: float = 0.01,
         reference_tolerance: float = 1e-10,
     ) -> None:
+        super().__init__()
         for part in (name, formulation or name):
             if not is_name(part):
                 raise ValueError(f"{part!r} cannot name a model: use letters, digits and _")
@@ -288,6 +290,7 @@ class Model:
             }
             refuse_faulty(drifting, ca.vertcat(x, p), "states and parameters")
             refuse_disorder(self._rules, x, p)
+            drawing = self._drawing(ca.vertcat(self.t, x, z, u, p), p, self._variables)
         ode, alg, outputs, limits, monitors = share([column(part.values()) for part in parts])
         if not is_structurally_regular(alg, z):
             raise self._refusal(
@@ -327,6 +330,7 @@ class Model:
             monitors=tuple(
                 (self._variables[name], monitors[i]) for i, name in enumerate(self._monitors)
             ),
+            drawing=drawing,
         )
 
     # -- details --------------------------------------------------------------------------------
@@ -398,6 +402,9 @@ class Model:
             yield
         except ValueError as error:
             raise self._refusal(str(error)) from error
+
+    def _display_of(self, unit: str) -> str:
+        return self._display.get(unit, unit)
 
     def _refusal(self, reason: str) -> ValueError:
         model = f"{self._name}/{self._formulation}" if self._formulation else self._name

@@ -7,6 +7,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Family, Model
+from casadi_models.disk_two_bars.shapes import draw
 from casadi_models.mechanics import kane, rotations
 from casadi_models.units import FOOT, FOOT_POUND, SLUG
 
@@ -25,6 +26,7 @@ FAMILY = Family(
         "N.m.s/rad": "ft.lbf.s/rad",
     },
     stop_time=20.0,
+    draw=draw,
 )
 FORCES = ("f1_H1", "f2_H1", "f3_H1", "f1_H2", "f2_H2", "f3_H2")
 

@@ -7,6 +7,7 @@ from casadi import SX
 
 from casadi_models.dae import Family, Model
 from casadi_models.double_pendulum import orientation
+from casadi_models.double_pendulum.shapes import draw
 from casadi_models.mechanics import rotations
 from casadi_models.units import DEGREE
 
@@ -34,6 +35,7 @@ FAMILY = Family(
     {"rad": "deg"},
     stop_time=10.0,
     reference_tolerance=1e-11,  # the motion multiplies an error by about 1e4 in 10 s
+    draw=draw,
 )
 
 

@@ -63,16 +63,20 @@ Status set_slopes(Instance *self, const uint32_t references[], size_t count, con
         const VariableInfo *variable = &variables[references[i]];
         if (variable->role != INPUT)
             return refuse(self, ERROR, "%s is not an input", variable->name);
-        if (orders[i] > 1)
-            return refuse(self, ERROR, "inputs are interpolated with order 1, not %d",
-                          (int)orders[i]);
         if (!isfinite(values[i]))
             return refuse(self, DISCARD, "derivative %g of %s is not finite", values[i],
                           variable->name);
     }
     drop_spent_slopes(self);
-    for (size_t i = 0; i < count; i++) self->state.slopes[references[i] - FIRST_INPUT] = values[i];
-    return OK;
+    Status status = OK;
+    for (size_t i = 0; i < count; i++)
+        if (orders[i] == 1)
+            self->state.slopes[references[i] - FIRST_INPUT] = values[i];
+        else
+            status =
+                refuse(self, WARNING, "inputs move linearly; the derivative of order %d is dropped",
+                       (int)orders[i]);
+    return status;
 }
 
 /* Time derivatives of outputs along the solution; those of higher order are given as 0. */

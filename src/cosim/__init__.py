@@ -32,12 +32,16 @@ if TYPE_CHECKING:
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
     from cosim.model.summary import models
+    from cosim.present.animate import animate
     from cosim.present.figures import draw_figures
     from cosim.present.info import Info, info
     from cosim.scene.scene import FigureSpec, Scene, Settings
     from cosim.scene.scene_file import read_scene
     from cosim.series.column import Column
     from cosim.study.extremes.campaign import extremes
+    from cosim.study.linearize.linearize import linearize
+    from cosim.study.linearize.sweep import linearize_sweep
+    from cosim.study.sensitivity.sensitivity import sensitivity
     from cosim.study.sweep.result import SweepResult
     from cosim.study.sweep.sweep import sweep
     from cosim.study.tradeoff.study import tradeoff
@@ -58,6 +62,7 @@ _HOMES = {
     "Settings": "scene.scene",
     "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
+    "animate": "present.animate",
     "check_fmu": "fmi.check.check",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
@@ -68,6 +73,8 @@ _HOMES = {
     "from_dae_builder": "model.dae_builder",
     "info": "present.info",
     "integrator": "integrate.integrator",
+    "linearize": "study.linearize.linearize",
+    "linearize_sweep": "study.linearize.sweep",
     "load": "model.catalogue",
     "models": "model.summary",
     "read_inputs": "model.inputs",
@@ -75,6 +82,7 @@ _HOMES = {
     "reduce": "model.reduction.reduce",
     "reference": "verify.reference",
     "run_scene": "api",
+    "sensitivity": "study.sensitivity.sensitivity",
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
     "simulate_many": "integrate.simulate_many",
@@ -98,6 +106,7 @@ __all__ = [
     "Settings",
     "SweepResult",
     "Trajectory",
+    "animate",
     "check_fmu",
     "compare",
     "crosscheck",
@@ -109,6 +118,8 @@ __all__ = [
     "from_dae_builder",
     "info",
     "integrator",
+    "linearize",
+    "linearize_sweep",
     "load",
     "models",
     "read_inputs",
@@ -116,6 +127,7 @@ __all__ = [
     "reduce",
     "reference",
     "run_scene",
+    "sensitivity",
     "simulate",
     "simulate_fmu",
     "simulate_many",

@@ -24,6 +24,7 @@ from cosim.model.quantities import quantity
 from cosim.model.values import A_DAE, assign, listed
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.accuracy.solver_selection import promised_run
 from cosim.trajectory import Trajectory
@@ -222,23 +223,23 @@ def named(name: str) -> Dae:
 
 def run_scene(
     scene: Scene,
-    road: str | None = None,
+    road: Road | str | None = None,
     *,
     stop_when: str | None = None,
     output_times: ArrayLike | None = None,
     **options: Any,
 ) -> Trajectory:
-    """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
+    """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
 
     With an accuracy or a budget, the front of the model with its author's values is what chooses,
     so that it need not be measured anew for each of the scene's values.
 
     Args:
         scene: What to run.
-        road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
+        road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
         stop_when: A condition that ends the run; see `simulate`.
         output_times: Times of one's own, s; see `simulate`.
-        options: `compiled`, `on_invalid`, `drift_control` of CasADi's integrators.
+        options: `compiled`, `on_invalid`, `drift_control` of the native road.
 
     Raises:
         UsageError: An FMU shall run with an accuracy, a budget or a condition.
@@ -254,12 +255,13 @@ def run_scene(
     asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
     if not goal and (not _is(scene) or all(value is None for value in asked.values())):
         return roads.run_scene(scene, road, **options)
-    if road is not None:
+    if not _way(road).native:
         words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
             f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
             "exported: cosim export --accuracy"
         )
+    options = _as_asked(road, options)
     dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
     settings = roads.native_settings(scene, dae)
     if output_times is not None:
@@ -269,6 +271,14 @@ def run_scene(
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
     start = {name: value for name, value in scene.values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
+
+
+def _way(road: Road | str | None) -> Road:
+    return Road.NATIVE if road is None else Road.named(road)
+
+
+def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
+    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options
 
 
 def _is(scene: object) -> bool:

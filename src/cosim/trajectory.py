@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 import os
+import re
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, overload
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +28,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-MOST_PANELS = 24
+    from casadi_models.dae import Drawing
+
 SHOWN_PANELS = 6  # of the picture in a notebook
 KINDS = ("si", "book")  # of units in files
 
@@ -45,6 +50,7 @@ class Trajectory:
         values: One column per variable, (n, len(columns)).
         stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
+        drawing: What the model looks like, with the run's parameters; None where nobody knows.
         again: Computes the run at other times within its span; None where nothing can.
 
     Raises:
@@ -66,6 +72,7 @@ class Trajectory:
     values: Vector
     stats: Mapping[str, Any] = field(default_factory=dict)
     status: str = "complete"
+    drawing: Drawing | None = field(default=None, repr=False)
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -97,6 +104,19 @@ class Trajectory:
     def complete(self) -> bool:
         """Whether the run reached its stop time."""
         return self.status == "complete"
+
+    @property
+    def validity(self) -> tuple[float, tuple[str, ...]]:
+        """From when on the run is not what it seems, s (infinite when never), and why."""
+        reasons = tuple(str(text) for text in self.stats.get("invalid", ()))
+        if not len(self):
+            return inf, reasons
+        said = re.match(r"from (\S+) s on ", reasons[0]) if reasons else None
+        known = float(said[1]) if said else self.time[0] if reasons else inf
+        start = float(self.stats.get("invalid_from", known))
+        if self.complete:
+            return start, reasons
+        return min(start, float(self.time[-1])), (*reasons, self.status)
 
     def column(self, name: str) -> Column:
         """Return what is known of a variable.
@@ -284,6 +304,48 @@ class Trajectory:
         self._write_csv(text, units)
         write_atomically(target, text.getvalue().encode())
 
+    def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
+        """Write everything, bit for bit, as a file of numpy; see `from_npz`.
+
+        Args:
+            target: File name, replaced atomically, or an open binary file.
+
+        Raises:
+            ExportError: The file cannot be written.
+        """
+        facts = {
+            "model": self.model,
+            "columns": [asdict(column) for column in self.columns],
+            "stats": dict(self.stats),
+            "status": self.status,
+        }
+        content = io.BytesIO()
+        np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
+        if not isinstance(target, str | os.PathLike):
+            target.write(content.getvalue())
+            return
+        from cosim.files import write_atomically  # only where a file is wanted
+
+        write_atomically(target, content.getvalue())
+
+    @classmethod
+    def from_npz(cls, source: str | os.PathLike[str] | BinaryIO) -> Trajectory:
+        """Read what `to_npz` wrote.
+
+        Raises:
+            UsageError: It is no such file.
+        """
+        try:
+            if isinstance(source, str | os.PathLike):
+                with Path(source).open("rb") as file:  # numpy leaves a damaged one open
+                    return cls.from_npz(file)
+            with np.load(source, allow_pickle=False) as stored:
+                facts = json.loads(str(stored["facts"]))
+                columns = tuple(Column(**column) for column in facts.pop("columns"))
+                return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise UsageError(f"{source} holds no trajectory: {error}") from error
+
     def to_pandas(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""
         pandas = optional_package("pandas")
@@ -311,15 +373,17 @@ class Trajectory:
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draw variables over time in their display units, a panel each.
 
+        The span in which the run is outside its model is shaded and named.
+
         Args:
-            names: One, or several; the first 24 when None.
+            names: One, or several; all when None.
 
         Raises:
             UnknownName: A variable was not recorded.
         """
         from cosim.plotting import Panel, draw_panels  # matplotlib takes its time
 
-        shown = self.select(names if names is not None else self.names[:MOST_PANELS])
+        shown = self.select(names if names is not None else self.names)
         panels = [
             Panel(
                 column.meaning or column.name,
@@ -329,8 +393,16 @@ class Trajectory:
             )
             for column in shown.columns
         ]
+        start, reasons = self.validity
         suffix = "" if self.complete else f" ({self.status})"
-        return draw_panels(f"{self.model}{suffix}", self.time, panels)
+        title = f"{self.model}{suffix}"
+        return draw_panels(title, self.time, panels, invalid_from=start, reasons=reasons)
+
+    def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
+        """Show the run in three dimensions; see `cosim.animate`."""
+        from cosim.present.animate import animate  # the one import of an upper room
+
+        return animate(self, target, **options)
 
     def _index(self, name: str) -> int:
         try:

@@ -13,8 +13,9 @@ from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
 from cosim.present.figures import default_specs, draw_figures
 from cosim.present.picture_files import save
-from cosim.scene.roads import run_scene, variant
+from cosim.scene.roads import run_scene
 from cosim.scene.scene import FigureSpec
+from cosim.scene.variants import variant
 from cosim.trajectory import Column, Trajectory
 
 POUND, DEGREE = 4.4482216152605, np.pi / 180
@@ -293,7 +294,7 @@ def test_window_needs_no_file(monkeypatch):
     monkeypatch.setattr("cosim.present.picture_files.show", shown.extend)
     monkeypatch.setattr("cosim.present.picture_files.require_screen", lambda: None)
     assert main(["plot", "crank_torque.toml"]) == 0
-    assert [type(figure) for figure in shown] == [Figure]
+    assert [isinstance(figure, Figure) for figure in shown] == [True]
 
 
 def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):

@@ -11,9 +11,9 @@ from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
 from cosim.scene.goals import GOALS, OVERRULED
-from cosim.scene.roads import with_solver, without_goal
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
+from cosim.scene.variants import with_solver, without_goal
 
 _SETTINGS = (
     "start_time",

@@ -161,3 +161,11 @@ def add_timeout(parser: Parser) -> None:
 def add_output_file(parser: Parser, metavar: str, text: str) -> None:
     """Let a verb write its result to a file."""
     parser.add_argument("-o", "--output-file", metavar=metavar, help=text)
+
+
+def add_picture(parser: Parser, size: str) -> None:
+    """Let a verb choose how large its pictures are."""
+    parser.add_argument(
+        "--size", default=size, metavar="WxH", help=f"inches; {size or 'by what is drawn'}"
+    )
+    parser.add_argument("--dpi", type=int, default=120, metavar="N", help="dots per inch; 120")

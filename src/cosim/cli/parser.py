@@ -10,7 +10,7 @@ from cosim.cli.options import Parser
 # A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
 VERBS = (
     *("list", "info", "simulate", "export", "crosscheck", "tradeoff", "extremes", "plot"),
-    *("sweep", "scene", "new", "cache"),
+    *("animate", "report", "sweep", "sensitivity", "linearize", "scene", "new", "cache"),
 )
 
 _DESCRIPTION = (
@@ -22,6 +22,7 @@ _EXAMPLES = """examples:
   cosim simulate bicycle -p phi_dot=30deg/s --outputs phi,delta
   cosim export bicycle/multipliers -o bicycle.fmu
   cosim plot bicycle_model_1.toml -o bicycle.pdf
+  cosim animate bicycle -o bicycle.html
   cosim crosscheck crank_shaft bar_on_frame bicycle
 
 exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ,

@@ -18,6 +18,7 @@ class RunStats(Mapping[str, Any]):
         compiled: Whether the equations were machine code.
         wall_time: What everything took, s.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
+        invalid_from: From when on it does, s; None where it does not.
         stop: The condition that ended the run, and when it became true.
         stop_time: When, s.
     """
@@ -32,6 +33,7 @@ class RunStats(Mapping[str, Any]):
     compiled: bool
     wall_time: float
     invalid: tuple[str, ...] = ()
+    invalid_from: float | None = None
     stop: str | None = None
     stop_time: float | None = None
 

@@ -22,7 +22,7 @@ from cosim.integrate.solvers import NUMBERS, chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import assign, listed, number
+from cosim.model.values import assign, listed, number, numbers_of
 from cosim.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -125,7 +125,9 @@ def simulate(
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
-    every = Trajectory(dae.full_name, time, all_columns(dae), solution.table, stats, status)
+    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
+    columns = all_columns(dae)
+    every = Trajectory(dae.full_name, time, columns, solution.table, stats, status, drawing=drawing)
     run = every.select(names)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
@@ -200,4 +202,5 @@ def _stats(
         compiled=compiled,
         wall_time=wall_time,
         invalid=tuple(breach.text for breach in first.invalid),
+        invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

@@ -27,6 +27,12 @@ class Values:
     u: Vector
 
 
+def numbers_of(dae: Dae, values: Values) -> dict[str, float]:
+    """Return the parameters and constant inputs of a run by name."""
+    pairs = ((dae.parameters, values.p), (dae.inputs, values.u))
+    return {v.name: float(n) for group, row in pairs for v, n in zip(group, row, strict=True)}
+
+
 def number(owner: str, name: str, value: Any, *, positive: bool = False) -> float:
     """Return a finite real number, or say whose number it should have been.
 

@@ -1,1 +1,1 @@
-"""Pictures of runs and studies."""
+"""Pictures of runs and studies: figures, playback, reports."""

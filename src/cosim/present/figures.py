@@ -1,6 +1,7 @@
 """The figures that a scene asks for, of one run or of two with their difference."""
 
 from collections.abc import Collection, Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -10,26 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from cosim.errors import UsageError
-from cosim.plotting import keep_constant_flat
+from cosim.plotting import (
+    COLOURS,
+    INVALID,
+    LINES,
+    STYLE,
+    Picture,
+    invalid_text,
+    keep_constant_flat,
+    shade_invalid,
+)
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Column, Trajectory
 
-# Okabe and Ito's colours, which colour-blind readers can tell apart
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_STYLE: Any = {  # matplotlib types its keys one by one
-    "font.size": 9,
-    "axes.grid": True,
-    "axes.labelsize": 9,
-    "axes.linewidth": 0.6,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlesize": 10,
-    "grid.alpha": 0.35,
-    "grid.linewidth": 0.5,
-    "legend.fontsize": 8,
-    "legend.framealpha": 0.8,
-    "lines.linewidth": 1.3,
-}
 _SECOND: Any = {"color": "black", "linewidth": 0.9, "linestyle": (0, (4, 4))}
 _WIDTH, _PAD = 6.4, 0.07  # inches
 _EACH = 3  # variables per figure where nobody says how to group them
@@ -56,7 +50,7 @@ def draw_figures(
         raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
     if other is not None:
         _refuse_other_times(run, other)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         return [_figure(spec, run, other) for spec in specs]
 
 
@@ -74,11 +68,11 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
     ratios = [2.0, 1.0] * count if below else [1.0] * count
     height = 0.7 + (5.0 if spec.equal else 3.1 if count == 1 else 1.75) * count
     height += 1.3 * count * below
-    figure = Figure(
+    figure = Picture(
         figsize=(_WIDTH, height), layout=ConstrainedLayoutEngine(h_pad=_PAD, w_pad=_PAD)
     )
     rows = [*figure.subplots(len(ratios), 1, squeeze=False, height_ratios=ratios).ravel()]
-    figure.suptitle(spec.title, fontsize=11)
+    figure.suptitle(fill(spec.title, 70), fontsize=11)
     mains = rows[::2] if below else rows
     for index, axis in enumerate(mains):
         _panel(axis, spec, index, run, other)
@@ -92,6 +86,7 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
             _difference(axis, names, legends, run, other)
     if spec.x == "time":
         _share_time(rows)
+    _name_invalid(figure, rows if spec.x == "time" else [], run, other)
     figure.align_ylabels(rows)
     return figure
 
@@ -103,12 +98,19 @@ def _panel(
     columns = [run.column(name) for name in names]
     legends = spec.legends[index] if spec.legends else _meanings(columns)
     for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
-        colour = _COLOURS[i % len(_COLOURS)]
-        axis.plot(_shown(run, spec.x), _shown(run, column.name), color=colour, label=legend)
+        colour = COLOURS[i % len(COLOURS)]
+        line = LINES[i % len(LINES)]
+        over, values = _shown(run, spec.x), _shown(run, column.name)
+        axis.plot(over, values, color=colour, linestyle=line, label=legend)
+        bad = run.time >= run.validity[0]
+        if spec.x != "time" and bad.any():
+            axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
         if other is not None:
             axis.plot(_shown(other, spec.x), _shown(other, column.name), **_SECOND)
     label = spec.labels[index] if spec.labels else ", ".join(names)
-    axis.set_ylabel(f"{label} [{_unit(columns[0])}]")
+    axis.set_ylabel(
+        _beside(label, _unit(columns[0]), 34 if spec.equal or len(spec.panels) == 1 else 19)
+    )
     if len(names) > 1:
         axis.legend()
     if spec.x != "time":
@@ -123,15 +125,47 @@ def _panel(
 def _difference(
     axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
 ) -> None:
+    zero = True
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
         gap = _shown(other, name) - _shown(run, name)
-        axis.plot(run.time, gap, color=_COLOURS[i % len(_COLOURS)], linewidth=0.9, label=legend)
-    axis.set_ylabel(f"difference [{_unit(run.column(names[0]))}]")
-    axis.ticklabel_format(axis="y", scilimits=(-2, 3), useOffset=False)
+        line = LINES[i % len(LINES)]
+        colour = COLOURS[i % len(COLOURS)]
+        axis.plot(run.time, gap, color=colour, linestyle=line, linewidth=0.9, label=legend)
+        zero = zero and not gap.any()
+    axis.set_ylabel(_beside("difference", _unit(run.column(names[0])), 16))
+    if zero:
+        axis.set_ylim(-1, 1)
+        axis.set_yticks([0.0])
+        axis.text(0.5, 0.75, "exactly zero", transform=axis.transAxes, ha="center", fontsize=8)
+    else:
+        axis.ticklabel_format(axis="y", scilimits=(-2, 3), useOffset=False)
     axis.set_xlabel("time [s]")
     axis.margins(x=0)
     if len(names) > 1:
         axis.legend()
+
+
+def _name_invalid(
+    figure: Figure, rows: Sequence[Axes], run: Trajectory, other: Trajectory | None
+) -> None:
+    """Shade the spans in which the runs are outside their models, and say why."""
+    told = []
+    for each in (run, other) if other is not None else (run,):
+        assert each is not None
+        start, reasons = each.validity
+        for axis in rows:
+            shade_invalid(axis, each.time, start)
+        if text := invalid_text(start, reasons, _WIDTH):
+            told.append(f"{_label(each)}, {text}" if other is not None else text)
+    if told:
+        lines = (fill(text, 95, max_lines=4, placeholder=" ...") for text in told)
+        figure.supxlabel("\n".join(lines), fontsize=7, color=INVALID)
+
+
+def _beside(label: str, unit: str, room: int) -> str:
+    """Return the text of a vertical axis, in lines of so many letters that it keeps its panel."""
+    text = f"{label} [{unit}]"
+    return text if len(text) <= room else f"{fill(label, room)}\n[{unit}]"
 
 
 def _share_time(rows: Sequence[Axes]) -> None:

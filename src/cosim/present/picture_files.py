@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
-from cosim.plotting import UNDATED, picture
+from cosim.plotting import DPI, UNDATED, picture
 
 FORMATS = ("png", "svg", "pdf")
 _WITHOUT_SCREEN = ("agg", "cairo", "pdf", "pgf", "ps", "svg", "template")  # backends
@@ -26,12 +26,13 @@ def picture_format(target: str) -> str:
     return kind
 
 
-def save(figures: Sequence[Figure], target: str) -> list[Path]:
+def save(figures: Sequence[Figure], target: str, dpi: int = DPI) -> list[Path]:
     """Write figures as PNG, SVG or PDF, by the ending of the name; same figures, same bytes.
 
     Args:
         figures: One or more.
         target: File name. Several figures become the pages of one PDF, or NAME-01, NAME-02, ...
+        dpi: Dots per inch of a PNG.
 
     Returns:
         The files that were written.
@@ -45,7 +46,7 @@ def save(figures: Sequence[Figure], target: str) -> list[Path]:
         return [write_atomically(path, _pages(figures))]
     digits = max(2, len(str(len(figures))))
     names = [path.with_stem(f"{path.stem}-{i:0{digits}}") for i in range(1, len(figures) + 1)]
-    contents = [picture(figure, kind) for figure in figures]
+    contents = [picture(figure, kind, dpi) for figure in figures]
     places = names if len(figures) > 1 else [path]
     return [write_atomically(place, content)
             for place, content in zip(places, contents, strict=True)]  # fmt: skip

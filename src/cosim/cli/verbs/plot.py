@@ -1,4 +1,4 @@
-"""`cosim plot MODEL|SCENE.toml|FILE.fmu`: a run as curves, or two and their difference."""
+"""`cosim plot MODEL|SCENE.toml|FILE.fmu|RESULT.csv...`: runs as curves, and differences."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cosim.cli.options import (
     add_output_file,
+    add_picture,
     add_solver,
     add_timeout,
     common,
@@ -17,8 +18,12 @@ from cosim.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from cosim.cli.options import Verbs
-    from cosim.scene.scene import Scene
+    from cosim.trajectory import Trajectory
+
+PANELS = 24  # on a page
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -26,57 +31,65 @@ def add_parser(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "plot",
         parents=[common(), run_options(), value_options()],
-        help="a run as curves, to a window or a file",
+        help="runs as curves, to a window or a file",
     )
-    parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
+    parser.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
     add_solver(parser)
     parser.add_argument(
         "--compare",
-        metavar="ROAD",
-        help="draw a second run and the difference: fmu, fmu-me, fmu-cs, a solver, a formulation",
+        metavar="A,B",
+        help="more runs: fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
     )
     add_output_file(parser, "FILE", "PNG, SVG or PDF; a window by default")
+    parser.add_argument(
+        "--model", dest="shown_model", metavar="MODEL", help="that tells the units of a result"
+    )
+    add_picture(parser, "")
     add_timeout(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw a run, or two and their difference."""
-    from cosim.api import run_scene
-    from cosim.cli.running import run_or_partial, scene_or_none
-    from cosim.present.figures import default_specs, draw_figures
+    """Draw a run; or two and their difference; or several over each other."""
+    from cosim.cli.runs import runs_of, size_of
+    from cosim.present.figures import draw_figures
+    from cosim.present.overlay import draw_overlay, shared_specs
     from cosim.present.picture_files import picture_format, require_screen, save, show
 
     if args.output_file is None:
         require_screen()
     else:
         picture_format(args.output_file)  # refuses before anything has been computed
-    scene = scene_or_none(args)
-    second = None if args.compare is None else _second(args, scene)
-    run, code = run_or_partial(args, scene)
-    if second:
-        other = run_scene(*second, compiled=False if args.interpreted else None)
-        specs = (scene and scene.figures) or default_specs(run, other)
-        figures = draw_figures(specs, run, other)
+    size = size_of(args) if args.size else None
+    runs, scenes, code = runs_of(args)
+    asked = next((scene.figures for scene in scenes if scene and scene.figures), ())
+    if len(runs) > 1:
+        specs, notes = shared_specs(asked, runs)
+        for note in notes if not args.quiet else ():
+            print(note, file=sys.stderr)
+        pair = args.compare is not None and len(runs) == 2
+        figures = draw_figures(specs, *runs) if pair else draw_overlay(specs, runs)
     else:
-        figures = draw_figures(scene.figures, run) if scene and scene.figures else [run.plot()]
+        figures = draw_figures(asked, runs[0]) if asked else overview(runs[0])
+    if size is not None:
+        for figure in figures:
+            figure.set_size_inches(size)
     if args.output_file is None:
         show(figures)
         return code
-    paths = save(figures, args.output_file)
+    paths = save(figures, args.output_file, args.dpi)
     if args.json:
-        print(
-            json.dumps({"files": [str(p) for p in paths], "model": run.model, "status": run.status})
-        )
+        print(json.dumps({"files": [str(path) for path in paths]}))
     elif not args.quiet:
         print(*paths, sep="\n", file=sys.stderr)
     return code
 
 
-def _second(args: argparse.Namespace, scene: Scene | None) -> tuple[Scene, str | None]:
-    """Return scene and road of the run that `--compare` asks for."""
-    from cosim.errors import UsageError
-    from cosim.scene.roads import variant
-
-    if scene is None:
-        raise UsageError("--compare is for models and scenes; an FMU has one road only")
-    return variant(scene, args.compare)
+def overview(run: Trajectory) -> list[Figure]:
+    """Return pages of every variable that a run recorded."""
+    names = run.names
+    pages = [names[i : i + PANELS] for i in range(0, len(names), PANELS)]
+    figures = [run.plot(page) for page in pages]
+    for number, figure in enumerate(figures, start=1):
+        if len(figures) > 1:
+            figure.suptitle(f"{figure.get_suptitle()}, page {number} of {len(figures)}")
+    return figures

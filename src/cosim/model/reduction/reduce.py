@@ -74,6 +74,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         observed=tuple(outputs),
         x_start=tuple(frozen.x_start[i] for i in states),
         monitors=(),
+        drawing=frozen.drawing.with_numbers({v.name: v.start or 0.0 for v in frozen.parameters}),
         invariants=tuple(_kept_invariants(frozen, states, parameters)),
         closing=frozen.closing
         and replace(frozen.closing, residual=frozen.closing.residual[equations]),

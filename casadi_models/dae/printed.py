@@ -1,0 +1,25 @@
+"""Numbers that a book prints of a system, to stand beside those of a run."""
+
+from typing import NamedTuple
+
+
+class Printed(NamedTuple):
+    """A number as it is printed; it holds for the values that the model has by default.
+
+    Attributes:
+        variable: Of which it is the value.
+        time: When, s.
+        value: As it is printed, e.g. "-6.4994": half of its last digit is the book's own rounding.
+        unit: Of the value.
+    """
+
+    variable: str
+    time: float
+    value: str
+    unit: str
+
+    @property
+    def rounding(self) -> float:
+        """Half a unit of the last digit."""
+        _, _, decimals = self.value.partition(".")
+        return 0.5 * 10.0 ** -len(decimals)

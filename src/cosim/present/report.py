@@ -1,0 +1,261 @@
+"""`report`: everything about one run on one page that can be handed in."""
+
+import hashlib
+import html
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import casadi_models
+from casadi_models.dae import Dae, Start, Variable
+from casadi_models.dae.printed import Printed
+from casadi_models.units import UNITS, convert
+from cosim.errors import MissingTool
+from cosim.model.reduction.size import size
+from cosim.plotting import picture
+from cosim.present.figures import draw_figures
+from cosim.present.html import html as playback_page
+from cosim.present.playback import playback
+from cosim.present.render import draw_pose
+from cosim.scene.scene import Scene
+from cosim.tables import html_table
+from cosim.trajectory import Trajectory
+
+_CSS = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
+       color: #111; }
+h1 { font-size: 1.7rem; } h2 { margin-top: 2.2rem; border-bottom: 1px solid #bbb; }
+table { border-collapse: collapse; margin: .6rem 0; font-size: .85rem; }
+td, th { border: 1px solid #ccc; padding: .15rem .5rem; text-align: left; vertical-align: top; }
+caption { text-align: left; font-style: italic; padding: .2rem 0; }
+pre { background: #f5f5f5; padding: .6rem; overflow-x: auto; font-size: .8rem; }
+svg, img { max-width: 100%; height: auto; } figure { margin: 1rem 0; break-inside: avoid; }
+iframe { width: 100%; height: 30rem; border: 1px solid #ccc; }
+.invalid { background: #A02020; color: white; padding: .5rem .8rem; }
+.note { color: #555; font-size: .85rem; }
+@media print { iframe, .screen { display: none; } body { margin: 0; max-width: none;
+               font-size: 10pt; } h2 { break-after: avoid; } table { break-inside: auto; }
+               tr { break-inside: avoid; } }
+"""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a report tells of.
+
+    Attributes:
+        scene: Model and numbers.
+        dae: The model as it ran, reduced to what the scene wants.
+        run: Its result.
+        shown: The same run with everything that the bodies need; for pictures of them.
+        checks: Rows of a crosscheck; empty where none was made.
+        command: What makes the page again.
+    """
+
+    scene: Scene
+    dae: Dae
+    run: Trajectory
+    shown: Trajectory | None
+    checks: Sequence[Mapping[str, Any]]
+    command: str
+
+
+def report(contents: Contents) -> str:
+    """Return the page: one file that needs no network and prints on paper."""
+    c = contents
+    title = c.scene.title or c.dae.description or c.run.model
+    parts = [f"<h1>{_text(title)}</h1>", _validity(c.run), *_system(c), *_bodies(c)]
+    parts += [*_numbers(c), *_printed(c), *_figures(c), *_trust(c), *_origin(c)]
+    body = "\n".join(parts)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f"<title>{_text(title)}</title><style>{_CSS}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _validity(run: Trajectory) -> str:
+    start, reasons = run.validity
+    if not reasons:
+        return ""
+    told = "; ".join(reasons)
+    return (
+        f'<p class="invalid">From {start:g} s on this run is outside its model: {_text(told)}</p>'
+    )
+
+
+def _system(c: Contents) -> Iterable[str]:
+    yield "<h2>The system</h2>"
+    facts = {"model": c.dae.full_name, "what": c.dae.description, "source": c.dae.source}
+    counts = size(c.dae)
+    facts["equations"] = (
+        f"{counts.states} differential, {counts.algebraics} algebraic; {counts.operations} scalar "
+        f"operations with {counts.outputs} outputs"
+    )
+    facts["states, in their order"] = ", ".join(v.name for v in c.dae.states)
+    if c.dae.algebraics:
+        facts["algebraic unknowns"] = ", ".join(v.name for v in c.dae.algebraics)
+    yield _facts(facts)
+    if sketch := _sketch(c.dae):
+        yield f"<pre>{_text(sketch)}</pre>"
+    if c.dae.limits:
+        yield "<p>The model holds while</p><ul>"
+        yield from (f"<li>{_text(meaning)}</li>" for _, meaning in c.dae.limits)
+        yield "</ul>"
+    if c.dae.report:
+        yield "<p>Reduced to what the scene wants:</p><ul>"
+        yield from (f"<li>{_text(line)}</li>" for line in c.dae.report)
+        yield "</ul>"
+
+
+def _sketch(dae: Dae) -> str:
+    """Return what the module of a catalogue's system says of it."""
+    if dae.full_name not in casadi_models.CATALOG:
+        return ""
+    return (import_module(f"casadi_models.{dae.name}").__doc__ or "").strip()
+
+
+def _bodies(c: Contents) -> Iterable[str]:
+    if c.shown is None or not c.shown.drawing:
+        return
+    yield "<h2>In motion</h2>"
+    still = playback(c.shown, c.shown.drawing, times=[float(c.shown.time[0])])
+    yield _svg(draw_pose([still], [0], follow=""), "At the start; lines are the paths of points.")
+    try:
+        played = playback(c.shown, c.shown.drawing)
+        page = html.escape(playback_page([played]), quote=True)
+        yield f'<iframe class="screen" title="playback" srcdoc="{page}"></iframe>'
+    except MissingTool as error:
+        yield f'<p class="note">Without playback: {_text(str(error))}</p>'
+
+
+def _numbers(c: Contents) -> Iterable[str]:
+    yield "<h2>Numbers</h2>"
+    for caption, variables in (
+        ("Start values", c.dae.states),
+        ("Parameters", c.dae.parameters),
+        ("Inputs", c.dae.inputs),
+    ):
+        rows = [_row(v, c) for v in variables]
+        if rows:
+            yield html_table(rows, caption)
+    settings = {k: v for k, v in vars(c.scene.settings).items() if v is not None}
+    yield _facts({key.replace("_", " "): value for key, value in settings.items()})
+
+
+def _row(variable: Variable, c: Contents) -> dict[str, Any]:
+    value = c.scene.values.get(variable.name, variable.start)
+    if variable.start_kind is Start.CALCULATED and variable.name in c.run.names and len(c.run):
+        value = float(c.run[variable.name][0])
+    shown = variable.display_unit or variable.unit
+    return {
+        "name": variable.name,
+        "value": "" if value is None else f"{convert(value, variable.unit, shown):.8g}",
+        "unit": shown,
+        "meaning": variable.meaning
+        + (" (calculated)" if variable.start_kind is Start.CALCULATED else ""),
+    }
+
+
+def _printed(c: Contents) -> Iterable[str]:
+    rows = list(printed_rows(c.scene, c.run))
+    if rows:
+        yield "<h2>The book's numbers and the run's</h2>"
+        yield html_table(rows, "As printed; the last column: by more than the book's rounding?")
+
+
+def printed_rows(scene: Scene, run: Trajectory) -> Iterable[dict[str, Any]]:
+    """Yield the book's printed numbers beside the run's, where the run has the book's values."""
+    dae = scene.dae
+    changed = any(
+        value != next(v.start for v in dae.variables if v.name == name)
+        for name, value in scene.values.items()
+    )
+    if dae.full_name not in casadi_models.CATALOG or changed or scene.inputs is not None:
+        return
+    try:
+        printed: Sequence[Printed] = import_module(f"casadi_models.{dae.name}.printed").PRINTED
+    except ModuleNotFoundError:
+        return
+    for number in printed:
+        if number.variable not in run.names or not len(run):
+            continue
+        i = int(np.argmin(np.abs(run.time - number.time)))
+        if abs(run.time[i] - number.time) > 1e-9:
+            continue
+        unit = UNITS[run.column(number.variable).unit]
+        value = float(run[number.variable][i]) * unit.factor / UNITS[number.unit].factor
+        gap = abs(value - float(number.value))
+        yield {
+            "variable": number.variable,
+            "time": f"{number.time:g} s",
+            "book": number.value,
+            "run": f"{value:.8g}",
+            "unit": number.unit,
+            "differs": "no" if gap <= 1.02 * number.rounding else f"yes, by {gap:.1e}",
+        }
+
+
+def _figures(c: Contents) -> Iterable[str]:
+    yield "<h2>Figures</h2>"
+    if c.scene.figures:
+        figures = draw_figures(c.scene.figures, c.run)
+    else:
+        names = c.run.names
+        figures = [c.run.plot(names[i : i + 12]) for i in range(0, len(names), 12)]
+    for figure in figures:
+        yield _svg(figure, "")
+
+
+def _trust(c: Contents) -> Iterable[str]:
+    yield "<h2>How far the numbers can be trusted</h2>"
+    stats = c.run.stats
+    if "error_estimate" in stats:
+        yield (
+            f"<p>Estimated global error: {stats['error_estimate']:.1e} nominal values, from a "
+            "second run by another method or tolerance.</p>"
+        )
+    else:
+        yield "<p>No error was estimated; ask for it with <code>--accuracy</code>.</p>"
+    if c.checks:
+        rows = [dict(row) for row in c.checks]
+        yield html_table(rows, "The same run on every road and in every formulation")
+
+
+def _origin(c: Contents) -> Iterable[str]:
+    table = np.column_stack((c.run.time, c.run.values))
+    stats = c.run.stats
+    facts = {
+        "command": c.command,
+        "solver": f"{stats.get('solver', '')}, {stats.get('steps', '?')} steps",
+        "compiled": stats.get("compiled", ""),
+        "result (SHA-256)": hashlib.sha256(table.tobytes()).hexdigest(),
+        "versions": ", ".join(
+            f"{name} {version(name)}" for name in ("cosim-rigid", "casadi", "fmpy", "numpy")
+        ),
+        "Python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",
+    }
+    yield "<h2>How to make it again</h2>"
+    yield _facts(facts)
+
+
+def _facts(facts: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f"<tr><th>{_text(k)}</th><td>{_text(str(v))}</td></tr>" for k, v in facts.items()
+    )
+    return f"<table>{rows}</table>"
+
+
+def _svg(figure: Figure, caption: str) -> str:
+    drawing = picture(figure, "svg").decode()
+    drawing = drawing[drawing.index("<svg") :]
+    return f"<figure>{drawing}<figcaption class='note'>{_text(caption)}</figcaption></figure>"
+
+
+def _text(text: str) -> str:
+    return html.escape(text)

@@ -1,0 +1,74 @@
+"""`cosim animate`: sources, ghosts, and how it ends."""
+
+import sys
+
+import pytest
+
+from cosim.cli.main import main
+
+
+def animate(*words):
+    return main(["animate", *map(str, words), "-q"])
+
+
+def test_scene_is_shown_with_everything_that_its_bodies_need(tmp_path):
+    target = tmp_path / "x.png"
+    assert animate("bicycle_front_contact.toml", "--stop-time", "0.5", "-o", target) == 0
+    assert target.stat().st_size > 10_000
+
+
+def test_result_in_a_file_is_recognized(tmp_path, capsys):
+    table, target = tmp_path / "run.csv", tmp_path / "x.png"
+    assert main(["simulate", "crank_shaft", "--stop-time", "0.5", "--output-file", str(table)]) == 0
+    assert main(["animate", str(table), "-o", str(target), "--at", "0,0.1"]) == 0
+    assert "the result is drawn as crank_shaft" in capsys.readouterr().err
+    assert target.exists()
+
+
+def test_fmu_is_shown_by_the_model_that_it_is_named_after(tmp_path):
+    fmu, target = tmp_path / "crank.fmu", tmp_path / "x.png"
+    assert main(["export", "crank_shaft", "-o", str(fmu), "-q"]) == 0
+    assert animate(fmu, "--stop-time", "0.5", "-o", target) == 0
+    assert target.exists()
+
+
+def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr(
+        "cosim.present.animate.animate", lambda runs, *_, **__: shown.extend(runs) or tmp_path / "x"
+    )
+    values = ("-p", "thetaR_dot=-12,-14,-16", "--stop-time", "0.1")
+    assert animate("bicycle", *values, "-o", tmp_path / "x.html") == 0
+    assert [run["thetaR_dot"][0] for run in shown] == [-12.0, -14.0, -16.0]
+    assert [run.stats["variation"] for run in shown] == [
+        f"thetaR_dot={value}" for value in (-12, -14, -16)
+    ]
+    shown.clear()
+    roads = ("--compare", "multipliers,book", "--stop-time", "0.1")
+    assert animate("bicycle", *roads, "-o", tmp_path / "x.html") == 0
+    assert [run.model for run in shown] == [f"bicycle/{f}" for f in
+                                            ("independent", "multipliers", "book")]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (["bicycle", "-o", "x.foo"], 3, "no animation format 'foo'"),
+        (["bicykle", "-o", "x.png"], 3, "did you mean bicycle?"),
+        (["bicycle", "-o", "x.png", "--size", "big"], 2, "write WIDTHxHEIGHT in inches"),
+        (["bicycle", "-o", "x.png", "--at", "soon"], 2, "--at: 'soon' is not a number"),
+        (["nothing.csv", "-o", "x.png"], 2, "nothing.csv is no result of a run"),
+        (["bicycle", "-o", "nowhere/x.png"], 1, "create nowhere first"),
+    ],
+)
+def test_wrong_words_end_with_their_code(words, code, told, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert animate(*words) == code
+    assert told in capsys.readouterr().err
+
+
+def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    code = animate("crank_shaft", "--stop-time", "0.1", "-o", tmp_path / "x.html")
+    assert code == 5
+    assert "pip install 'cosim-rigid[animate]'" in capsys.readouterr().err

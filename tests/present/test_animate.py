@@ -1,0 +1,333 @@
+"""Files that show runs in three dimensions: what is in them, and what is refused."""
+
+import io
+import json
+import struct
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.scenes import spinning
+from PIL import Image
+
+import cosim
+from cosim.errors import ExportError, MissingTool, UnknownName, UsageError
+from cosim.present import turning
+from cosim.present.animate import Animation, animate
+from cosim.present.meshes import arrow, joined, mesh_of
+from cosim.present.playback import playback
+from cosim.present.render import draw_pose
+from cosim.present.scale import scale_of
+
+
+@pytest.fixture(scope="module")
+def run():
+    return cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
+
+
+@pytest.fixture(scope="module")
+def invalid():
+    dae = spinning(4.0, limit=2.0)
+    return cosim.simulate(dae, stop_time=1.0, compiled=False)
+
+
+def document(path):
+    """Return JSON and binary part of a GLB file."""
+    content = path.read_bytes()
+    magic, version, length = struct.unpack_from("<4sII", content)
+    assert (magic, version, length) == (b"glTF", 2, len(content))
+    size, kind = struct.unpack_from("<I4s", content, 12)
+    assert kind == b"JSON"
+    tree = json.loads(content[20 : 20 + size])
+    blob, name = struct.unpack_from("<I4s", content, 20 + size)
+    assert name == b"BIN\0"
+    return tree, content[28 + size : 28 + size + blob]
+
+
+def accessor(tree, blob, index):
+    entry = tree["accessors"][index]
+    view = tree["bufferViews"][entry["bufferView"]]
+    columns = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[entry["type"]]
+    kind = {5126: np.float32, 5125: np.uint32}[entry["componentType"]]
+    rows = np.frombuffer(blob, kind, entry["count"] * columns, view.get("byteOffset", 0))
+    return rows.reshape(-1, columns)
+
+
+def channel(tree, blob, node, path):
+    animation = tree["animations"][0]
+    for each in animation["channels"]:
+        target = each["target"]
+        if tree["nodes"][target["node"]].get("name") == node and target["path"] == path:
+            sampler = animation["samplers"][each["sampler"]]
+            return accessor(tree, blob, sampler["input"]), accessor(tree, blob, sampler["output"])
+    raise KeyError((node, path))
+
+
+def test_glb_holds_the_poses_of_the_run(run, tmp_path):
+    pytest.importorskip("pygltflib")
+    tree, blob = document(animate(run, tmp_path / "x.glb"))
+    time, quaternions = channel(tree, blob, "disk", "rotation")
+    angle = np.interp(time[:, 0], run.time, run["angle"])
+    np.testing.assert_allclose(np.abs(quaternions[:, 2]), np.abs(np.sin(angle / 2)), atol=1e-6)
+    assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0).all()  # no jump in sign
+    _, places = channel(tree, blob, "disk", "translation")
+    np.testing.assert_allclose(places, np.tile((0, 0, 1), (len(places), 1)), atol=1e-6)
+    root = next(node for node in tree["nodes"] if node["name"] == "scene")
+    x, y, z, w = root["rotation"]
+    up = turning.to_matrices(np.array([[w, x, y, z]]))[0] @ (0, 0, 1)
+    np.testing.assert_allclose(up, (0, 1, 0), atol=1e-12)  # glTF's Y is up
+
+
+def test_glb_is_the_same_twice(run, tmp_path):
+    pytest.importorskip("pygltflib")
+    first, second = (animate(run, tmp_path / name) for name in ("a.glb", "b.glb"))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_glb_has_what_the_khronos_validator_asks_for(run, tmp_path):
+    pytest.importorskip("pygltflib")
+    tree, blob = document(animate(run, tmp_path / "x.glb"))
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            place = tree["accessors"][primitive["attributes"]["POSITION"]]
+            rows = accessor(tree, blob, primitive["attributes"]["POSITION"])
+            assert place["min"] == rows.min(axis=0).tolist()
+            assert place["max"] == rows.max(axis=0).tolist()
+            normals = accessor(tree, blob, primitive["attributes"]["NORMAL"])
+            np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+            assert accessor(tree, blob, primitive["indices"]).max() < len(rows)
+    for sampler in tree["animations"][0]["samplers"]:
+        times = accessor(tree, blob, sampler["input"])[:, 0]
+        assert (np.diff(times) > 0).all()
+        entry = tree["accessors"][sampler["input"]]
+        assert entry["min"] == [times[0]]
+        assert entry["max"] == [times[-1]]
+        assert len(accessor(tree, blob, sampler["output"])) == len(times)
+    for view in tree["bufferViews"]:
+        assert view.get("byteOffset", 0) % 4 == 0
+
+
+def test_glb_turns_grey_when_the_run_is_invalid(invalid, tmp_path):
+    pytest.importorskip("pygltflib")
+    tree, blob = document(animate(invalid, tmp_path / "x.glb"))
+    time, coloured = channel(tree, blob, "disk: shapes", "scale")
+    _, grey = channel(tree, blob, "disk: invalid", "scale")
+    broken = time[:, 0] >= invalid.stats["invalid_from"] - 1e-6
+    assert broken.any()
+    assert (coloured[~broken] == 1).all()
+    assert (coloured[broken] < 1e-3).all()
+    assert (grey[broken] == 1).all()
+    assert (grey[~broken] < 1e-3).all()
+
+
+def test_html_is_one_file_without_the_network_and_the_same_twice(run, tmp_path):
+    pytest.importorskip("viser")
+    first, second = (animate(run, tmp_path / name) for name in ("a.html", "b.html"))
+    content = first.read_text(encoding="utf-8")
+    assert content == second.read_text(encoding="utf-8")
+    assert "<title>spinning, cvodes</title>" in content
+    for tag in ('<script src="http', '<link rel="stylesheet" href="http'):
+        assert tag not in content
+
+
+def test_recording_holds_bodies_loads_traces_frames_and_time(invalid):
+    pytest.importorskip("viser")
+    page = animate(invalid).page
+    names, texts = recorded(page)
+    for group in ("bodies/disk/mark", "forces/pull", "traces/rim", "frames/disk", "frames/world"):
+        assert f"/scene/{group}" in names
+    assert texts[0] == "t = 0.00 s"
+    assert any("INVALID from 0.5 s on: it is no longer true that the disk turns" in t
+               for t in texts)  # fmt: skip
+
+
+def recorded(page):
+    """Return the names of the nodes of a recording, and the texts of its time label."""
+    import base64
+    import re
+
+    import msgspec
+    import zstandard
+
+    data = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]*)"', page)[1])
+    inner = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
+    size = int.from_bytes(inner[:8], "little")
+    messages = msgspec.msgpack.decode(inner[8 : 8 + size])["messages"]
+    names = {message["name"] for _, message in messages if "name" in message}
+    texts = [
+        message["updates"]["text"]
+        for _, message in messages
+        if "text" in message.get("updates", {})
+    ]
+    return names, texts
+
+
+def test_bicycle_of_twenty_seconds_stays_below_three_megabytes(tmp_path):
+    pytest.importorskip("viser")
+    run = cosim.simulate(cosim.load("bicycle"), compiled=False)
+    path = run.animate(tmp_path / "bicycle.html")
+    assert path.stat().st_size < 3e6  # measured 1.2e6
+
+
+def test_notebook_shows_the_animation_itself(run):
+    pytest.importorskip("viser")
+    shown = run.animate()
+    assert isinstance(shown, Animation)
+    assert shown._repr_html_().startswith('<iframe srcdoc="&lt;!')
+
+
+@pytest.mark.parametrize("kind", ["gif", "mp4"])
+def test_movie_has_every_frame(run, tmp_path, kind):
+    if kind == "mp4":
+        pytest.importorskip("imageio_ffmpeg")
+    path = animate(run, tmp_path / f"x.{kind}", size=(3, 2), dpi=60)
+    if kind == "gif":
+        with Image.open(path) as movie:
+            assert movie.n_frames >= 15
+            assert movie.size == (180, 120)
+    else:
+        assert path.read_bytes()[4:8] == b"ftyp"
+
+
+def pixels(figure):
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=100)
+    return np.asarray(Image.open(content).convert("RGB")).astype(int)
+
+
+def reddish(picture):
+    """Return the rows and columns of the disk's orange."""
+    r, g, b = np.moveaxis(picture, -1, 0)
+    return np.argwhere((r > 1.6 * g) & (r > 100) & (g > 1.5 * (b + 1)))
+
+
+def test_picture_shows_bodies_where_the_run_says(run):
+    plain = replace(run.drawing, arrows=(), traces=())
+    seen = []
+    for angle in (0.0, np.pi / 2):
+        played = playback(run, plain, times=[angle / 4.0])
+        found = reddish(pixels(draw_pose([played], [0], view="front")))
+        assert len(found) > 500
+        blue = np.argwhere(np.ptp(pixels(draw_pose([played], [0], view="top")), axis=2) > 100)
+        seen.append(blue.mean(axis=0))
+    assert np.abs(seen[0] - seen[1]).max() > 5  # the mark has moved
+
+
+def test_invalid_run_is_drawn_grey_with_its_reason(invalid):
+    plain = replace(invalid.drawing, arrows=(), traces=())
+    good, bad = (playback(invalid, plain, times=[t]) for t in (0.1, 0.9))
+    assert len(reddish(pixels(draw_pose([good], [0])))) > 500
+    figure = draw_pose([bad], [0])
+    texts = " ".join(text.get_text() for text in figure.axes[0].texts).replace("\n", " ")
+    assert "INVALID from 0.5 s on: it is no longer true that the disk turns by less" in texts
+    picture = pixels(figure)
+    caption = np.argwhere((picture[..., 0] > 120) & (picture[..., 1] < 60))  # the red box
+    assert len(reddish(picture[: caption[:, 0].min()])) == 0
+
+
+def test_texts_stay_within_the_picture(invalid):
+    failed = replace(invalid, status="stopped after 0.4 s: " + "something went wrong there, " * 12)
+    played = playback(failed, failed.drawing, times=[0.9])
+    figure = draw_pose([replace(played, reasons=(failed.status,))], [0], size=(4, 3))
+    figure.canvas.draw()
+    for text in figure.axes[0].texts:
+        box = text.get_window_extent()
+        assert box.x0 >= -1
+        assert box.x1 <= 401
+        assert box.y0 >= -1
+        assert box.y1 <= 301
+
+
+def test_ghosts_are_pale(run):
+    other = cosim.simulate(spinning(2.0), stop_time=1.0, compiled=False)
+    played = [playback(each, each.drawing, times=[0.5]) for each in (run, other)]
+    figure = draw_pose(played, [0])
+    texts = "\n".join(text.get_text() for text in figure.axes[0].texts)
+    assert "pale: spinning, cvodes" in texts
+
+
+def test_all_that_is_seen_is_within_the_picture(run):
+    for view in ("iso", "front", "side", "top"):
+        played = playback(run, run.drawing, times=[0.0, 0.5])
+        figure = draw_pose([played], [0, 1], view=view)
+        faces = np.vstack([path.vertices for path in figure.axes[0].collections[-1].get_paths()])
+        assert np.abs(faces[:, 0]).max() < 6.4 / 4.8
+        assert np.abs(faces[:, 1]).max() < 1
+
+
+def test_arrow_is_as_long_as_its_load(run):
+    played = playback(run, run.drawing)
+    scale = scale_of([played], None)
+    pull = played.loads[0]
+    start, end = scale.arrow(pull, 3)
+    np.testing.assert_allclose(end - start, scale.per_unit["N"] * pull.vector[3])
+    tip = arrow(start, end, 0.01).vertices
+    along = (end - start) / np.linalg.norm(end - start)
+    assert ((tip - start) @ along).max() == pytest.approx(np.linalg.norm(end - start))
+
+
+def test_meshes_are_closed_and_seen_from_outside(run):
+    played = playback(run, run.drawing)
+    for prop in played.props:
+        mesh = mesh_of(prop)
+        corners = mesh.vertices[mesh.faces]
+        volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum()
+        wanted = {
+            "cylinder": np.pi * 0.5**2 * 0.1,
+            "sphere": 4 / 3 * np.pi * 0.1**3,
+            "box": 0.01,
+        }[prop.kind]
+        assert volume / 6 == pytest.approx(wanted, rel=0.08)  # corners of circles are cut
+    assert len(joined([mesh_of(p) for p in played.props]).faces) > 300
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "error", "told"),
+    [
+        ("x.avi", {}, UnknownName, "x.avi has no animation format 'avi'"),
+        ("x.html", {"view": "back"}, UnknownName, "no view 'back'"),
+        ("x.html", {"speed": 0}, UsageError, "speed 0 is not positive"),
+        ("x.html", {"at": [0.5]}, UsageError, "poses at given times make a picture"),
+        ("x.png", {"at": [5.0]}, UsageError, "5 s lies outside the run"),
+        ("x.png", {"labels": ["angel"]}, UnknownName, "did you mean angle?"),
+        ("x.png", {"follow": "cart"}, UsageError, "no body 'cart' to follow; there are disk"),
+        ("missing/x.png", {}, ExportError, "create"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(run, tmp_path, target, options, error, told):
+    with pytest.raises(error, match=r".") as refusal:
+        animate(run, tmp_path / target, **options)
+    assert told in str(refusal.value)
+
+
+def test_run_of_an_unknown_model_asks_for_one(run):
+    with pytest.raises(UsageError, match=r"nobody knows what this model looks like.*--model"):
+        animate(replace(run, drawing=None), "x.png")
+
+
+def test_run_without_a_drawing_takes_that_of_a_model(run, tmp_path):
+    path = animate(replace(run, drawing=None), tmp_path / "x.png", model=spinning(4.0))
+    assert path.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("package", "kind"), [("viser", "html"), ("pygltflib", "glb"), ("imageio_ffmpeg", "mp4")]
+)
+def test_missing_extra_names_the_command(run, tmp_path, monkeypatch, package, kind):
+    import sys
+
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingTool, match=r"pip install 'cosim-rigid\[animate\]'") as refusal:
+        animate(run, tmp_path / f"x.{kind}")
+    assert refusal.value.exit_code == 5
+    assert not (tmp_path / f"x.{kind}").exists()
+
+
+def test_importing_the_package_imports_no_extra():
+    import sys
+
+    code = "import sys, cosim.present.animate; print([m for m in ('viser', 'pygltflib', "
+    code += "'imageio_ffmpeg', 'trimesh') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,101 @@
+"""`cosim report`: one page that says what ran, what came out and how far it can be trusted."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from helpers.scenes import spinning
+
+import cosim
+from cosim.cli.main import main
+from cosim.present.report import Contents, printed_rows, report
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    target = tmp_path_factory.mktemp("report") / "x.html"
+    assert main(["report", "crank_shaft.toml", "-o", str(target), "-q"]) == 0
+    return target.read_text(encoding="utf-8")
+
+
+def without_playback(page):
+    return re.sub(r'srcdoc="[^"]*"', "", page)
+
+
+def test_report_holds_every_part(page):
+    for part in ("The system", "In motion", "Numbers", "The book&#x27;s numbers", "Figures",
+                 "How far the numbers can be trusted", "How to make it again"):  # fmt: skip
+        assert f"<h2>{part}" in page.replace("The book's", "The book&#x27;s")
+    text = without_playback(page)
+    for fact in ("Unit 7, Example 1", "seven welded slender bars", "phi, omega", "477.46483",
+                 "6.4994176", "fmpy ModelExchange", "crank_shaft/multipliers", "SHA-256",
+                 "cosim report crank_shaft.toml"):  # fmt: skip
+        assert fact in text
+    assert text.count("<svg") == 1 + 3  # the pose and the scene's figures
+
+
+def test_report_is_one_file_without_the_network(page):
+    text = without_playback(page)
+    addresses = set(re.findall(r'(?:src|href)="(https?:[^"]*)"', text))
+    assert not addresses
+    assert "@media print" in text
+
+
+def test_report_is_well_formed(page):
+    class Tags(HTMLParser):
+        def __init__(self):
+            super().__init__()
+            self.open = []
+
+        def handle_starttag(self, tag, attributes):
+            if tag not in ("meta", "br", "img"):
+                self.open.append(tag)
+
+        def handle_endtag(self, tag):
+            assert self.open.pop() == tag
+
+        def handle_startendtag(self, tag, attributes):
+            pass
+
+    parser = Tags()
+    parser.feed(without_playback(page).replace("<?xml", "<!--").replace("?>", "-->"))
+    assert not parser.open
+
+
+@pytest.mark.parametrize("name", ["crank_shaft.toml", "bar_on_frame.toml", "bicycle_model_1.toml"])
+def test_printed_numbers_are_met_as_far_as_they_were_printed(name):
+    scene = cosim.read_scene(name)
+    scene = replace(scene, outputs=(), figures=())
+    rows = list(printed_rows(scene, cosim.run_scene(scene)))
+    assert len(rows) >= 3
+    assert [row["variable"] for row in rows if row["differs"] != "no"] == []
+
+
+def test_printed_numbers_are_left_out_where_values_were_changed():
+    scene = cosim.read_scene("crank_shaft.toml")
+    changed = replace(scene, values={**scene.values, "alpha": 11.0})
+    assert not list(printed_rows(changed, cosim.run_scene(changed)))
+
+
+def test_printed_number_that_is_not_met_is_marked():
+    scene = cosim.read_scene("crank_shaft.toml")
+    run = cosim.run_scene(scene)
+    wrong = replace(run, values=run.values * 1.001)
+    rows = list(printed_rows(scene, wrong))
+    assert {row["differs"].partition(",")[0] for row in rows} == {"yes"}
+
+
+def test_invalid_run_is_called_so_at_the_top():
+    dae = spinning(4.0, limit=2.0)
+    run = cosim.simulate(dae, stop_time=1.0, compiled=False)
+    page = report(Contents(cosim.Scene("x", dae), dae, run, None, [], "cosim report x"))
+    head = page[: page.index("<h2>")]
+    assert "From 0.5 s on this run is outside its model" in head
+    assert "shaded: INVALID" in page
+
+
+def test_report_of_something_else_is_refused(capsys):
+    assert main(["report", "bicycle", "-o", "x.pdf"]) == 3
+    assert main(["report", "x.fmu", "-o", "x.html"]) == 2
+    assert "an FMU is shown by: cosim plot" in capsys.readouterr().err
