@@ -169,7 +169,7 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"on_invalid": np.ones(2)}, "to an invalid state '[1. 1.]'"),
         ({"on_invalid": None}, "to an invalid state 'None'"),
     ],
-    ids=str,
+    ids=short,
 )
 def test_other_arguments_of_a_run_are_checked_too(arguments, told):
     assert told in refusal(CosimError, lambda: cosim.simulate(DAE, **arguments))

@@ -8,6 +8,7 @@
 #include "integration.h"
 #include "logging.h"
 #include "sensitivity.h"
+#include "validity.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
@@ -41,8 +42,10 @@ Status do_step(Instance *self, double from, double length) {
         self->state = before;
     else
         self->state.mode = STEP_FAILED;
-    return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g", now,
-                  end, reached);
+    const char *left = limit_left(self);
+    return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g%s%s", now,
+                  end, reached, left ? "; before, it was no longer true that " : "",
+                  left ? left : "");
 }
 
 static Status check_orders(Instance *self, size_t count, const int32_t orders[]) {

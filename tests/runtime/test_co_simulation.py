@@ -169,6 +169,13 @@ def test_a_blow_up_ends_the_step_early_at_the_last_good_state(cs):
     assert s > 1e6  # measured 1.2e9
 
 
+def test_the_message_of_a_failed_step_tells_which_limit_was_left_before(cs):
+    cs.initialize({"tolerance": 1e-8}, blow=1.0, s=1.0, q=2.5)  # s blows up at 1 s
+    cs.get("energy")
+    assert cs("DoStep", 0.0, 2.0, 1) == DISCARD
+    assert cs.said.endswith("; before, it was no longer true that q < 2 m")
+
+
 def test_after_an_early_end_the_step_can_be_retried_from_a_saved_state(cs):
     cs.initialize(blow=1.0)
     snapshot = cs.take()

@@ -12,6 +12,7 @@ from cosim.cli.options import (
     add_picture,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -46,6 +47,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     add_picture(parser, "")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -78,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         return code
     paths = save(figures, args.output_file, args.dpi)
     if args.json:
-        print(json.dumps({"files": [str(path) for path in paths]}))
+        told = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
+        print(json.dumps({"files": [str(path) for path in paths], **told}))
     elif not args.quiet:
         print(*paths, sep="\n", file=sys.stderr)
     return code
