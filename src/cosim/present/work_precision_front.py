@@ -34,7 +34,8 @@ def draw_front(study: Tradeoff) -> Figure:
         axis.set_xscale("log")
         axis.set_yscale("log")
         for family, members in _best(study.competing, cost).items():
-            points = sorted((factor * (m.cost(cost) or 0.0), _error(study, m)) for m in members)
+            members = sorted(members, key=lambda m: -_error(study, m))
+            points = [(factor * (m.cost(cost) or 0.0), _error(study, m)) for m in members]
             solver = family[3]
             axis.plot(
                 *zip(*points, strict=True),
