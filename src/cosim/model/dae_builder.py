@@ -138,7 +138,7 @@ def _converted(builder: _Builder) -> Dae:
     own = builder.own
     stop = own.stop_time()
     model = Model(
-        identifier(own.name()),
+        own.name(),
         description=f"{own.name()}, built with casadi.DaeBuilder",
         source="casadi.DaeBuilder",
         stop_time=stop if isfinite(stop) and stop > 0 else 10.0,

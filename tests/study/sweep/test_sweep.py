@@ -315,3 +315,32 @@ def test_a_worker_ends_with_the_process_that_asked():
     worker.stdin.close()
     assert worker.wait(30) != 0
     assert Path(os.curdir).exists()
+
+
+CLUSTER = """
+import os
+import numpy as np
+import cosim
+
+def function(run):
+    if abs(run["phi"][-1] - 5.5) < 1e-6:
+        os._exit(9)
+    return {"end": run["phi"][-1]}
+
+if __name__ == "__main__":
+    found = cosim.sweep(
+        "crank_shaft", {"omega": np.arange(32) / 2}, outputs=["phi"], times=[1.0],
+        function=function, scheduler="local", workers=2, chunk=8,
+    )
+    print(found.status, [i for i, state in enumerate(found.states) if state == "lost"])
+"""
+
+
+@pytest.mark.slow
+def test_a_poisonous_run_costs_a_cluster_no_other_run(tmp_path):
+    pytest.importorskip("distributed")
+    (tmp_path / "script.py").write_text(CLUSTER)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout == "31 complete, 1 lost [1]\n", done.stderr

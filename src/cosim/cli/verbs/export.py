@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_accuracy, add_output_file, common
+from cosim.cli.options import add_accuracy, add_output_file, add_timeout, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -40,15 +41,18 @@ def add_parser(verbs: Verbs) -> None:
         "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
     )
     add_accuracy(parser)
+    add_timeout(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write a model or a scene as an FMU."""
     from cosim.cli.arguments import names_in, scene_from
+    from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
     from cosim.scene.roads import scene_dae
     from cosim.verify.reference_result import export_with_proof
 
+    refuse_timeout(args)
     if args.fmi not in ("2", "3"):
         raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
     scene = scene_from(args)
@@ -73,6 +77,9 @@ def run(args: argparse.Namespace) -> int:
     if scene.inputs and not args.quiet:
         told = ", ".join(scene.inputs.names)
         print(f"{told}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
+    if args.json:
+        facts = {"file": str(path), "bytes": path.stat().st_size, "model": dae.full_name}
+        print(json.dumps(facts | {"report": list(dae.report)}))
     if not args.quiet:
         print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from cosim.cli.options import (
     add_picture,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -37,7 +39,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--compare",
         metavar="A,B",
-        help="more runs: fmu, fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
+        help="more runs: fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
     )
     add_output_file(parser, "FILE", "PNG, SVG or PDF; a window by default")
     parser.add_argument(
@@ -45,6 +47,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     add_picture(parser, "")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,9 +78,12 @@ def run(args: argparse.Namespace) -> int:
     if args.output_file is None:
         show(figures)
         return code
-    for path in save(figures, args.output_file, args.dpi):
-        if not args.quiet:
-            print(path, file=sys.stderr)
+    paths = save(figures, args.output_file, args.dpi)
+    if args.json:
+        told = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
+        print(json.dumps({"files": [str(path) for path in paths], **told}))
+    elif not args.quiet:
+        print(*paths, sep="\n", file=sys.stderr)
     return code
 
 

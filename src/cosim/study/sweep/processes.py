@@ -59,11 +59,14 @@ def run_processes(job: Job, samples: Samples, schedule: Schedule, tell: Tell, wo
 def after_death(job: Job, schedule: Schedule, chunk: Range, cause: str) -> Summary | None:
     """Decide what becomes of a chunk whose process died; return what is settled by that."""
     store = Store(job.store)
-    if chunk in store.finished():  # it died afterwards
+    if store.has(*chunk):  # it died afterwards
         summary = summary_of(store.read(*chunk))
         schedule.done(chunk, 0, 0.0)
         return summary
-    run = schedule.died(chunk, store.last_begun(*chunk))
+    began, at = store.last_begun(*chunk)
+    if not began and schedule.given_up(chunk) < _MOST_FAILED_STARTS:
+        return None
+    run = schedule.died(chunk, at)
     if run is None:
         return None
     return lost(job, run, f"every process that computes it ends ({cause})")

@@ -28,6 +28,7 @@ from cosim.trajectory import Column, Trajectory, repr_17
 if TYPE_CHECKING:
     import xarray as xr
 
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the datasets
 _OPEN = STATES.index(RunState.INTERRUPTED)  # not computed yet
 
 
@@ -214,11 +215,15 @@ class SweepResult:
                 for kind in ("mean", "variance", "minimum", "maximum"):
                     table = getattr(self.statistics, kind)(name)
                     variables[f"{name}_over_runs_{kind}"] = ("time", table, facts)
+                bands = np.array([self.statistics.quantile(name, q) for q in _QUANTILES])
+                variables[f"{name}_over_runs_quantile"] = (("quantile", "time"), bands, facts)
         if self.tables:
             for i, output in enumerate(self.columns):
                 values = self.values[:, :, i]
                 variables[output.name] = (("run", "time"), values, about[output.name])
         coordinates: dict[str, Any] = {"time": ("time", self.time, {"units": "s"})}
+        if self.statistics is not None:
+            coordinates["quantile"] = ("quantile", np.array(_QUANTILES))
         for name, column in self.samples.columns.items():
             free = name if name not in variables else f"{name}_start"
             coordinates[free] = ("run", column)

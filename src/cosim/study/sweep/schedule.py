@@ -7,8 +7,8 @@ from threading import Condition
 Range = tuple[int, int]  # first run and number of runs: a power of two that divides the first
 
 TARGET = 1.0  # s, of one chunk
-LARGEST = 1 << 16  # runs
-MOST_NUMBERS = 1 << 23  # of one chunk, in memory
+LARGEST = 1 << 13  # runs
+MOST_NUMBERS = 1 << 21  # of one chunk, in memory
 
 
 def gaps(total: int, finished: Sequence[Range]) -> list[Range]:
@@ -47,6 +47,7 @@ class Schedule:
         self._fresh = deque(left)
         self._again: deque[Range] = deque()
         self._deaths: dict[Range, int] = {}
+        self._returns: dict[Range, int] = {}
         self._running: set[Range] = set()
         self._news = Condition()
         self._workers = workers
@@ -103,6 +104,8 @@ class Schedule:
         first, count = chunk
         with self._news:
             self._running.discard(chunk)
+            if chunk in self._again:  # it came back before
+                self._again.remove(chunk)
             deaths = self._deaths.pop(chunk, 0) + 1
             self._news.notify_all()
             if count == 1:
@@ -122,12 +125,15 @@ class Schedule:
                 self._again.append(chunk)
         return None
 
-    def given_up(self, chunk: Range) -> None:
-        """Note that a chunk comes back without having been computed."""
+    def given_up(self, chunk: Range) -> int:
+        """Note that a chunk comes back without having begun; return how often in all."""
         with self._news:
             self._running.discard(chunk)
-            self._again.append(chunk)
+            if chunk not in self._again:
+                self._again.append(chunk)
+            self._returns[chunk] = self._returns.get(chunk, 0) + 1
             self._news.notify_all()
+            return self._returns[chunk]
 
     def _cut(self) -> Range:
         first, end = self._fresh.popleft()

@@ -189,15 +189,19 @@ class Store:
             yield watch
         path.unlink(missing_ok=True)
 
-    def last_begun(self, first: int, count: int) -> int | None:
-        """Return the run that had begun when the process of a chunk died, if it noted one."""
+    def last_begun(self, first: int, count: int) -> tuple[bool, int | None]:
+        """Tell whether a chunk had begun when its process died, and at which run, if noted."""
         path = self._path(first, count, "at")
         try:
             content = path.read_bytes()
             path.unlink(missing_ok=True)
         except OSError:
-            return None
-        return int.from_bytes(content, "little") if len(content) == 8 else None
+            return False, None
+        return True, int.from_bytes(content, "little") if len(content) == 8 else None
+
+    def has(self, first: int, count: int) -> bool:
+        """Tell whether a chunk is finished."""
+        return self._path(first, count, "npz").exists()
 
     def _path(self, first: int, count: int, suffix: str) -> Path:
         return self.chunks / f"{first:09d}-{count}.{suffix}"

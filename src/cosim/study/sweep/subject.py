@@ -1,6 +1,7 @@
 """What is swept: a model, a scene or an FMU, named so that every process can open it itself."""
 
 import os
+import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,7 +25,6 @@ from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.study.sweep.samples import digest_of
-from cosim.study.sweep.serial import dae_from_bytes, dae_to_bytes
 from cosim.study.sweep.watch import Watch
 from cosim.trajectory import Column
 
@@ -77,7 +77,7 @@ def as_subject(given: Any) -> Subject:
     if isinstance(given, Subject):
         return given
     if isinstance(given, Dae):
-        return Subject("dae", dae_to_bytes(given))
+        return Subject("dae", pickle.dumps(given))
     if isinstance(given, str | os.PathLike):
         name = os.fspath(given)
         if Path(name).suffix in (".fmu", ".toml"):
@@ -108,7 +108,7 @@ def opened(subject: Subject) -> Opened:
     if subject.kind == "scene":
         return _of_scene(read_scene(str(subject.source)))
     if isinstance(subject.source, bytes):
-        return ModelSubject(dae_from_bytes(subject.source), {}, {}, None)
+        return ModelSubject(pickle.loads(subject.source), {}, {}, None)
     return ModelSubject(load(subject.source), {}, {}, None)
 
 

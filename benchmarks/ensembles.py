@@ -1,0 +1,233 @@
+"""Many variants: 1000 bicycles in lanes against loops and heyoka's batches; sweeps and their cost.
+
+Prints the tables of docs/sweeps.md. Times are those of one core, medians of interleaved repeats
+where several are compared; ratios count, the times are those of the machine it ran on.
+
+    python benchmarks/ensembles.py [bicycles] [outputs] [memory] [fmu] [scalar]
+"""
+
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from time import perf_counter, process_time
+
+import numpy as np
+
+import cosim
+from cosim.codegen.lane_library import processor_lanes
+
+RUNS, STOP, REPEATS = 1000, 20.0, 5
+ROLLS = np.linspace(0.3, 0.5, RUNS)
+SOME = slice(0, RUNS, 20)  # of those that take seconds, 50 runs stand for 1000
+
+
+def timed(call: Callable[[], object]) -> tuple[float, float, object]:
+    """Return seconds of the processor, seconds of the clock, and the result."""
+    wall, own = perf_counter(), process_time()
+    result = call()
+    return process_time() - own, perf_counter() - wall, result
+
+
+def lanes(tolerance: float, threads: int, **more: object) -> cosim.Ensemble:
+    settings = {"times": [STOP], "outputs": NAMES} | more
+    return cosim.simulate_many(
+        BICYCLE, {"phi_dot": ROLLS}, relative_tolerance=tolerance, threads=threads, **settings
+    )
+
+
+def loop(solver: str, tolerance: float) -> np.ndarray:
+    """CasADi's integrator with compiled equations, called again and again."""
+    function = integrator_of(solver, tolerance)
+    start, row = cosim.start_vectors(BICYCLE), NAMES.index("phi_dot")
+    found = []
+    for roll in ROLLS[SOME]:
+        start["x0"][row] = roll
+        found.append(np.array(function(x0=start["x0"], p=start["p"], u=start["u"])["xf"])[:, -1])
+    return np.array(found)
+
+
+def simulate_loop(tolerance: float) -> np.ndarray:
+    found = [
+        cosim.simulate(
+            BICYCLE, start_values={"phi_dot": roll}, stop_time=STOP, output_interval=STOP,
+            outputs=NAMES, solver="dop853", relative_tolerance=tolerance,
+        ).values[-1]
+        for roll in ROLLS[SOME]
+    ]  # fmt: skip
+    return np.array(found)
+
+
+def heyoka_batches(tolerance: float) -> Callable[[], np.ndarray]:
+    """heyoka's Taylor method with as many systems at a time as it recommends."""
+    import heyoka as hy
+
+    sys.path.append(str(Path(__file__).parent / "peers"))
+    import with_heyoka
+    from problem import Problem
+
+    problem = Problem(BICYCLE, ())
+    variables, results = with_heyoka._expressions(problem)
+    size = hy.recommended_simd_size()
+    x0 = np.repeat(problem.start["x0"][:, None], size, axis=1)
+    system = list(zip(variables, results, strict=True))
+    solver = hy.taylor_adaptive_batch(system, x0, tol=tolerance, compact_mode=True)
+
+    def run() -> np.ndarray:
+        rolls, found = ROLLS[: 40 * size], []
+        for first in range(0, len(rolls), size):
+            solver.set_time(0.0)
+            solver.state[:] = x0
+            solver.state[NAMES.index("phi_dot")] = rolls[first : first + size]
+            solver.propagate_until(STOP)
+            found.append(solver.state.T.copy())
+        return np.concatenate(found)
+
+    return run
+
+
+def bicycles() -> None:
+    exact = lanes(1e-13, 2).values[:, 0]
+    some = exact[SOME]
+    cases: list[tuple[str, float, Callable[[], object], Callable[[object], float]]] = []
+    for tolerance in (3e-4, 1e-6):
+        for threads in (1, 2):
+            cases.append(
+                (f"cosim, {processor_lanes()} lanes, rtol {tolerance:g}, {threads} thread(s)", 1.0,
+                 partial(lanes, tolerance, threads),
+                 lambda run: float(np.abs(run.values[:, 0] - exact).max()))  # type: ignore[attr-defined]
+            )  # fmt: skip
+    share = RUNS / len(some)
+    for solver, tolerance in (("cvodes", 3e-7), ("cvodes", 1e-6), ("cvodes_adams", 1e-6)):
+        cases.append(
+            (f"loop over CasADi's {solver}, compiled, rtol {tolerance:g}", share,
+             partial(loop, solver, tolerance), lambda run: float(np.abs(run - some).max()))
+        )  # fmt: skip
+    cases.append(
+        ("loop over cosim.simulate, dop853, rtol 3e-4", share, partial(simulate_loop, 3e-4),
+         lambda run: float(np.abs(run - some).max()))
+    )  # fmt: skip
+    try:
+        for tolerance in (1e-6, 1e-9):
+            batch = heyoka_batches(tolerance)
+            count = len(batch())
+            cases.append(
+                (f"heyoka {heyoka_version()}, batches, tol {tolerance:g}", RUNS / count, batch,
+                 lambda run, n=count: float(np.abs(run - exact[:n]).max()))
+            )  # fmt: skip
+    except ImportError:
+        print("heyoka is not there")
+    for _, _, call, _ in cases:
+        call()  # compiled and loaded
+    taken: list[list[tuple[float, float]]] = [[] for _ in cases]
+    errors = [0.0] * len(cases)
+    for _ in range(REPEATS):
+        for i, (_, scale, call, error) in enumerate(cases):
+            own, wall, result = timed(call)
+            taken[i].append((own * scale, wall * scale))
+            errors[i] = error(result)
+    base = min(statistics.median(own for own, _ in t) for t in taken)
+    print(f"| {RUNS} bicycles, {STOP:g} s, end state | error | core, s | wall, s | core, ratio |")
+    print("|---|---|---|---|---|")
+    for (name, *_), times, error in zip(cases, taken, errors, strict=True):
+        own, wall = (statistics.median(column) for column in zip(*times, strict=True))
+        print(f"| {name} | {error:.1e} | {own:.3f} | {wall:.3f} | {own / base:.1f} |")
+
+
+def outputs() -> None:
+    """2001 output times of two variables."""
+    call = partial(lanes, 1e-6, 1, times=None, stop_time=STOP, outputs=["phi", "delta"])
+    call()
+    own = statistics.median(timed(call)[0] for _ in range(REPEATS))
+    ends = statistics.median(timed(partial(lanes, 1e-6, 1))[0] for _ in range(REPEATS))
+    print(f"2001 times of two outputs: {1e3 * own / RUNS:.3f} ms per run, "
+          f"{own / ends:.2f} times the end states alone")  # fmt: skip
+
+
+def scalar() -> None:
+    """The right-hand side in lanes against the scalar one, solver and all."""
+
+    def lane_run() -> float:
+        own, _, run = timed(partial(lanes, 1e-8, 1))
+        return own / run.rhs_calls.sum()  # type: ignore[attr-defined]
+
+    calls = cosim.simulate(
+        BICYCLE, solver="dop853", relative_tolerance=1e-8, stop_time=STOP, output_interval=STOP
+    ).stats["rhs_calls"]
+
+    def scalar_run() -> float:
+        function, start = integrator_of("dop853", 1e-8), cosim.start_vectors(BICYCLE)
+        start = {name: start[name] for name in ("x0", "p", "u")}
+        own, _, _ = timed(lambda: [function(**start) for _ in range(20)])  # type: ignore[operator]
+        return own / 20 / calls
+
+    lane_run(), scalar_run()
+    pairs = [(lane_run(), scalar_run()) for _ in range(REPEATS)]
+    ratio = statistics.median(a / b for a, b in pairs)
+    print(f"right-hand side and its share of the solver: {1e9 * pairs[0][0]:.0f} ns in lanes, "
+          f"{1e9 * pairs[0][1]:.0f} ns scalar; median ratio {ratio:.2f}")  # fmt: skip
+
+
+MEMORY = """
+import resource, sys
+import numpy as np, cosim
+runs = int(sys.argv[1])
+found = cosim.sweep(
+    "bicycle", {"phi_dot": np.linspace(0.3, 0.5, runs)}, outputs=["phi", "delta"],
+    keep=["statistics"], stop_time=2.0, output_interval=0.1, relative_tolerance=1e-5, workers=0,
+)
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(f"{runs} runs, statistics only: {peak / 1024:.0f} MB, mean phi at the end "
+      f"{found.statistics.mean('phi')[-1]:.9g}")
+"""
+
+
+def memory() -> None:
+    """Peak memory of sweeps that keep statistics only."""
+    for runs in (1_000, 10_000, 100_000):
+        subprocess.run([sys.executable, "-c", MEMORY, str(runs)], check=True)
+
+
+def fmu() -> None:
+    """An FMU of which each process keeps one instance, against a loop of `simulate_fmu`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = cosim.export_fmu(BICYCLE, Path(folder) / "bicycle.fmu")
+        rolls = ROLLS[:40]
+        settings = {"outputs": ["phi"], "stop_time": 1.0, "output_interval": 0.1}
+
+        def alone() -> None:
+            for roll in rolls:
+                cosim.simulate_fmu(path, start={"phi_dot": roll}, **settings)
+
+        def swept() -> None:
+            cosim.sweep(path, {"phi_dot": rolls}, workers=0, **settings)
+
+        alone(), swept()
+        ratios = [timed(alone)[0] / timed(swept)[0] for _ in range(3)]
+        print(f"a sweep of an FMU is {statistics.median(ratios):.1f} times a loop of simulate_fmu")
+
+
+def heyoka_version() -> str:
+    import heyoka
+
+    return str(heyoka.__version__)
+
+
+def integrator_of(solver: str, tolerance: float) -> object:
+    if (solver, tolerance) not in _KEPT:
+        _KEPT[solver, tolerance] = cosim.integrator(
+            BICYCLE, [0.0, STOP], solver=solver, relative_tolerance=tolerance
+        )
+    return _KEPT[solver, tolerance]
+
+
+_KEPT: dict[tuple[str, float], object] = {}
+BICYCLE = cosim.load("bicycle")
+NAMES = [variable.name for variable in BICYCLE.states]
+
+if __name__ == "__main__":
+    for part in sys.argv[1:] or ["bicycles", "outputs", "scalar", "memory", "fmu"]:
+        globals()[part]()
