@@ -27,8 +27,8 @@ TABLE = """
 cosim._fmu
 casadi_models
 cosim.escaping
-cosim.errors | cosim.memo | cosim.arrays | cosim.tables
-cosim.files | cosim.plotting | cosim.series | cosim.temporary
+cosim.errors | cosim.memo | cosim.arrays
+cosim.tables | cosim.files | cosim.plotting | cosim.series | cosim.temporary
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi

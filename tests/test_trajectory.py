@@ -123,6 +123,24 @@ def test_xarray_dataset_carries_units_and_meaning(run):
     np.testing.assert_array_equal(data["time"], run.time)
 
 
+def test_npz_brings_everything_back_bit_for_bit(tmp_path, run):
+    path = tmp_path / "run.npz"
+    run.to_npz(path)
+    again = Trajectory.from_npz(path)
+    assert (again.model, again.columns, again.status) == (run.model, run.columns, run.status)
+    assert again.stats == dict(run.stats)
+    assert again.time.tobytes() == run.time.tobytes()
+    assert again.values.tobytes() == run.values.tobytes()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"no zip at all"])
+def test_what_is_no_npz_is_refused(tmp_path, content):
+    path = tmp_path / "run.npz"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match="holds no trajectory"):
+        Trajectory.from_npz(path)
+
+
 # -- as people who know pandas expect it ----------------------------------------------------------
 
 

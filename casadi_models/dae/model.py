@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import casadi as ca
 from casadi import SX
@@ -19,21 +19,10 @@ from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.scenery import Scenery
 from casadi_models.dae.starts import StartRule, refuse_disorder
-from casadi_models.dae.variables import Experiment, Start, Variable, is_name, number
+from casadi_models.dae.variables import Experiment, Facts, Start, Variable, is_name, number
 from casadi_models.units import convert
 
 _SPREAD = 1e12  # a positive parameter may differ from its default by this factor, not more
-
-
-class Facts(TypedDict, total=False):
-    """What a declaration may add to name, unit, start and meaning; see `Variable`."""
-
-    display_unit: str
-    nominal: float
-    minimum: float
-    maximum: float
-    own_meaning: str
-    foreign_unit: bool
 
 
 class Model(Scenery):

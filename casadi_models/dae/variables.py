@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf, isfinite
 from numbers import Real
+from typing import TypedDict
 
 from casadi_models.units import convert
 
@@ -87,6 +88,17 @@ class Variable:
         if not isfinite(start):
             raise ValueError(f"{self.name}: start {start} is not finite; give a finite number")
         object.__setattr__(self, "start", start)
+
+
+class Facts(TypedDict, total=False):
+    """What a declaration may add to name, unit, start and meaning; see `Variable`."""
+
+    display_unit: str
+    nominal: float
+    minimum: float
+    maximum: float
+    own_meaning: str
+    foreign_unit: bool
 
 
 @dataclass(frozen=True)

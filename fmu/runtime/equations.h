@@ -6,7 +6,7 @@
    model_start_directional  x, p, seed_x, seed_p                  -> sens_x
    model_algebraic          t, x, z_guess, u, p                   -> z
    model_ode                t, x, z, u, p                         -> dx
-   model_outputs            t, x, z, u, p                         -> y
+   model_outputs            t, x, z, u, p                         -> y, margins
    model_directional        t, x, z, u, p, seed_x, seed_u, seed_p, seed_t -> sens_dx, sens_z, sens_y
    model_adjoint            t, x, z, u, p, seed_dx, seed_z, seed_y -> sens_x, sens_u, sens_p, sens_t
    model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
@@ -16,6 +16,8 @@
    have no influence. model_directional and model_adjoint see z as function of the rest, and so does
    model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
    model_step integrates from t to t + h with the inputs u + s du, s from 0 to 1.
+
+   The model holds while each margin is positive; `limits` in variables.h says what that means.
 
    model_adjoint is there where model.h has HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0. */
 #ifndef EQUATIONS_H

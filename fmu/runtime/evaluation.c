@@ -7,6 +7,7 @@
 
 #include "equations.h"
 #include "logging.h"
+#include "validity.h"
 
 static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
 
@@ -86,13 +87,23 @@ static Status compute(Instance *self, Equation *equation, double *results, const
     return OK;
 }
 
+/* Outputs, and with them what the model says of its own validity. */
+static Status compute_outputs(Instance *self) {
+    double margins[ROOM(N_LIMITS)] = {0};
+    self->res[1] = margins;
+    const Status status =
+        compute(self, model_outputs, self->state.values + FIRST_OUTPUT, "outputs");
+    if (status == OK) note_margins(self, margins);
+    return status;
+}
+
 static Status renew(Instance *self, unsigned result) {
     double *values = self->state.values;
     switch (result) {
     case START_VALUES: return settle_start(self);
     case ALGEBRAICS: return solve_algebraics(self);
     case DERIVATIVES: return compute(self, model_ode, values + FIRST_DERIVATIVE, "derivatives");
-    case OUTPUTS: return compute(self, model_outputs, values + FIRST_OUTPUT, "outputs");
+    case OUTPUTS: return compute_outputs(self);
     default:
         self->res[1] = self->jacobian + NX * (NX + NU);
         return compute(self, model_jacobian, self->jacobian, "Jacobian");

@@ -52,8 +52,12 @@ fmi3Instance fmi3InstantiateCoSimulation(
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables;
     (void)intermediateUpdate;
     const Host host = host_of(instanceEnvironment, logMessage);
-    const unsigned interface = eventModeUsed ? 0 : INTERFACE_CS;
-    return create(&host, __func__, instanceName, instantiationToken, interface, loggingOn);
+    if (eventModeUsed) {
+        const Instance draft = {.host = host, .name = "", .function = __func__, .categories = ~0u};
+        log_text(&draft, ERROR, "the model has no events: instantiate with eventModeUsed = false");
+        return NULL;
+    }
+    return create(&host, __func__, instanceName, instantiationToken, INTERFACE_CS, loggingOn);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(

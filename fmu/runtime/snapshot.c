@@ -74,7 +74,7 @@ static bool plausible(const Instance *self, const State *state) {
     if (state->interface != self->state.interface || !is_mode(state->mode, state->interface))
         return false;
     if (state->stale > EVERYTHING || state->experiment_set > 1 || state->slopes_spent > 1 ||
-        state->retuned > 1 || state->reserved || state->step_status > ERROR)
+        state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS || state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     for (int i = 0; i < NU; i++)

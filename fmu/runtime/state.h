@@ -53,7 +53,7 @@ typedef struct {
     uint32_t slopes_spent;   /* they belong to a step that is over */
     uint32_t step_status;    /* of the last communication step */
     uint32_t retuned;        /* a parameter has changed since the last one */
-    uint32_t reserved;       /* keeps the size a multiple of 8 */
+    uint32_t outside;        /* limits of the model that are left, a bit each */
 } State;
 
 typedef struct Instance Instance;

@@ -8,6 +8,7 @@
 #include "integration.h"
 #include "logging.h"
 #include "sensitivity.h"
+#include "validity.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
@@ -41,8 +42,10 @@ Status do_step(Instance *self, double from, double length) {
         self->state = before;
     else
         self->state.mode = STEP_FAILED;
-    return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g", now,
-                  end, reached);
+    const char *left = limit_left(self);
+    return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g%s%s", now,
+                  end, reached, left ? "; before, it was no longer true that " : "",
+                  left ? left : "");
 }
 
 static Status check_orders(Instance *self, size_t count, const int32_t orders[]) {
@@ -63,16 +66,20 @@ Status set_slopes(Instance *self, const uint32_t references[], size_t count, con
         const VariableInfo *variable = &variables[references[i]];
         if (variable->role != INPUT)
             return refuse(self, ERROR, "%s is not an input", variable->name);
-        if (orders[i] > 1)
-            return refuse(self, ERROR, "inputs are interpolated with order 1, not %d",
-                          (int)orders[i]);
         if (!isfinite(values[i]))
             return refuse(self, DISCARD, "derivative %g of %s is not finite", values[i],
                           variable->name);
     }
     drop_spent_slopes(self);
-    for (size_t i = 0; i < count; i++) self->state.slopes[references[i] - FIRST_INPUT] = values[i];
-    return OK;
+    Status status = OK;
+    for (size_t i = 0; i < count; i++)
+        if (orders[i] == 1)
+            self->state.slopes[references[i] - FIRST_INPUT] = values[i];
+        else
+            status =
+                refuse(self, WARNING, "inputs move linearly; the derivative of order %d is dropped",
+                       (int)orders[i]);
+    return status;
 }
 
 /* Time derivatives of outputs along the solution; those of higher order are given as 0. */

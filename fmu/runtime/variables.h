@@ -40,6 +40,7 @@ enum {
 INSIDE_BEGIN
 
 extern const VariableInfo variables[];
+extern const char *const limits[]; /* what is true while the model holds; N_LIMITS of them */
 
 INSIDE_END
 

@@ -1,11 +1,10 @@
-"""Calls of `import cosim` that need more than one room: runs as people ask for them."""
+"""Calls of `import cosim` that need more than one room: runs of an accuracy, or within a time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
@@ -13,6 +12,7 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
+from cosim.integrate.asked_times import AskedTimes, again, for_many_grids
 from cosim.integrate.outputs import wanted_names, watching
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import SOLVERS
@@ -21,10 +21,10 @@ from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load
 from cosim.model.driving import driven
 from cosim.model.quantities import quantity
-from cosim.model.time_grid import checked_grid
-from cosim.model.values import assign, listed
+from cosim.model.values import A_DAE, assign, listed
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.accuracy.solver_selection import promised_run
 from cosim.trajectory import Trajectory
@@ -37,6 +37,7 @@ class Options(native.Shorthand, total=False):
     on_invalid: str
     drift_control: str | None
     output_times: ArrayLike | None
+    stop_when: str | None
 
 
 def simulate(
@@ -45,7 +46,6 @@ def simulate(
     start_time: float = 0.0,
     stop_time: float | None = None,
     output_interval: float | None = None,
-    stop_when: str | None = None,
     solver: str | Solver | None = None,
     accuracy: float | None = None,
     budget: float | None = None,
@@ -62,9 +62,6 @@ def simulate(
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.
-        stop_when: A condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes true;
-            `stats["stop"]` says so. It is looked at on the output times and then located as
-            accurately as the solver integrates, by repeating the run with closer output times.
         solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
             the name of one; CVODES, or IDAS for a DAE, when None.
         accuracy: Instead of solver and tolerance: largest global error of the outputs, in nominal
@@ -72,10 +69,11 @@ def simulate(
         budget: Instead of these, too: time that the solver may take, s.
         start_values: Numbers in SI units, or texts with a unit, by name, that replace starts of
             states, parameters, or inputs.
-        inputs: An `InputSeries`; or by name a number, a text with a unit, a formula or function of
-            time, samples at the output times (n,), or an `InputSeries`. A function that CasADi can
-            take (`lambda t: np.sin(t)`) and a formula are followed exactly; any other function is
-            sampled at the output times.
+        inputs: An `InputSeries`, piecewise linear; or by name a number, a text with a unit, a
+            formula of time, states and parameters, a function of time, samples at the output
+            times (n,), or an `InputSeries`. A formula, and a function that CasADi can take
+            (`lambda t: np.sin(t)`), are followed exactly; any other function is sampled at the
+            output times. Other inputs keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
         options: What few runs need.
             `compiled`: whether to compile the equations; if a compiler is there when None.
@@ -90,6 +88,9 @@ def simulate(
             `ode8`, s, the output interval when None.
             `output_times`: times of one's own, s, (n,), in place of `stop_time` and
             `output_interval`.
+            `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes
+            true; `stats.stop` says so. It is looked at on the output times, then located as
+            accurately as the solver integrates by repeating the run with closer output times.
             `start`: another name of `start_values`.
 
     Returns:
@@ -109,117 +110,93 @@ def simulate(
 
     Example:
         >>> run = simulate("crank_shaft", start_values={"omega": "60rpm"}, stop_when="phi > 2*pi")
-        >>> round(run.stats["stop_time"], 6)  # from 2 pi t + 5 t^2 = 2 pi
-        0.657061
+        >>> round(run.stats.stop_time, 6)  # of 2 pi t + 5 t^2 = 2 pi
+        0.656758
     """
     native.refuse_unknown(options, Options.__optional_keys__)
     dae = named(dae) if isinstance(dae, str) else dae
-    start = _numbers(dae, native.one_of(dae, start_values, options.pop("start", None)))
-    run: dict[str, Any] = {"start_time": start_time, "stop_time": stop_time}
-    run |= {"output_interval": output_interval, "solver": solver, "outputs": outputs}
-    output_times = options.pop("output_times", None)
-    run |= options
-    if output_times is not None:
-        run |= _times(dae, output_times, run)
-    settled = driven(dae, inputs, partial(_grid, dae, run))
-    for name in settled.constants:
-        if start and name in start:
-            raise UsageError(f"{dae.full_name}: {name} is given twice; give it once")
-    run["inputs"] = settled.series
-    run["start_values"] = {**(start or {}), **settled.constants} if settled.constants else start
-    if stop_when is not None:
-        found = _until(settled.dae, stop_when, accuracy, budget, run)
+    if not isinstance(dae, Dae):
+        raise UsageError.of_type("a run", dae, A_DAE)
+    fixed = {name: options.get(name) for name in (*OVERRULED, "drift_control")}
+    refuse_contradiction(accuracy, budget, **fixed | {"solver": solver})
+    given = _numbers(dae, native.one_of(dae, start_values, options.pop("start", None)))
+    own_times, condition = options.pop("output_times", None), options.pop("stop_when", None)
+    times = AskedTimes(dae, start_time, stop_time, output_interval, own_times)
+    settled = driven(dae, inputs, times.grid)
+    dae = settled.dae
+    run: dict[str, Any] = {"inputs": settled.series}
+    run["start_values"] = _together(dae, given, settled.constants)
+    if condition is not None:
+        if accuracy is not None or budget is not None:
+            raise UsageError(
+                f"{dae.full_name}: stop_when needs a solver; leave accuracy or budget out"
+            )
+        found = _until(dae, condition, times, outputs, run | {"solver": solver, **options})
+    elif accuracy is None and budget is None:
+        run |= {"solver": solver, "outputs": outputs, **options}
+        found = native.simulate(dae, **times.given, **run)
     else:
-        found = _goal(settled.dae, accuracy, budget, run)
-    if output_times is not None and len(found) and found.time[0] < _first(output_times):
-        found = replace(found, time=found.time[1:], values=found.values[1:])
+        found = _promised(dae, accuracy, budget, times, outputs, run, options)
     if accuracy is None and budget is None and SOLVERS[found.stats["solver"]].adaptive:
-        end = float(found.time[-1]) if len(found) else 0.0
-        return replace(found, again=partial(_again, settled.dae, run, end))
-    return found
+        settings = run | {"solver": solver, **options}
+        span = float(times.grid()[0]), float(found.time[-1])
+        found = replace(found, again=partial(again, dae, settings, *span))
+    return times.asked(found)
 
 
-def _goal(
-    dae: Dae, accuracy: float | None, budget: float | None, run: dict[str, Any]
+def _promised(
+    dae: Dae,
+    accuracy: float | None,
+    budget: float | None,
+    times: AskedTimes,
+    outputs: Sequence[str] | None,
+    run: dict[str, Any],
+    options: Options,
 ) -> Trajectory:
-    """Run with a solver, or with what an accuracy or a budget chooses."""
-    overruled = {name: run.get(name) for name in (*OVERRULED, "drift_control")}
-    refuse_contradiction(accuracy, budget, **overruled)
-    if accuracy is None and budget is None:
-        return native.simulate(dae, **run)
-    run = dict(run)
-    assign(dae, run.get("start_values"))
-    outputs = run.pop("outputs", None)
+    """Run with what an accuracy or a budget chooses."""
+    assign(dae, run["start_values"])
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
     names = wanted_names(dae, wanted)
-    grid = _grid(dae, run)
-    compiled = run.pop("compiled", None)
+    grid = times.grid()
+    compiled = options.get("compiled")
     compiled = has_compiler() if compiled is None else compiled
-    run = {name: value for name, value in run.items() if name not in overruled}
+    run = run | times.given | {"on_invalid": options.get("on_invalid", "warn")}
     solve = partial(native.simulate, dae, outputs=names, compiled=compiled, **run)
     length = float(grid[-1] - grid[0])
     return promised_run(dae, solve, names, length, compiled, accuracy, budget)
 
 
 def _until(
-    dae: Dae, condition: str, accuracy: float | None, budget: float | None, run: dict[str, Any]
+    dae: Dae,
+    condition: str,
+    times: AskedTimes,
+    outputs: Sequence[str] | None,
+    run: dict[str, Any],
 ) -> Trajectory:
     """Run until a condition becomes true."""
-    if accuracy is not None or budget is not None:
-        raise UsageError(
-            f"{dae.full_name}: stop_when needs a solver and a tolerance; leave accuracy and budget "
-            "out"
-        )
-    outputs = run.get("outputs")
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
-    rest = {k: v for k, v in run.items() if k not in ("outputs", *_TIMES)}
+    run = for_many_grids(dae, run)
 
     def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
-        return native.simulate(watched, output_interval=grid, outputs=names, **rest)
+        return native.simulate(watched, output_interval=grid, outputs=names, **run)
 
-    return run_until(dae, condition, solve, _grid(dae, run), wanted_names(dae, wanted))
-
-
-_TIMES = ("start_time", "stop_time", "output_interval")
+    return run_until(dae, condition, solve, times.grid(), wanted_names(dae, wanted))
 
 
-def _again(dae: Dae, run: Mapping[str, Any], end: float, times: Vector) -> Trajectory:
-    """Compute a run at other times; where it begins and ends stays, so that steps do, too."""
-    rest = {name: value for name, value in run.items() if name not in _TIMES}
-    begin = float(_grid(dae, run)[0])
-    grid = np.unique(np.concatenate(([begin], times, [end])))
-    if len(grid) < 2:
-        grid = np.array([begin, np.nextafter(begin, np.inf)])
-    found = native.simulate(dae, output_interval=grid, **rest)
-    rows = np.searchsorted(found.time, times)
-    return replace(found, time=found.time[rows], values=found.values[rows])
-
-
-def _grid(dae: Dae, run: Mapping[str, Any]) -> Vector:
-    times = (run.get("start_time", 0.0), run.get("stop_time"), run.get("output_interval"))
-    return native.output_times(dae, *times)
-
-
-def _times(dae: Dae, output_times: ArrayLike, run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the output times of a run as its interval: the start, and what is asked for."""
-    for name in ("stop_time", "output_interval"):
-        if run.get(name) is not None:
-            raise UsageError(f"{dae.full_name}: output_times say it all; leave {name} out")
-    start = run.get("start_time", 0.0)
-    wanted = np.atleast_1d(np.array(output_times, dtype=float))
-    grid = checked_grid(wanted if wanted[0] == start else np.concatenate(([start], wanted)))
-    return {"output_interval": grid}
-
-
-def _first(output_times: ArrayLike) -> float:
-    return float(np.ravel(np.asarray(output_times, dtype=float))[0])
+def _together(dae: Dae, given: Any, constants: Mapping[str, float]) -> Any:
+    """Return start values with those of constant inputs."""
+    if not constants or not isinstance(given, Mapping | None):
+        return given
+    if twice := constants.keys() & (given or {}).keys():
+        raise UsageError(f"{dae.full_name}: {min(twice)} is given twice; give it once")
+    return {**(given or {}), **constants}
 
 
 def _numbers(dae: Dae, given: Any) -> Any:
     """Return what is given for starts, texts as numbers in the variables' units."""
-    if not isinstance(given, Mapping):
+    if not isinstance(given, Mapping) or not isinstance(dae, Dae):
         return given  # and refused with the rest
     units = {v.name: v.unit for v in dae.variables}
     return {
@@ -245,18 +222,24 @@ def named(name: str) -> Dae:
 
 
 def run_scene(
-    scene: Scene, road: str | None = None, *, stop_when: str | None = None, **options: Any
+    scene: Scene,
+    road: Road | str | None = None,
+    *,
+    stop_when: str | None = None,
+    output_times: ArrayLike | None = None,
+    **options: Any,
 ) -> Trajectory:
-    """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
+    """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
 
     With an accuracy or a budget, the front of the model with its author's values is what chooses,
     so that it need not be measured anew for each of the scene's values.
 
     Args:
         scene: What to run.
-        road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
+        road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
         stop_when: A condition that ends the run; see `simulate`.
-        options: `compiled`, `on_invalid`, `drift_control` of CasADi's integrators.
+        output_times: Times of one's own, s; see `simulate`.
+        options: `compiled`, `on_invalid`, `drift_control` of the native road.
 
     Raises:
         UsageError: An FMU shall run with an accuracy, a budget or a condition.
@@ -268,23 +251,34 @@ def run_scene(
         ('T',)
     """
     goals = {name: getattr(scene.settings, name) for name in GOALS} if _is(scene) else {}
-    if not any(goal is not None for goal in goals.values()):
-        if stop_when is None or not _is(scene):
-            return roads.run_scene(scene, road, **options)
-        if road is not None:
-            raise UsageError(f"{scene.name}: stop_when is for CasADi's integrators, not for FMUs")
-        dae = roads.scene_dae(scene)
-        return simulate(dae, stop_when=stop_when, **roads.native_settings(scene, dae), **options)
-    if road is not None:
+    goal = any(value is not None for value in goals.values())
+    asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
+    if not goal and (not _is(scene) or all(value is None for value in asked.values())):
+        return roads.run_scene(scene, road, **options)
+    if not _way(road).native:
+        words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
-            f"{scene.name}: accuracy and budget are for CasADi's integrators; an FMU gets its "
-            "accuracy when it is exported: cosim export --accuracy"
+            f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
+            "exported: cosim export --accuracy"
         )
-    dae = roads.scene_dae(replace(scene, values={}))
+    options = _as_asked(road, options)
+    dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
+    settings = roads.native_settings(scene, dae)
+    if output_times is not None:
+        settings["stop_time"] = None
+    if not goal:
+        return simulate(dae, **asked, **settings, **options)
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
     start = {name: value for name, value in scene.values.items() if name in known}
-    settings = roads.native_settings(scene, dae)
-    return simulate(dae, start_values=start, stop_when=stop_when, **goals, **settings, **options)
+    return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
+
+
+def _way(road: Road | str | None) -> Road:
+    return Road.NATIVE if road is None else Road.named(road)
+
+
+def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
+    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options
 
 
 def _is(scene: object) -> bool:

@@ -44,7 +44,7 @@ class UsageError(CosimError):
     @classmethod
     def of_type(cls, call: str, value: object, wanted: str) -> UsageError:
         """Say that a call was given something of a type that it cannot use."""
-        given = f"{reprlib.repr(value)}, of type {type(value).__name__}"
+        given = f"{' '.join(reprlib.repr(value).split())}, of type {type(value).__name__}"
         return cls(f"{call} was given {given}; give {wanted}")
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, overload
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -301,6 +303,48 @@ class Trajectory:
         text = io.StringIO(newline="")
         self._write_csv(text, units)
         write_atomically(target, text.getvalue().encode())
+
+    def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
+        """Write everything, bit for bit, as a file of numpy; see `from_npz`.
+
+        Args:
+            target: File name, replaced atomically, or an open binary file.
+
+        Raises:
+            ExportError: The file cannot be written.
+        """
+        facts = {
+            "model": self.model,
+            "columns": [asdict(column) for column in self.columns],
+            "stats": dict(self.stats),
+            "status": self.status,
+        }
+        content = io.BytesIO()
+        np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
+        if not isinstance(target, str | os.PathLike):
+            target.write(content.getvalue())
+            return
+        from cosim.files import write_atomically  # only where a file is wanted
+
+        write_atomically(target, content.getvalue())
+
+    @classmethod
+    def from_npz(cls, source: str | os.PathLike[str] | BinaryIO) -> Trajectory:
+        """Read what `to_npz` wrote.
+
+        Raises:
+            UsageError: It is no such file.
+        """
+        try:
+            if isinstance(source, str | os.PathLike):
+                with Path(source).open("rb") as file:  # numpy leaves a damaged one open
+                    return cls.from_npz(file)
+            with np.load(source, allow_pickle=False) as stored:
+                facts = json.loads(str(stored["facts"]))
+                columns = tuple(Column(**column) for column in facts.pop("columns"))
+                return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise UsageError(f"{source} holds no trajectory: {error}") from error
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""

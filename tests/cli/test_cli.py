@@ -17,6 +17,7 @@ import pytest
 import casadi_models
 from cosim.cli.main import main
 from cosim.errors import CosimError
+from cosim.model import summary
 
 BLOW_UP = """
 from casadi_models.dae import Model
@@ -171,7 +172,8 @@ def test_info_tells_unit_start_and_meaning_of_every_variable(name, capsys):
     assert main(["info", name, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     tables = [facts[key] for key in ("states", "algebraic unknowns", "inputs", "parameters")]
-    assert all(row["unit"] and row["start"] and row["meaning"] for t in tables for row in t)
+    assert all(row["unit"] and row["meaning"] for t in tables for row in t)
+    assert all(isinstance(row["start"], float) for t in tables for row in t)  # calculated ones, too
 
 
 def test_values_settings_and_outputs_reach_the_run(capsys):
@@ -230,3 +232,31 @@ def test_help_needs_neither_casadi_nor_numpy():
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "--stop-time" in run.stdout
+
+
+def test_info_reads_scenes_and_fmus(exported, capsys):
+    assert main(["info", "bicycle_model_1.toml"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"^scene +bicycle_model_1$", text, re.MULTILINE)
+    assert re.search(r"^phi_dot +rad/s +\S+ +0.5 ", text, re.MULTILINE)
+    assert main(["info", str(exported("crank_shaft")), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["fmi"] == "2.0, ModelExchange and CoSimulation"
+    starts = {row["name"]: row["start"] for row in facts["parameter"]}
+    assert starts["alpha"] == 10.0
+
+
+def test_recorded_catalogue_is_that_of_the_models():
+    recorded = json.loads(summary.FILE.read_text())
+    stale = [n for n in casadi_models.CATALOG if recorded.get(n) != summary.measured(n)]
+    assert stale == [], "run: python -m cosim.model.summary"
+    assert [*recorded] == [*casadi_models.CATALOG]
+
+
+def test_list_needs_no_casadi():
+    code = (
+        "import sys\nfrom cosim.cli.main import main\nmain(['list'])\n"
+        "raise SystemExit(', '.join({'casadi', 'numpy', 'fmpy'} & {*sys.modules}) or 0)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr

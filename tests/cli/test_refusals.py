@@ -58,8 +58,6 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle --outputs phi,phi", "output 'phi' is named twice"),
         ("simulate swing.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
         ("simulate swing.py:build", "swing.py is not a file"),
-        ("info bar_theta.toml", "a scene is taken by simulate, export, crosscheck, tradeoff"),
-        ("info bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
         ("export bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
         ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
         ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one road only"),

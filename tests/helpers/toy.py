@@ -74,6 +74,7 @@ class Equations:
     y: SX
     start: SX
     calculated: int | None
+    margins: SX
 
 
 def toy() -> Equations:
@@ -87,13 +88,14 @@ def toy() -> Equations:
     alg = ca.vertcat(mass * a + damping * v + stiffness * q - force - 0.1 * r, r - 2 * a - w)
     energy = mass * v**2 / 2 + stiffness * q**2 / 2
     y = ca.vertcat(energy, q * ca.sin(3 * t) + push, ca.log(q + 5))
-    return Equations(t, x, z, u, p, ode, alg, y, w + w**2 - load, calculated=2)
+    return Equations(t, x, z, u, p, ode, alg, y, w + w**2 - load, calculated=2, margins=2 - q)
 
 
 def bare() -> Equations:
     """Return x' = -x, with nothing else: arrays of length 0 everywhere."""
     t, x, z, u, p = _symbols(1, 0, 0, 0)
-    return Equations(t, x, z, u, p, -x, SX(0, 1), SX(0, 1), SX(0, 1), calculated=None)
+    nothing = SX(0, 1)
+    return Equations(t, x, z, u, p, -x, nothing, nothing, nothing, calculated=None, margins=nothing)
 
 
 def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "step") -> None:
@@ -108,6 +110,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
         "#define HAS_ADJOINT 1",
         f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
         "#define LARGEST_STEP 0.5",
+        f"#define N_LIMITS {model.margins.numel()}",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
     ]
     (folder / "model.h").write_text("\n".join(header) + "\n")
@@ -129,6 +132,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
     include = '#include <math.h>\n#include "variables.h"\n'
     (folder / "model.c").write_text(
         f"{include}{code}\nconst VariableInfo variables[] = {{\n{rows}\n}};\n"
+        'const char *const limits[] = {"q < 2 m", 0};\n'
     )
 
 
@@ -164,7 +168,7 @@ def _contract(m: Equations) -> list[ca.Function]:
         *_start_functions(m),
         ca.Function("model_algebraic", known, [solved]),
         ca.Function("model_ode", known, [m.ode]),
-        ca.Function("model_outputs", known, [m.y]),
+        ca.Function("model_outputs", known, [m.y, m.margins]),
         ca.Function("model_directional", [*known, *along], forward),
         ca.Function("model_adjoint", [*known, *weights], ca.vertsplit(backward, sizes)),
         ca.Function("model_jacobian", known, [_dense(ode, m), _dense(solved, m)]),

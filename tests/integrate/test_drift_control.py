@@ -181,7 +181,7 @@ def test_command_line_projects(tmp_path):
 
 
 def test_tradeoff_measures_what_model_and_solver_can_have():
-    selection = Selection(("idas", "dop853"), (1e-6,), (), ("compiled",), DRIFT_CONTROLS)
+    selection = Selection(("idas", "dop853"), (1e-6,), (), ("native",), DRIFT_CONTROLS)
     scene = Scene("bike", cosim.load("bicycle/multipliers"), outputs=("phi",))
     scene = replace(scene, settings=Settings(stop_time=0.5))
     study = tradeoff(scene, selection=selection, every_formulation=False, repeats=1)

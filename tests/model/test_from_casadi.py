@@ -96,6 +96,9 @@ def test_quadrature_becomes_a_state(kind):
     dae = cosim.from_casadi({"x": x, "ode": -x, "quad": x}, {"x": 1.0}, units={"quad": "m.s"})
     assert dae.variable("quad").unit == "m.s"
     assert final(dae, "quad") == pytest.approx(1 - np.exp(-1), abs=1e-9)
+    two = {"x": x, "ode": -x, "quad": ca.vertcat(x, x * x)}
+    dae = cosim.from_casadi(two, {"x": 1.0, "quad": [1, 2]})
+    assert final(dae, "quad_2") == pytest.approx(2 + (1 - np.exp(-2)) / 2, abs=1e-9)
 
 
 def test_start_may_depend_on_parameters():
@@ -337,6 +340,13 @@ def test_refusals_name_what_is_wrong():
     refused(UsageError, "ode is MX", {"x": x, "ode": MX.sym("y")})
     refused(UsageError, "ode uses 'm'", {"x": MX.sym("x"), "ode": MX.sym("m")})
     refused(UsageError, "give a dict of expressions", 42)
+    refused(UsageError, "neither a state nor an output", {})
+    refused(UsageError, "ode is '-x'; give an expression", {"x": x, "ode": "-x"})
+    refused(UsageError, "outputs was given", one, None, [x])
+    refused(UsageError, "start_values was given", one, [1])
+    refused(UsageError, "unit of x was given 3", one, units={"x": 3})
+    refused(ParameterError, "start of x is True", one, {"x": True})
+    refused(UnknownName, "input 'i0'", ca.Function("f", [x], [-x]))
     refused(UsageError, "holds no CasADi Function", "nothing.casadi")
     refused(UnknownName, "input 'y'", ca.Function("f", [y], [y], ["y"], ["ode"]))
     refused(UsageError, "twice", {"x": [x, SX.sym("x")], "ode": ca.vertcat(x, x)})

@@ -13,8 +13,9 @@ from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
 from cosim.present.figures import default_specs, draw_figures
 from cosim.present.picture_files import save
-from cosim.scene.roads import run_scene, variant
+from cosim.scene.roads import run_scene
 from cosim.scene.scene import FigureSpec
+from cosim.scene.variants import variant
 from cosim.trajectory import Column, Trajectory
 
 POUND, DEGREE = 4.4482216152605, np.pi / 180

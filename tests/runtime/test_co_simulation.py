@@ -4,7 +4,7 @@ from ctypes import byref, c_double, c_int
 
 import numpy as np
 import pytest
-from helpers.harness import DISCARD, ERROR, INF, NAN, OK, reals, references
+from helpers.harness import DISCARD, ERROR, INF, NAN, OK, WARNING, reals, references
 from scipy.integrate import solve_ivp
 
 ONE = (c_int * 1)(1)
@@ -169,6 +169,13 @@ def test_a_blow_up_ends_the_step_early_at_the_last_good_state(cs):
     assert s > 1e6  # measured 1.2e9
 
 
+def test_the_message_of_a_failed_step_tells_which_limit_was_left_before(cs):
+    cs.initialize({"tolerance": 1e-8}, blow=1.0, s=1.0, q=2.5)  # s blows up at 1 s
+    cs.get("energy")
+    assert cs("DoStep", 0.0, 2.0, 1) == DISCARD
+    assert cs.said.endswith("; before, it was no longer true that q < 2 m")
+
+
 def test_after_an_early_end_the_step_can_be_retried_from_a_saved_state(cs):
     cs.initialize(blow=1.0)
     snapshot = cs.take()
@@ -224,13 +231,26 @@ def test_a_step_beyond_the_stop_time_is_an_error(cs):
 
 @pytest.mark.parametrize(
     ("name", "order", "value", "status"),
-    [("q", 1, 1.0, ERROR), ("force", 0, 1.0, ERROR), ("force", 2, 1.0, ERROR),
+    [("q", 1, 1.0, ERROR), ("force", 0, 1.0, ERROR),
      ("force", -1, 1.0, ERROR), ("force", 1, NAN, DISCARD)],
 )  # fmt: skip
 def test_senseless_input_derivatives_are_refused(cs, name, order, value, status):
     cs.initialize()
     orders = (c_int * 1)(order)
     assert cs("SetRealInputDerivatives", cs.refs(name), 1, orders, reals(value)) == status
+
+
+def test_input_derivatives_of_higher_order_are_dropped_with_a_warning(cs, fmi2):
+    other = fmi2(1).initialize()
+    cs.initialize()
+    for fmu, orders in ((cs, (1, 2)), (other, (1,))):
+        count = len(orders)
+        references, values = fmu.refs(*["force"] * count), reals(*[2.0] * count)
+        status = fmu("SetRealInputDerivatives", references, count, (c_int * count)(*orders), values)
+        assert status == (WARNING if 2 in orders else OK)
+        assert fmu("DoStep", 0.0, 0.5, 1) == OK
+    assert cs.messages[-1][2].endswith("the derivative of order 2 is dropped")
+    assert cs.get("q", "v") == other.get("q", "v")
 
 
 def test_unknown_status_information_is_discarded(cs):

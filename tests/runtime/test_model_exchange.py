@@ -151,6 +151,25 @@ def test_a_value_given_to_a_calculated_start_is_where_its_solution_begins(me, fm
     assert me.initialize().get("w") == fmi2().initialize().get("w")
 
 
+def test_a_limit_of_the_model_is_told_once_per_crossing(me, fmi2):
+    """The toy holds while q < 2 m."""
+    continuous(me.initialize())
+    told = []
+    for time, q in ((0.1, 1.9), (0.2, 2.1), (0.3, 2.2), (0.4, 1.8), (0.5, 2.5)):
+        me("SetTime", time)
+        me.set(q=q)
+        me.get("energy")
+        told.append(len(me.messages))
+    assert told == [0, 1, 1, 1, 2]
+    status, category, text = me.messages[-1]
+    assert (status, category) == (WARNING, "logStatusWarning")
+    assert text == "fmi2GetReal: from time 0.5 on it is no longer true that q < 2 m"
+    snapshot, again = me.take(), continuous(fmi2().initialize())
+    assert again("SetFMUstate", snapshot) == OK
+    again.get("energy")
+    assert again.messages == []  # the crossing belongs to the FMU state
+
+
 def test_a_tunable_parameter_counts_from_when_it_is_set(me):
     """mass v' + damping v + stiffness q = force + 0.1 r, r = 2 a + w."""
     continuous(me.initialize(v=1.0))

@@ -14,9 +14,10 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.scene.library import shipped_scenes
-from cosim.scene.roads import in_formulation, run_scene, scene_dae, variant, with_solver
+from cosim.scene.roads import run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.scene_file import find_scene, read_scene
+from cosim.scene.variants import in_formulation, variant, with_solver
 
 GOOD = """\
 title = "Bar"

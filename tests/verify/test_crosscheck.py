@@ -21,11 +21,11 @@ def verdicts(checks: list[Check]) -> list[tuple[str, str, str, str]]:
 
 def test_every_formulation_takes_every_road():
     assert verdicts(list(crosscheck(["crank_shaft"], **SHORT))) == [
-        ("driven", "fmpy ModelExchange", "cvodes", "ok"),
-        ("driven", "fmpy CoSimulation", "cvodes", "ok"),
-        ("multipliers", "fmpy ModelExchange", "idas", "ok"),
-        ("multipliers", "fmpy CoSimulation", "idas", "ok"),
-        ("multipliers", "idas", "crank_shaft/driven", "ok"),
+        ("driven", "fmu-me", "cvodes", "ok"),
+        ("driven", "fmu-cs", "cvodes", "ok"),
+        ("multipliers", "fmu-me", "idas", "ok"),
+        ("multipliers", "fmu-cs", "idas", "ok"),
+        ("multipliers", "native", "crank_shaft/driven", "ok"),
     ]
 
 
@@ -42,13 +42,13 @@ def test_check_tells_what_is_worst_and_what_the_run_took():
 def test_checks_are_kept_and_show_their_table():
     checks = crosscheck("crank_shaft/driven", **SHORT)
     first = next(checks)
-    assert [check.road for check in checks] == ["fmpy ModelExchange", "fmpy CoSimulation"]
+    assert [check.road for check in checks] == ["fmu-me", "fmu-cs"]
     assert next(iter(checks)) is first  # computed once
-    assert next(checks).road == "fmpy CoSimulation"
+    assert next(checks).road == "fmu-cs"
     shown = repr(checks).splitlines()
     assert shown[0].split()[:3] == ["model", "road", "against"]
     assert len(shown) == 3
-    assert "<td>fmpy CoSimulation</td>" in checks._repr_html_()
+    assert "<td>fmu-cs</td>" in checks._repr_html_()
     assert checks.agree
 
 
@@ -62,10 +62,10 @@ def failing_fmus(monkeypatch):
     """Let every FMU fail in co-simulation."""
     original = crosschecks.run_fmu
 
-    def run_fmu(scene, dae, path: Path, interface):
-        if interface == "CoSimulation":
+    def run_fmu(scene, dae, path: Path, road):
+        if road == "fmu-cs":
             raise FmuError("the step came no further")
-        return original(scene, dae, path, interface)
+        return original(scene, dae, path, road)
 
     monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
 
@@ -89,9 +89,9 @@ def test_model_that_fails_on_our_road_is_a_failed_check(monkeypatch):
     monkeypatch.setattr(crosschecks, "run_scene", run_scene)
     checks = list(crosscheck(["crank_shaft"], **SHORT))
     assert [(c.road, c.verdict) for c in checks] == [
-        ("casadi", "FAILED"),
-        ("fmpy ModelExchange", "ok"),
-        ("fmpy CoSimulation", "ok"),
+        ("native", "FAILED"),
+        ("fmu-me", "ok"),
+        ("fmu-cs", "ok"),
     ]
 
 
@@ -99,7 +99,7 @@ def test_name_with_a_meaning_of_its_own_is_not_compared_between_formulations():
     scene = named_scene("double_pendulum_7_2.toml")
     checks = list(crosscheck([scene], **SHORT))
     assert {check.verdict for check in checks} == {"ok"}
-    axial = next(c for c in checks if c.model.endswith("_axial") and not c.road.startswith("fmpy"))
+    axial = next(c for c in checks if c.model.endswith("_axial") and c.road.native)
     angles = [f"{name}{link}" for name in ("psi", "theta", "phi") for link in (1, 2)]
     assert {*axial.left_out} == {*angles, "singularity_1", "singularity_2"}
     assert "points along -" in axial.left_out["psi1"]
@@ -134,7 +134,7 @@ def test_command_prints_a_table_and_returns_0(capsys):
     printed = capsys.readouterr()
     assert "verdict" in printed.out.splitlines()[0]
     assert printed.out.count(" ok ") == 2
-    assert "crank_shaft/driven: fmpy ModelExchange against cvodes: " in printed.err
+    assert "crank_shaft/driven: fmu-me against cvodes: " in printed.err
 
 
 def test_command_returns_4_beyond_the_bound(capsys):

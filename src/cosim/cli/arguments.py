@@ -7,11 +7,13 @@ from typing import Any
 from casadi_models.dae import Dae
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.catalogue import load
+from cosim.model.driving import with_laws
+from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
 from cosim.scene.goals import GOALS, OVERRULED
-from cosim.scene.roads import with_solver, without_goal
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
+from cosim.scene.variants import with_solver, without_goal
 
 _SETTINGS = (
     "start_time",
@@ -30,7 +32,7 @@ def scene_from(args: argparse.Namespace) -> Scene:
     Raises:
         CosimError: The model, the scene or an option is wrong; see `read_scene` and `load`.
     """
-    scene = named_scene(args.model)
+    scene = _driven(args, named_scene(args.model))
     given = {key: getattr(args, key, None) for key in _SETTINGS}
     changes = {key: value for key, value in given.items() if value is not None}
     if getattr(args, "budget", None) is not None:
@@ -49,6 +51,37 @@ def scene_from(args: argparse.Namespace) -> Scene:
     varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
     inputs = scene.inputs and scene.inputs.only(varying)
     return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+
+
+def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
+    """Return a scene with the formulas and time series that a command line gives for inputs."""
+    laws = []
+    for item in getattr(args, "laws", ()):
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise UsageError(f"--input {item}: write NAME=FORMULA")
+        laws.append((name.strip(), text.strip()))
+    if laws:
+        names = {name for name, _ in laws}
+        dae = with_laws(scene.dae, tuple(laws))
+        left = {variable.name for variable in dae.inputs}
+        values = {name: value for name, value in scene.values.items() if name not in names}
+        inputs = scene.inputs and scene.inputs.only(left)
+        scene = replace(scene, dae=dae, values=values, inputs=inputs)
+    if (path := getattr(args, "input_file", None)) is not None:
+        series = read_inputs(path, scene.dae)
+        values = {n: v for n, v in scene.values.items() if n not in series.names}
+        scene = replace(scene, inputs=series, values=values)
+    return scene
+
+
+def times_in(option: str, text: str) -> list[float]:
+    """Return the times of a list with commas, s; each may have a unit.
+
+    Raises:
+        ParameterError: One is no time.
+    """
+    return [quantity(option, word, "s") for word in text.split(",")]
 
 
 def names_in(text: str) -> tuple[str, ...]:
@@ -76,7 +109,7 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
         name, equals, text = item.partition("=")
         if not equals:
             raise UsageError(f"-p {item}: write NAME=VALUE[UNIT]")
-        pairs.append((name, text))
+        pairs.append((name.strip(), text.strip()))
     numbers: dict[str, float] = {}
     for name, text in pairs:
         if name in numbers:

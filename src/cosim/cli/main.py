@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from cosim.cli.options import Parser
+from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
 from cosim.errors import CosimError
 
@@ -50,9 +50,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
-    args, unknown = command_line().parse_known_args(arguments)
+    parser = command_line()
+    args, unknown = parser.parse_known_args(arguments)
     if unknown:  # argparse itself would point to the help of all verbs
-        told = f"cosim {args.verb}: cannot take '{unknown[0]}'"
+        word = unknown[0].partition("=")[0]
+        near = did_you_mean(word, parser.verbs()[args.verb].options())
+        told = f"cosim {args.verb}: cannot take '{unknown[0]}'{near}"
         Parser().exit(2, f"{told}; see: cosim {args.verb} --help\n")
     return args
 

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction["Parser"]
+
+
+_CHOICE = re.compile(r"invalid choice: '?([^' ]*)'? ")
 
 
 class Parser(argparse.ArgumentParser):
@@ -14,7 +20,40 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with 2 and say what to read."""
+        if (wrong := _CHOICE.search(message)) and self._subparsers is not None:
+            message += did_you_mean(wrong[1], self.verbs())
         self.exit(2, f"{self.prog}: {message}; see: {self.prog} --help\n")
+
+    def verbs(self) -> dict[str, Parser]:
+        """Return the parsers of all verbs, by name."""
+        groups = (a for a in self._actions if isinstance(a, argparse._SubParsersAction))
+        return next((dict(group.choices) for group in groups), {})
+
+    def options(self) -> list[str]:
+        """Return the names of all options."""
+        return [name for action in self._actions for name in action.option_strings]
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return the hint on the nearest name, or nothing."""
+    near = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def seconds(text: str) -> float:
+    """Read a time: a number of seconds, or one with a unit, as 5s, 200ms, 2min."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    from cosim.errors import ParameterError
+    from cosim.model.quantities import quantity
+
+    try:
+        return quantity("time", text, "s")
+    except ParameterError:
+        hint = "write a decimal point" if "," in text else "write e.g. 5 or 5s"
+        raise argparse.ArgumentTypeError(f"invalid float value: '{text}'; {hint}") from None
 
 
 def common() -> Parser:
@@ -31,9 +70,9 @@ def run_options() -> Parser:
     """Return the options of every verb that runs something."""
     parser = Parser(add_help=False)
     parser.add_argument(
-        "--stop-time", type=float, metavar="S", help="s; the model's own by default"
+        "--stop-time", type=seconds, metavar="S", help="s; the model's own by default"
     )
-    parser.add_argument("--output-interval", type=float, metavar="S", help="s; 0.01 by default")
+    parser.add_argument("--output-interval", type=seconds, metavar="S", help="s; 0.01 by default")
     parser.add_argument("--relative-tolerance", type=float, metavar="R", help="error per step")
     return parser
 
@@ -41,7 +80,7 @@ def run_options() -> Parser:
 def value_options() -> Parser:
     """Return the options that set a model's numbers and choose its outputs."""
     parser = Parser(add_help=False)
-    parser.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
+    parser.add_argument("--start-time", type=seconds, metavar="S", help="s; 0 by default")
     parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
     parser.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
@@ -63,9 +102,26 @@ def add_solver(parser: Parser) -> None:
     parser.add_argument(
         "--budget", type=float, metavar="MS", help="time of the solver, ms; the best run within it"
     )
-    parser.add_argument("--solver", metavar="NAME", help="cvodes, or idas for a DAE, by default")
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="cvodes (default of an ODE), cvodes_adams (ode113), idas (default of a DAE), "
+        "erk (ode45), rosenbrock, dop853, rk4 (ode4), ode8; ode15s is the default",
+    )
+    parser.add_argument(
+        "--stop-when", metavar="CONDITION", help="end the run there, e.g. 'abs(phi) > 45deg'"
+    )
+    parser.add_argument(
+        "--input",
+        dest="laws",
+        action="append",
+        default=[],
+        metavar="NAME=FORMULA",
+        help="of time t, states and parameters, e.g. 'steer_torque=2*sin(3*t)'",
+    )
+    parser.add_argument("--input-file", metavar="CSV", help="time series of inputs: time,NAME,...")
     parser.add_argument("--absolute-tolerance", type=float, metavar="A", help="error per step, SI")
-    parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
+    parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
     parser.add_argument(
         "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"
     )
@@ -95,7 +151,7 @@ def add_accuracy(parser: Parser) -> None:
 def add_timeout(parser: Parser) -> None:
     """Let a verb end the run of an FMU file."""
     parser.add_argument(
-        "--timeout", type=float, metavar="S", help="for a run of an FMU or a PATH.py, s; no limit"
+        "--timeout", type=seconds, metavar="S", help="for a run of an FMU or a PATH.py, s; no limit"
     )
     parser.add_argument(
         "--trust", action="store_true", help="run this FMU's code, now and in future"

@@ -4,12 +4,13 @@ import argparse
 from importlib import import_module
 from importlib.metadata import version
 
+from cosim.cli.completion import PrintCompletion
 from cosim.cli.options import Parser
 
 # A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
 VERBS = (
     *("list", "info", "simulate", "export", "crosscheck", "tradeoff", "extremes", "plot"),
-    *("animate", "report", "sweep", "cache"),
+    *("animate", "report", "sweep", "sensitivity", "linearize", "scene", "new", "cache"),
 )
 
 _DESCRIPTION = (
@@ -28,7 +29,7 @@ exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results dif
             5 a tool is missing, 130 interrupted"""
 
 
-def command_line() -> argparse.ArgumentParser:
+def command_line() -> Parser:
     """Return the parser of all verbs; `run` of what it reads is the function to call."""
     parser = Parser(
         prog="cosim",
@@ -37,6 +38,12 @@ def command_line() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"cosim {version('cosim-rigid')}")
+    parser.add_argument(
+        "--print-completion",
+        action=PrintCompletion,
+        metavar="SHELL",
+        help="a script for bash, zsh or fish that completes verbs and options",
+    )
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for verb in VERBS:
         module = import_module(f"cosim.cli.verbs.{verb}")

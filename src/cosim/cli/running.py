@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from cosim.api import run_scene
-from cosim.cli.arguments import names_in, scene_from, start_numbers
+from cosim.cli.arguments import names_in, scene_from, start_numbers, times_in
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.scene.goals import GOALS
 from cosim.scene.scene import Scene
@@ -61,6 +61,8 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
             compiled=False if args.interpreted else None,
             on_invalid=args.on_invalid or "warn",
             drift_control=args.drift_control,
+            stop_when=args.stop_when,
+            output_times=times_in("--at", args.at) if getattr(args, "at", None) else None,
         )
     from cosim.fmi.run.isolated import simulate_apart
     from cosim.fmi.trust import require_trust
@@ -72,10 +74,14 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         "on_invalid",
         "drift_control",
         "interpreted",
+        "stop_when",
+        "input_file",
     )
     for option in (*own, *GOALS):
         if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
+    if args.laws:
+        raise UsageError("--input is for models; an FMU takes constant inputs with -p")
     start = start_numbers(args, None)
     require_trust(args.model, trusted=args.trust)
     return simulate_apart(

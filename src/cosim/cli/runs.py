@@ -13,8 +13,9 @@ from cosim.cli.running import run_or_partial, scene_or_none
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
-from cosim.scene.roads import variant
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
+from cosim.scene.variants import variant
 from cosim.trajectory import Trajectory
 
 
@@ -87,7 +88,7 @@ def _named(run: Trajectory, variation: str) -> Trajectory:
     return replace(run, stats={**run.stats, "variation": variation}) if variation else run
 
 
-def second_of(scene: Scene | None, name: str) -> tuple[Scene, str | None]:
+def second_of(scene: Scene | None, name: str) -> tuple[Scene, Road]:
     """Return scene and road of a run that `--compare` asks for.
 
     Raises:

@@ -1,28 +1,43 @@
 """Results as text: aligned tables or JSON on standard output, whole files."""
 
 import json
+import os
+import re
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.escaping import visible
 from cosim.files import write_atomically
+from cosim.tables import text_table
+
+_COLOURS = {"ok": "32", "DIFFERS": "31", "FAILED": "31"}
+_VERDICT = re.compile(rf"(?<= )({'|'.join(_COLOURS)})(?=  |$)", re.MULTILINE)
 
 
-def show_table(rows: Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
-    """Print rows that have the same keys."""
+def show_table(rows: Sequence[Mapping[str, Any]], *, as_json: bool, digits: int = 3) -> None:
+    """Print rows that have the same keys; on a terminal no wider than it is, verdicts coloured."""
     if as_json:
         print(json.dumps(rows, indent=1))
-        return
-    if not rows:
-        return
-    cells = [[_cell(value) for value in row.values()] for row in rows]
-    widths = [max(map(len, column)) for column in zip(rows[0], *cells, strict=True)]
-    for line in ([*rows[0]], *cells):
-        print(
-            "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip()
-        )
+    elif rows:
+        text = text_table(rows, width=terminal_width(), digits=digits)
+        print(_coloured(text) if colours() else text)
+
+
+def colours() -> bool:
+    """Tell whether output may be coloured: to a terminal that can, where nobody objects."""
+    wanted = "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"
+    return wanted and sys.stdout.isatty()
+
+
+def _coloured(text: str) -> str:
+    return _VERDICT.sub(lambda match: f"\x1b[{_COLOURS[match[1]]}m{match[1]}\x1b[0m", text)
+
+
+def terminal_width() -> int | None:
+    """Return the number of letters in a line of the terminal; None where output is none."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def write_text(target: str | None, text: str) -> None:
@@ -31,9 +46,3 @@ def write_text(target: str | None, text: str) -> None:
         write_atomically(Path(target), text.encode())
     else:
         sys.stdout.write(text)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    return "" if value is None else visible(str(value))

@@ -24,6 +24,7 @@ _NAMES = ("n_steps", "n_rhs", "n_jac")
 @dataclass(frozen=True, kw_only=True)
 class _OwnOfCasadi(AdaptiveSolver):
     order = 5
+    code_per_grid = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""

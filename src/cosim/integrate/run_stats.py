@@ -19,6 +19,8 @@ class RunStats(Mapping[str, Any]):
         wall_time: What everything took, s.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
         invalid_from: From when on it does, s; None where it does not.
+        stop: The condition that ended the run, and when it became true.
+        stop_time: When, s.
     """
 
     solver: str
@@ -32,6 +34,8 @@ class RunStats(Mapping[str, Any]):
     wall_time: float
     invalid: tuple[str, ...] = ()
     invalid_from: float | None = None
+    stop: str | None = None
+    stop_time: float | None = None
 
     def _known(self) -> dict[str, Any]:
         found = {field.name: getattr(self, field.name) for field in fields(self)}

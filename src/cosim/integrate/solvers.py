@@ -28,6 +28,18 @@ SOLVERS: dict[str, type[Solver]] = {
 }
 
 
+# MATLAB's names; ode15s is what a model's own default does
+ALIASES = {"ode45": "erk", "ode113": "cvodes_adams", "ode4": "rk4"}
+STIFF = "ode15s"
+
+
+def solver_name(dae: Dae, name: str) -> str:
+    """Return the name of a solver for itself or an alias."""
+    if name == STIFF:
+        return Idas.name if dae.algebraics else Cvodes.name
+    return ALIASES.get(name, name)
+
+
 def solver_class(dae: Dae, solver: str | Solver | None) -> type[Solver]:
     """Return the class of a solver: CVODES for an ODE, IDAS for a DAE when None.
 
@@ -38,6 +50,8 @@ def solver_class(dae: Dae, solver: str | Solver | None) -> type[Solver]:
     if not isinstance(dae, Dae):
         raise UsageError.of_type("a solver", dae, A_DAE)
     default = Idas if dae.algebraics else Cvodes
+    if isinstance(solver, str):
+        solver = solver_name(dae, solver)
     if isinstance(solver, Solver):
         found = type(solver)
     elif solver is None:

@@ -9,6 +9,7 @@ import numpy as np
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
 from cosim.errors import SolverError, UsageError
+from cosim.integrate.run_stats import RunStats
 from cosim.memo import kept_per_thread
 from cosim.model.driving import names_of
 from cosim.model.formula import margin
@@ -79,7 +80,8 @@ def run_until(
         bracket = float(run.time[at - 1]), float(run.time[at])
     stop = bracket[1]
     rows = [*range(first), int(np.flatnonzero(run.time == stop)[0])]
-    stats = {**run.stats, "stop": f"{condition} from {stop:.12g} s on", "stop_time": stop}
+    assert isinstance(run.stats, RunStats)
+    stats = replace(run.stats, stop=f"{condition} from {stop:.12g} s on", stop_time=stop)
     run = replace(run, time=run.time[rows], values=run.values[rows], stats=stats, status="complete")
     return run.select(names)
 

@@ -58,9 +58,11 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
     for extra, kind in (("x_impl", "x"), ("dx_impl", "z")):
         if extra in given:
             symbols[kind] += named_symbols(who, extra, given[extra])
-    laws = {key: _stacked(given[key]) for key in (*LAWS, "I") if key in given}
+    laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "I") if key in given}
     if "x_impl" in given:
-        laws["ode"] = ca.vertcat(laws.get("ode", SX(0, 1)), _stacked(given["dx_impl"]))
+        laws["ode"] = ca.vertcat(
+            laws.get("ode", SX(0, 1)), _stacked(who, "dx_impl", given["dx_impl"])
+        )
     return System(symbols, laws, {n: _expression(who, n, e) for n, e in outputs.items()})
 
 
@@ -91,11 +93,11 @@ def _loaded(who: str, path: Path) -> ca.Function:
         raise UsageError(f"{who}: {path} holds no CasADi Function ({reason})") from error
 
 
-def _stacked(value: Any) -> Any:
+def _stacked(who: str, key: str, value: Any) -> Any:
     """Return a law as a column."""
     if isinstance(value, list | tuple):
-        return ca.vertcat(*(_stacked(item) for item in value))
-    return ca.vec(value) if isinstance(value, SX | MX | DM) else SX(value)
+        return ca.vertcat(*(_stacked(who, key, item) for item in value))
+    return ca.vec(_expression(who, key, value))
 
 
 def _expression(who: str, name: str, value: Any) -> Any:
@@ -103,8 +105,8 @@ def _expression(who: str, name: str, value: Any) -> Any:
         return value
     try:
         return SX(DM(value))
-    except NotImplementedError:
-        raise UsageError(f"{who}: output {name} is {value!r}; give an expression") from None
+    except (NotImplementedError, TypeError, ValueError):
+        raise UsageError(f"{who}: {name} is {value!r}; give an expression") from None
 
 
 def _is_empty(value: Any) -> bool:

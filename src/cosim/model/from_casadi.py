@@ -60,6 +60,8 @@ def from_casadi(
         UnknownName: A value is given for what does not exist.
     """
     who = f"from_casadi({name})"
+    if not isinstance(outputs, Mapping | None):
+        raise UsageError.of_type(f"{who}: outputs", outputs, "a dict of expressions by name")
     found = read_system(who, system, outputs or {})
     facts = Facts(who, start_values or {}, units or {}, meanings or {}, nominals or {})
     facts.refuse_strangers(found)
@@ -119,9 +121,10 @@ def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
     results = evaluated(who, system, values, wanted)
     model.derivative(values["x"], results.get("ode", SX(0, 1)))
     model.equation(results.get("alg", SX(0, 1)))
-    for entry, rate in scalars("quad", results.get("quad", SX(0, 1))):
+    quad = results.get("quad", SX(0, 1))
+    begin = facts.start(Symbol("quad", quad.shape, quad), "x")
+    for (entry, rate), start in zip(scalars("quad", quad), begin, strict=True):
         unit, meaning, more = facts.of(entry, "quad", f"integral {entry}")
-        start = facts.starts.get(entry, 0.0)
         model.derivative(model.state(entry, unit, start, meaning, **more), rate)
     for key in system.outputs:
         for entry, expression in scalars(key, results[key]):

@@ -9,7 +9,7 @@ import numpy as np
 from casadi import MX, SX
 
 from casadi_models.units import known as known_unit
-from cosim.errors import ParameterError, UnknownName
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.casadi_system import System, entry_names, scalars
 from cosim.model.named_symbols import Symbol
 
@@ -31,8 +31,19 @@ class Facts:
             UnknownName: With the names that come nearest.
         """
         symbols = [s for kind in "xzup" for s in system.symbols[kind]]
+        for what, given in (
+            ("start_values", self.starts),
+            ("units", self.units),
+            ("meanings", self.meanings),
+            ("nominals", self.nominals),
+        ):
+            if not isinstance(given, Mapping):
+                raise UsageError.of_type(f"{self.who}: {what}", given, "a dict by name")
+        if not (symbols or system.laws or system.outputs):
+            raise UsageError(f"{self.who}: there is neither a state nor an output; give one")
         quads = scalars("quad", system.laws["quad"]) if "quad" in system.laws else []
-        own = [n for s in symbols for n in (s.name, *s.entries)] + [n for n, _ in quads]
+        own = [n for s in symbols for n in (s.name, *s.entries)]
+        own += ["quad", *(n for n, _ in quads)] if quads else []
         shown = [n for key, e in system.outputs.items() for n in (key, *entry_names(key, e))]
         for what, given, known in (
             ("start value", self.starts, own),
@@ -49,6 +60,8 @@ class Facts:
         unit = self.units.get(name, self.units.get(symbol, "1"))
         meaning = self.meanings.get(name, self.meanings.get(symbol, meaning))
         more: dict[str, Any] = {}
+        if not isinstance(unit, str):
+            raise UsageError.of_type(f"{self.who}: unit of {name}", unit, "a text")
         if not known_unit(unit):
             more["foreign_unit"] = True
             meaning = f"{meaning} (unit '{unit}' is unknown here: factor 1)"
@@ -85,6 +98,8 @@ class Facts:
             entries: list[Any] = ca.vertsplit(ca.vec(given))
         else:
             try:
+                if np.asarray(given).dtype == bool:
+                    raise TypeError
                 entries = [float(v) for v in np.asarray(given, dtype=float).flatten(order="F")]
             except (TypeError, ValueError):
                 raise ParameterError(

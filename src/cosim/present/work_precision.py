@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from cosim.study.tradeoff.configuration import ROADS, Family
+from cosim.scene.roads import Road
+from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.measurement import Measurement
 from cosim.study.tradeoff.result import Tradeoff
 
@@ -26,7 +27,7 @@ _COLOURS = {
     "rk4": "#E69F00",
     "cvode": "#444444",  # fmpy's
 }
-_MARKERS = dict(zip(ROADS, "osD^", strict=True))
+_MARKERS = dict(zip(Road, "osD^", strict=True))
 _MILLISECONDS = 1e3
 _SMALLEST = 1e-17  # a difference of zero has no logarithm
 _ROOM = 0.62  # for the names of the front, in widths of what is drawn
@@ -183,7 +184,7 @@ def _some(names: Sequence[str], most: int = 5) -> str:
 
 def _legend(shown: Sequence[Measurement]) -> list[Line2D]:
     configurations = [m.configuration for m in shown]
-    roads = [road for road in ROADS if any(c.road == road for c in configurations)]
+    roads = [road for road in Road if any(c.road == road for c in configurations)]
     solvers = [name for name in _COLOURS if any(c.solver == name for c in configurations)]
     handles = [_key("o", _COLOURS[name], name) for name in solvers]
     handles += [_key(_MARKERS[road], "0.3", road) for road in roads]

@@ -1,8 +1,6 @@
 """A scene on any road: the one place that knows both of them."""
 
-from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +9,55 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.integrate.simulate import simulate
-from cosim.integrate.solvers import SOLVERS, solver_class
-from cosim.model.catalogue import formulations, load, no_such_output, observable
+from cosim.integrate.solvers import solver_class
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
 from cosim.scene.scene import Scene
 from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 
-FMU_ROADS = {"fmu": None, "fmu-me": "ModelExchange", "fmu-cs": "CoSimulation"}
+
+class Road(StrEnum):
+    """How a model is run: by the integrators here, compiled or not, or as an FMU through fmpy."""
+
+    NATIVE = "native"
+    INTERPRETED = "native-interpreted"
+    MODEL_EXCHANGE = "fmu-me"
+    CO_SIMULATION = "fmu-cs"
+
+    @classmethod
+    def named(cls, name: str, who: str = "cosim") -> "Road":
+        """Return a road by its name, or by one that it had.
+
+        Raises:
+            UnknownName: There is none of that name.
+        """
+        try:
+            return cls(_FORMER.get(name, name))
+        except (ValueError, TypeError):
+            raise UnknownName.among(who, "road", name, tuple(cls)) from None
+
+    @property
+    def interface(self) -> str | None:
+        """What the FMI calls it; None without an FMU."""
+        return _INTERFACES.get(self)
+
+    @property
+    def native(self) -> bool:
+        """Whether it needs no FMU."""
+        return self.interface is None
+
+
+_INTERFACES = {Road.MODEL_EXCHANGE: "ModelExchange", Road.CO_SIMULATION: "CoSimulation"}
+FMU_ROADS = tuple(_INTERFACES)
+_FORMER = {
+    "casadi": "native",
+    "compiled": "native",
+    "interpreted": "native-interpreted",
+    "fmpy-me": "fmu-me",
+    "fmpy-cs": "fmu-cs",
+    "fmu": "fmu-cs",  # what fmpy prefers
+}
 
 
 def scene_dae(scene: Scene) -> Dae:
@@ -34,38 +72,37 @@ def scene_dae(scene: Scene) -> Dae:
 
 def run_scene(
     scene: Scene,
-    road: str | None = None,
+    road: Road | str | None = None,
     *,
     compiled: bool | None = None,
     on_invalid: str = "warn",
     drift_control: str | None = None,
 ) -> Trajectory:
-    """Run a scene through CasADi's integrators, or through fmpy as an FMU made from it.
+    """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
 
     Args:
         scene: What to run.
-        road: "fmu-me", "fmu-cs", or "fmu" for what fmpy prefers; CasADi's integrators when None.
-        compiled, on_invalid, drift_control: Of CasADi's integrators, see `simulate`.
+        road: A `Road`, or its name; the native one when None.
+        compiled, on_invalid, drift_control: Of the native road, see `simulate`.
 
     Raises:
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
     """
     if not isinstance(scene, Scene):
         raise UsageError.of_type("run_scene", scene, "what cosim.read_scene returns")
+    way = Road.NATIVE if road is None else Road.named(road)
     dae = scene_dae(scene)
-    if road is None:
+    if way.native:
         return simulate(
             dae,
-            compiled=compiled,
+            compiled=False if way is Road.INTERPRETED else compiled,
             on_invalid=on_invalid,
             drift_control=drift_control,
             **native_settings(scene, dae),
         )
-    if road not in FMU_ROADS:
-        raise UnknownName.among("cosim", "road", road, FMU_ROADS)
     with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "scene.fmu")
-        return run_fmu(scene, dae, path, FMU_ROADS[road])
+        return run_fmu(scene, dae, path, way)
 
 
 def native_settings(scene: Scene, dae: Dae) -> dict[str, Any]:
@@ -94,7 +131,7 @@ def native_settings(scene: Scene, dae: Dae) -> dict[str, Any]:
     }
 
 
-def run_fmu(scene: Scene, dae: Dae, path: Path, interface: str | None) -> Trajectory:
+def run_fmu(scene: Scene, dae: Dae, path: Path, road: Road) -> Trajectory:
     """Run the FMU that was made from the DAE of a scene.
 
     Raises:
@@ -104,7 +141,7 @@ def run_fmu(scene: Scene, dae: Dae, path: Path, interface: str | None) -> Trajec
     span = dae.experiment.stop_time
     return simulate_fmu(
         path,
-        interface=interface,
+        interface=road.interface,
         start_time=settings.start_time,
         stop_time=settings.start_time + span if settings.stop_time is None else settings.stop_time,
         output_interval=dae.experiment.output_interval,
@@ -112,94 +149,6 @@ def run_fmu(scene: Scene, dae: Dae, path: Path, interface: str | None) -> Trajec
         inputs=_felt(scene, dae),
         outputs=scene.outputs or None,
     )
-
-
-def variant(scene: Scene, name: str) -> tuple[Scene, str | None]:
-    """Return a scene and a road that compute the same in another way, to compare with.
-
-    Args:
-        scene: What is compared.
-        name: A road ("fmu", "fmu-me", "fmu-cs"), a solver, or a formulation of the model.
-
-    Raises:
-        UnknownName: It is none of them, or that formulation lacks an output.
-    """
-    if name in FMU_ROADS:
-        return without_goal(scene), name
-    if name in SOLVERS:
-        return with_solver(scene, name), None
-    others = other_formulations(scene)
-    if name in others:
-        return in_formulation(scene, others[name]), None
-    raise UnknownName.among(
-        f"{scene.name}: --compare", "road", name, (*FMU_ROADS, *SOLVERS, *others)
-    )
-
-
-def with_solver(scene: Scene, name: str) -> Scene:
-    """Return a scene with another solver, which takes over no accuracy or budget.
-
-    An adaptive one takes over no step size either, one with fixed steps no tolerance.
-
-    Raises:
-        UnknownName: There is no such solver.
-    """
-    if name not in SOLVERS:
-        raise UnknownName.among("cosim", "solver", name, SOLVERS)
-    scene = without_goal(scene)
-    settings = replace(scene.settings, solver=name)
-    if SOLVERS[name].adaptive:
-        settings = replace(settings, step_size=None)
-    else:
-        settings = replace(settings, relative_tolerance=None, absolute_tolerance=None)
-    return replace(scene, settings=settings)
-
-
-def without_goal(scene: Scene) -> Scene:
-    """Return a scene without an accuracy or a budget."""
-    settings = replace(scene.settings, accuracy=None, budget=None)
-    return scene if settings == scene.settings else replace(scene, settings=settings)
-
-
-def in_formulation(scene: Scene, model: str) -> Scene:
-    """Return a scene with another formulation of its model.
-
-    A solver that cannot integrate that formulation gives way to the default.
-
-    Raises:
-        UnknownName: The formulation lacks an output of the scene, or what the scene sets.
-    """
-    dae, settings = load(model), scene.settings
-    for name in scene.outputs:
-        if name not in observable(dae):
-            raise no_such_output(dae, name)
-    exact = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs) if v.start is not None}
-    for name in scene.values:
-        if name not in exact:
-            raise UnknownName(f"{model} cannot be given '{name}', which {scene.name} sets")
-    if dae.algebraics and settings.solver and not SOLVERS[settings.solver].solves_dae:
-        settings = replace(settings, solver=None, step_size=None)
-    return replace(scene, dae=dae, settings=settings)
-
-
-def fitting_formulations(scene: Scene) -> Iterator[Scene]:
-    """Yield a scene in its own formulation, then in every other one that fits it.
-
-    What does not fit lacks an output of the scene, or cannot be given what the scene sets.
-    """
-    yield scene
-    for name in other_formulations(scene).values():
-        with suppress(UnknownName):
-            yield in_formulation(scene, name)
-
-
-def other_formulations(scene: Scene) -> dict[str, str]:
-    """Return `MODEL/FORMULATION` of a scene's other formulations, by formulation."""
-    try:
-        every = formulations(scene.dae.name)
-    except UnknownName:  # a user's own model
-        return {}
-    return {e.partition("/")[2]: e for e in every if e != scene.dae.full_name}
 
 
 def _felt(scene: Scene, dae: Dae) -> InputSeries | None:

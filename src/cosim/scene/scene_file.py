@@ -1,7 +1,7 @@
 """`read_scene`: from a TOML file to a `Scene`; what is wrong in it is named with its line."""
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -73,19 +73,6 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
         near = UnknownName.among("the working directory or cosim", "scene", given.name, shipped)
         raise UnknownName(f"{near} (all: cosim list)")
     return shipped[given.name]
-
-
-def scene_summaries() -> Iterator[dict[str, Any]]:
-    """Yield a line of facts on each shipped scene, without loading its model."""
-    for path in shipped_scenes():
-        data = read_toml(path).data
-        yield {
-            "scene": path.name,
-            "model": data["model"],
-            "outputs": len(data.get("outputs", ())) or "all",
-            "figures": len(data.get("figures", ())),
-            "title": data["title"],
-        }
 
 
 def _model(file: TomlFile) -> Dae:

@@ -9,11 +9,11 @@ import casadi_models
 from casadi_models.dae import Dae
 from cosim.errors import FmuError, InitialConditionError, SolverError, UsageError
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import INTERFACES
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
-from cosim.scene.roads import fitting_formulations, run_fmu, run_scene, scene_dae
+from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
+from cosim.scene.variants import fitting_formulations
 from cosim.tables import MOST_LINES, html_table, text_table
 from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
@@ -38,7 +38,7 @@ class Check:
     """
 
     model: str
-    road: str
+    road: Road
     against: str
     comparison: Comparison | None
     stats: dict[str, Any] = field(default_factory=dict)
@@ -186,7 +186,7 @@ def _checks(
             try:
                 run = run_scene(scene)
             except _FAILURES as error:
-                yield Check(scene.dae.full_name, "casadi", "", None, failure=str(error))
+                yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue
             yield from _roads(scene, run, bound)
             if first is None:
@@ -206,8 +206,9 @@ def _against(
     if len(left_out) == len(common):
         return None
     difference = compare(other, run, bound=bound, without=left_out)
-    solver = run.stats["solver"]
-    return Check(run.model, solver, other.model, difference, dict(run.stats), left_out=left_out)
+    return Check(
+        run.model, Road.NATIVE, other.model, difference, dict(run.stats), left_out=left_out
+    )
 
 
 def _members(item: str | Scene) -> Iterator[Scene]:
@@ -226,10 +227,10 @@ def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
     dae = scene_dae(scene)
     with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "model.fmu")
-        for interface in INTERFACES:
-            road, solver = f"fmpy {interface}", run.stats["solver"]
+        solver = run.stats["solver"]
+        for road in FMU_ROADS:
             try:
-                again = run_fmu(scene, dae, path, interface)
+                again = run_fmu(scene, dae, path, road)
             except _FAILURES as error:
                 yield Check(dae.full_name, road, solver, None, failure=str(error))
                 continue

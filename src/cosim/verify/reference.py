@@ -7,8 +7,6 @@ the reference is computed for the numbers of this very scene, and kept in the ca
 
 import hashlib
 import io
-import json
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -29,11 +27,11 @@ from cosim.integrate.solvers import SOLVERS
 from cosim.model.time_grid import time_grid
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no costly method is tried
-_FORMAT = "reference-2"
+_FORMAT = "reference-3"
 
 
 @dataclass(frozen=True)
@@ -203,16 +201,10 @@ def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:
 
 def _keep(found: Reference, entry: str) -> None:
     """Write to the cache; without one, the reference is computed again next time."""
-    facts = {
-        "model": found.run.model,
-        "columns": [vars(column) for column in found.run.columns],
-        "method": found.method,
-        "check": found.check,
-        "errors": dict(found.errors),
-        "key": found.key,
-    }
+    names = ("method", "check", "errors", "key")
     content = io.BytesIO()
-    np.savez(content, time=found.run.time, values=found.run.values, facts=json.dumps(facts))
+    stats = {name: getattr(found, name) for name in names}
+    replace(found.run, stats=stats).to_npz(content)
     with suppress(OSError, CacheError):
         keep(entry, content.getvalue())
 
@@ -222,13 +214,8 @@ def _read(entry: str, key: str) -> Reference | None:
     if content is None:
         return None
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            facts = json.loads(str(stored["facts"]))
-            columns = tuple(Column(**column) for column in facts["columns"])
-            run = Trajectory(facts["model"], stored["time"], columns, stored["values"])
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        run = Trajectory.from_npz(io.BytesIO(content))
+        found = Reference(run=replace(run, stats={"solver": run.stats["method"]}), **run.stats)
+    except (UsageError, KeyError, TypeError):
         return None  # of another version
-    if facts["key"] != key:
-        return None
-    run = replace(run, stats={"solver": facts["method"]})
-    return Reference(run, facts["method"], facts["check"], facts["errors"], key)
+    return found if found.key == key else None

@@ -12,13 +12,13 @@ from helpers.small_models import decay, table
 
 import cosim
 from casadi_models.dae import Model
+from cosim.api import run_scene, simulate
 from cosim.cli.arguments import named_scene
 from cosim.cli.main import main
 from cosim.codegen.c_sources import cache_folder
 from cosim.errors import ParameterError, SolverError, UsageError
-from cosim.integrate.simulate import simulate
-from cosim.scene.roads import run_scene, variant
 from cosim.scene.scene import Scene, Settings
+from cosim.scene.variants import variant
 from cosim.study.accuracy.fmu import export_accurate
 from cosim.study.accuracy.front import TOLERANCES, measured_front
 from cosim.study.accuracy.solver_selection import promise_kept, promised_run

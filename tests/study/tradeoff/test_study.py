@@ -21,14 +21,14 @@ from cosim.study.tradeoff.measurement import (
     invariants,
     observed_event,
 )
-from cosim.study.tradeoff.record import Event, Record
+from cosim.study.tradeoff.record import Event, Outcome, Record
 from cosim.study.tradeoff.result import pareto_front, proportionality
 from cosim.study.tradeoff.study import study_record, tradeoff
 from cosim.study.tradeoff.variants import Workshop
 from cosim.verify.reference import reference
 
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9)
-SMALL = Selection(("erk", "rk4"), TOLERANCES, (0.02, 0.01, 0.005), ("compiled",))
+SMALL = Selection(("erk", "rk4"), TOLERANCES, (0.02, 0.01, 0.005), ("native",))
 
 
 def bar(**changes) -> Scene:
@@ -42,9 +42,9 @@ def study():
 
 
 def measured(cost, error, name="m"):
-    configuration = Configuration(name, False, "compiled", "erk", 1e-3)
+    configuration = Configuration(name, False, "native", "erk", 1e-3)
     return Measurement(
-        configuration, "complete", error, "x", {"x": error}, rhs_calls=cost,
+        configuration, Outcome(), error, "x", {"x": error}, rhs_calls=cost,
         solver_time=Timing(cost, cost, cost, 1),
     )  # fmt: skip
 
@@ -69,7 +69,7 @@ def test_error_is_the_largest_difference_in_nominal_values():
     for name, amount in shift.items():
         values[40, truth.run.names.index(name)] += amount
     run = type(truth.run)("bar", truth.run.time, truth.run.columns, values, {"wall_time": 1.0})
-    event = observed_event(Configuration("bar", False, "compiled", "erk"), run, truth, kept, ())
+    event = observed_event(Configuration("bar", False, "native", "erk"), run, truth, kept, ())
     expected = {n: abs(a) / truth.run.column(n).nominal for n, a in shift.items()}
     assert event.errors == pytest.approx(expected, rel=1e-9)
 
@@ -108,8 +108,8 @@ def test_errors_below_the_floor_win_nothing():
 
 def test_fit_leaves_out_what_the_reference_cannot_tell():
     def at(tolerance, error):
-        configuration = Configuration("m", False, "compiled", "erk", tolerance)
-        return Measurement(configuration, "complete", error, "x", {"x": error})
+        configuration = Configuration("m", False, "native", "erk", tolerance)
+        return Measurement(configuration, Outcome(), error, "x", {"x": error})
 
     points = [at(10.0**-k, max(3 * 10.0**-k, 1e-9)) for k in range(2, 12)]
     (fit,) = proportionality(points, 1e-9)
@@ -152,7 +152,7 @@ def test_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
 def test_study_that_is_not_resumed_begins_anew(tmp_path):
     record = Record(tmp_path / "runs.jsonl", "key")
     record.begin(resume=False)
-    event = Event(Configuration("m", False, "compiled", "erk", 1e-3), errors={"x": 0.1})
+    event = Event(Configuration("m", False, "native", "erk", 1e-3), errors={"x": 0.1})
     record.append(event)
     assert record.begin(resume=True) == [event]
     assert Record(record.path, "another model").begin(resume=True) == []
@@ -170,8 +170,8 @@ def test_failed_configuration_says_why_and_stops_nothing(monkeypatch):
 
     monkeypatch.setattr(Workshop, "run", failing)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
-    failed = [m for m in study.measurements if m.status != "complete"]
-    assert [(m.configuration.tolerance, m.status) for m in failed] == [
+    failed = [m for m in study.measurements if m.outcome.reason]
+    assert [(m.configuration.tolerance, str(m.outcome)) for m in failed] == [
         (1e-5, "SolverError: it gave up")
     ]
     assert failed[0].error is None
@@ -181,13 +181,13 @@ def test_failed_configuration_says_why_and_stops_nothing(monkeypatch):
 def test_tighter_tolerances_are_left_out_where_a_looser_one_was_slow(monkeypatch):
     monkeypatch.setattr("cosim.study.tradeoff.rounds.SLOW", 0.0)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
-    ran = {m.configuration for m in study.measurements if m.status == "complete"}
+    ran = {m.configuration for m in study.measurements if m.outcome == Outcome()}
     assert {(c.tolerance, c.step) for c in ran} == {(1e-3, None), (None, 0.02)}
-    assert "more than 0 s" in study.measurements[1].status
+    assert "more than 0 s" in study.measurements[1].outcome.reason
     told = {row["configuration"] for row in study.missing()}
     assert told == {
-        "bar_on_frame/reduced compiled erk 1e-05 ... 1e-09",
-        "bar_on_frame/reduced compiled rk4 0.01 s ... 0.005 s",
+        "bar_on_frame/reduced native erk 1e-05 ... 1e-09",
+        "bar_on_frame/reduced native rk4 0.01 s ... 0.005 s",
     }
 
 
@@ -196,30 +196,30 @@ def test_time_to_compile_does_not_make_a_run_slow(monkeypatch):
 
     def compiling(self, configuration):
         run = original(self, configuration)
-        return replace(run, stats=run.stats | {"wall_time": 1000.0})
+        return replace(run, stats={**run.stats, "wall_time": 1000.0})
 
     monkeypatch.setattr(Workshop, "run", compiling)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
-    assert {m.status for m in study.measurements} == {"complete"}
+    assert {m.outcome for m in study.measurements} == {Outcome()}
     assert {m.total_time.repeats for m in study.measurements} == {1}
 
 
 def test_interpreted_runs_are_left_out_where_their_compiled_twin_was_slow(monkeypatch):
     monkeypatch.setattr("cosim.study.tradeoff.rounds.SLOW", 0.0)
-    selection = Selection(("erk",), (1e-3,), roads=("compiled", "interpreted"))
+    selection = Selection(("erk",), (1e-3,), roads=("native", "native-interpreted"))
     study = tradeoff(bar(), selection=selection, every_formulation=False, repeats=0)
     assert [m.error is None for m in study.measurements] == [False, True]
-    assert "reduced compiled erk 1e-03 took" in study.measurements[1].status
+    assert "reduced native erk 1e-03 took" in study.measurements[1].outcome.reason
 
 
 def test_study_without_time_lists_what_it_left_out_and_runs_it_when_resumed():
     arguments = {"selection": SMALL, "every_formulation": False, "repeats": 1}
     study = tradeoff(bar(), seconds=0.0, **arguments)
-    assert {m.status for m in study.measurements} == {
+    assert {str(m.outcome) for m in study.measurements} == {
         "left out: no time was left; resume the study"
     }
     again = tradeoff(bar(), resume=True, **arguments)
-    assert {m.status for m in again.measurements} == {"complete"}
+    assert {m.outcome for m in again.measurements} == {Outcome()}
 
 
 def test_failure_that_took_long_keeps_tighter_tolerances_from_running(monkeypatch):
@@ -229,23 +229,23 @@ def test_failure_that_took_long_keeps_tighter_tolerances_from_running(monkeypatc
 
     monkeypatch.setattr(Workshop, "run", failing)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
-    reasons = [m.status.partition(":")[0] for m in study.measurements]
+    reasons = [m.outcome.kind for m in study.measurements]
     assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]
 
 
 def test_what_cannot_be_measured_is_listed_with_its_reason():
-    selection = Selection(("erk", "dop853"), (1e-4,), roads=("compiled", "interpreted"))
+    selection = Selection(("erk", "dop853"), (1e-4,), roads=("native", "native-interpreted"))
     study = tradeoff("crank_shaft", selection=selection, repeats=0)
     told = {row["configuration"]: row["reason"] for row in study.missing()}
     assert told == {
-        "crank_shaft/driven interpreted dop853": "exists as compiled code only",
+        "crank_shaft/driven native-interpreted dop853": "exists as compiled code only",
         "crank_shaft/multipliers erk": "cannot integrate algebraic unknowns",
-        "crank_shaft/multipliers interpreted dop853": "exists as compiled code only",
+        "crank_shaft/multipliers native-interpreted dop853": "exists as compiled code only",
     }
 
 
 def test_median_and_spread_leave_the_first_run_out():
-    configuration = Configuration("m", False, "compiled", "erk", 1e-3)
+    configuration = Configuration("m", False, "native", "erk", 1e-3)
     times = (9.0, 1.0, 3.0, 2.0)  # the first run may have compiled
     events = [Event(configuration, errors={"x": 0.1}, solver_time=t, total_time=t) for t in times]
     (measurement,) = gather(events)
@@ -257,7 +257,7 @@ def test_median_and_spread_leave_the_first_run_out():
     ("arguments", "error"),
     [
         ({"solvers": ("erkk",)}, UnknownName),
-        ({"roads": ("fmu",)}, UnknownName),
+        ({"roads": ("fmi",)}, UnknownName),
         ({"tolerances": (0.5,)}, ParameterError),
         ({"tolerances": (0.0,)}, ParameterError),
         ({"steps": (0.0,)}, ParameterError),
@@ -284,19 +284,19 @@ def test_without_a_compiler_only_interpreted_equations_are_measured(monkeypatch)
         bar(), selection=selection, every_formulation=False, repeats=0, tell=said.append
     )
     assert "no C compiler: interpreted equations only" in said
-    assert {m.configuration.road for m in study.measurements} == {"interpreted"}
-    assert ("compiled, fmpy-me, fmpy-cs", "no C compiler") in study.impossible
+    assert {m.configuration.road for m in study.measurements} == {"native-interpreted"}
+    assert ("native, fmu-me, fmu-cs", "no C compiler") in study.impossible
     with pytest.raises(MissingTool, match="no C compiler found"):
-        tradeoff(bar(), selection=Selection(roads=("compiled",)))
+        tradeoff(bar(), selection=Selection(roads=("native",)))
 
 
 def test_wanted_outputs_are_measured_on_the_full_and_on_the_reduced_model():
-    selection = Selection((), (1e-6,), (0.01,), ("compiled", "fmpy-me"))
+    selection = Selection((), (1e-6,), (0.01,), ("native", "fmu-me"))
     study = tradeoff(
         bar(outputs=("theta",)), selection=selection, every_formulation=False, repeats=0
     )
     found = {(m.configuration.road, m.configuration.reduced) for m in study.measurements}
-    assert found == set(product(("compiled", "fmpy-me"), (False, True)))
+    assert found == set(product(("native", "fmu-me"), (False, True)))
     assert {tuple(m.errors) for m in study.measurements} == {("theta",)}
 
 
@@ -307,7 +307,7 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
     assert main([*common, "-v", "--output-file", table, "--figure", figure]) == 0
     captured = capsys.readouterr()
     assert "Pareto front, error against rhs_calls" in captured.out
-    assert "2/2 bar_on_frame/reduced compiled erk 1e-06: error" in captured.err
+    assert "2/2 bar_on_frame/reduced native erk 1e-06: error" in captured.err
     lines = (tmp_path / "t.csv").read_text().splitlines()
     assert any(line.startswith("# model hash: ") for line in lines)
     assert sum(not line.startswith("#") for line in lines) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,9 @@ def run(args: argparse.Namespace) -> int:
     if scene.inputs and not args.quiet:
         told = ", ".join(scene.inputs.names)
         print(f"{told}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
+    if args.json:
+        facts = {"file": str(path), "bytes": path.stat().st_size, "model": dae.full_name}
+        print(json.dumps(facts | {"report": list(dae.report)}))
     if not args.quiet:
         print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
     return 0

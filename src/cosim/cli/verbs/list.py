@@ -19,29 +19,15 @@ def add_parser(verbs: Verbs) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show every model and formulation, and the shipped scenes."""
-    import casadi_models
     from cosim.cli.tables import show_table
-    from cosim.model.catalogue import load
-    from cosim.scene.scene_file import scene_summaries
+    from cosim.model.summary import summary
+    from cosim.scene.library import scene_summaries
 
-    models = []
-    for name in casadi_models.CATALOG:
-        dae = load(name)
-        models.append(
-            {
-                "model": name,
-                "states": len(dae.states),
-                "algebraics": len(dae.algebraics),
-                "parameters": len(dae.parameters),
-                "outputs": len(dae.output_variables),
-                "description": dae.description,
-            }
-        )
-    scenes = list(scene_summaries())
+    models, scenes = summary(), list(scene_summaries())
     if args.json:
         print(json.dumps({"models": models, "scenes": scenes}, indent=1))
         return 0
-    show_table(models, as_json=args.json)
-    print("\nscenes, for simulate, export, crosscheck and plot")
-    show_table(scenes, as_json=args.json)
+    show_table(models, as_json=False)
+    print("\nscenes, for simulate, export, crosscheck, tradeoff, plot and info")
+    show_table(scenes, as_json=False)
     return 0

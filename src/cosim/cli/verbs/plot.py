@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--compare",
         metavar="A,B",
-        help="more runs: fmu, fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
+        help="more runs: fmu-me, fmu-cs, a solver, a formulation; of one, the difference, too",
     )
     add_output_file(parser, "FILE", "PNG, SVG or PDF; a window by default")
     parser.add_argument(
@@ -75,9 +76,12 @@ def run(args: argparse.Namespace) -> int:
     if args.output_file is None:
         show(figures)
         return code
-    for path in save(figures, args.output_file, args.dpi):
-        if not args.quiet:
-            print(path, file=sys.stderr)
+    paths = save(figures, args.output_file, args.dpi)
+    if args.json:
+        told = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
+        print(json.dumps({"files": [str(path) for path in paths], **told}))
+    elif not args.quiet:
+        print(*paths, sep="\n", file=sys.stderr)
     return code
 
 

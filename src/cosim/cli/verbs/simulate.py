@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cosim.cli.options import (
     add_output_file,
@@ -18,6 +18,7 @@ from cosim.cli.options import (
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
+    from cosim.trajectory import Trajectory
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -28,26 +29,56 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     add_solver(parser)
     add_output_file(parser, "FILE", "CSV; standard output by default")
+    parser.add_argument(
+        "--units", default="si", metavar="KIND", help="si, or book: display units, and their names"
+    )
+    parser.add_argument("--at", metavar="T1,T2", help="values at these times, as a table")
     add_timeout(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a model or an FMU."""
+    from cosim.cli.arguments import times_in
     from cosim.cli.running import run_or_partial, scene_or_none
-    from cosim.cli.tables import write_text
+    from cosim.cli.tables import show_table, write_text
+    from cosim.errors import UnknownName
     from cosim.scene.roads import scene_dae
+    from cosim.trajectory import KINDS
 
     scene = scene_or_none(args)
     run, code = run_or_partial(args, scene)
+    if args.units not in KINDS:
+        raise UnknownName.among("cosim simulate", "kind of units", args.units, KINDS)
+    if args.at is not None and scene is None:
+        run = run.at(sorted(times_in("--at", args.at)))
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
         text = json.dumps(head | {"stats": dict(run.stats), "values": columns}) + "\n"
         write_text(args.output_file, text)
+    elif args.at is not None and args.output_file is None:
+        show_table(_at_times(run, args.units), as_json=False, digits=10)
+    elif args.output_file is None and sys.stdout.isatty():
+        print(run.summary())
+        print("every output time: -o FILE.csv, or cosim simulate ... > FILE.csv", file=sys.stderr)
     else:
-        run.to_csv(args.output_file or sys.stdout)
+        run.to_csv(args.output_file or sys.stdout, units=args.units)
+    if "stop" in run.stats and not args.quiet:
+        print(f"stopped where {run.stats['stop']}", file=sys.stderr)
     if args.verbose:
         for line in scene_dae(scene).report if scene else ():
             print(line, file=sys.stderr)
         print(", ".join(f"{key} {value}" for key, value in run.stats.items()), file=sys.stderr)
     return code
+
+
+def _at_times(run: Trajectory, units: str) -> list[dict[str, Any]]:
+    """Return a row per variable, a column per time."""
+    rows = []
+    for column in run.columns:
+        values, unit = run[column.name], column.unit
+        if units == "book":
+            values, unit = column.shown(values), column.shown_unit
+        at = {f"{t:.10g} s": float(value) for t, value in zip(run.time, values, strict=True)}
+        rows.append({"name": column.name, "unit": unit, **at})
+    return rows

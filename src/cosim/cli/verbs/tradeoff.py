@@ -30,7 +30,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--solvers", metavar="A,B", help="all, and the FMU, by default")
     parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
     parser.add_argument("--steps", metavar="A,B", help="s; of rk4 and ode8")
-    parser.add_argument("--roads", metavar="A,B", help="compiled, interpreted, fmpy-me, fmpy-cs")
+    parser.add_argument("--roads", metavar="A,B", help="native, native-interpreted, fmu-me, fmu-cs")
     parser.add_argument(
         "--drift-controls", metavar="A,B", help="none, baumgarte, projection; the model's own"
     )

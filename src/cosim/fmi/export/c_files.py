@@ -32,6 +32,7 @@ def model_header(
 #define NU {len(dae.inputs)}
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
+#define N_LIMITS {len(dae.limits)}
 #define DEFAULT_TOLERANCE {tolerance!r}
 #define HAS_ADJOINT {int(fmi == 3)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
@@ -40,15 +41,21 @@ def model_header(
 """
 
 
-def variable_table(variables: Sequence[FmuVariable]) -> str:
-    """Return `model.c`: every variable, in the order of the value references."""
+def variable_table(dae: Dae, variables: Sequence[FmuVariable]) -> str:
+    """Return `model.c`: every variable, in the order of the value references, and the limits."""
+    limits = "".join(f"    {_string(meaning)},\n" for _, meaning in dae.limits)
     rows = "".join(f"    {{{', '.join(_row(variable))}}},\n" for variable in variables)
     return f"""/* Generated. */
 #include "variables.h"
 #include <float.h>
+#include <stddef.h>
 
 const VariableInfo variables[] = {{
 {rows}}};
+
+const char *const limits[] = {{
+{limits}    NULL,
+}};
 """
 
 

@@ -15,7 +15,9 @@ _HEADINGS = {
 }
 
 
-def documentation_page(dae: Dae, variables: Sequence[FmuVariable]) -> str:
+def documentation_page(
+    dae: Dae, variables: Sequence[FmuVariable], solver: str, tolerance: float
+) -> str:
     """Return `documentation/index.html`: what the model is, and every variable."""
     sections = "".join(
         _section(heading, [v for v in variables if v.role is role])
@@ -30,9 +32,18 @@ text-align: left }} td.number {{ text-align: right }}</style></head>
 <h1>{escape(dae.full_name)}</h1>
 <p>{escape(dae.description)}</p>
 <p>Source: {escape(dae.source)}. All values are in SI units.</p>
-{sections}</body>
+<p>Co-simulation integrates with {escape(solver)}; the recommended relative tolerance is
+{tolerance:g}.</p>
+{_limits(dae)}{sections}</body>
 </html>
 """
+
+
+def _limits(dae: Dae) -> str:
+    if not dae.limits:
+        return ""
+    rows = "".join(f"<li>{escape(meaning)}</li>\n" for _, meaning in dae.limits)
+    return f"<p>The model holds while</p>\n<ul>\n{rows}</ul>\n"
 
 
 def _section(heading: str, variables: Sequence[FmuVariable]) -> str:

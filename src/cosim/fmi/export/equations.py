@@ -31,7 +31,7 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         start_function(dae),
         algebraic_function(dae),
         _plain(dae, "model_ode", dae.ode),
-        _plain(dae, "model_outputs", dae.outputs),
+        _plain(dae, "model_outputs", dae.outputs, _margins(dae)),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
@@ -44,9 +44,14 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     return differential_errors(code) if dae.algebraics else code
 
 
-def _plain(dae: Dae, name: str, expression: SX) -> ca.Function:
+def _margins(dae: Dae) -> SX:
+    return ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
+
+
+def _plain(dae: Dae, name: str, *expressions: SX) -> ca.Function:
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return ca.Function(name, symbols, [expression], _CALL, ["value"], {"cse": True})
+    names = ["value", "margins"][: len(expressions)]
+    return ca.Function(name, symbols, [*expressions], _CALL, names, {"cse": True})
 
 
 def step_function(dae: Dae, plugin: str) -> ca.Function:

@@ -128,7 +128,7 @@ def source_files(
     others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
-        "model.c": variable_table(variables).encode(),
+        "model.c": variable_table(dae, variables).encode(),
         "equations.c": equations(dae, name, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
@@ -147,7 +147,7 @@ def source_files(
     code["buildDescription.xml"] = build_description(signed)
     return {
         "modelDescription.xml": model_description(dae, signed, variables, depends, VERSIONS[fmi]),
-        "documentation/index.html": documentation_page(dae, variables).encode(),
+        "documentation/index.html": documentation_page(dae, variables, solver, tolerance).encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
     }
 

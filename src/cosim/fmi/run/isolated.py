@@ -13,20 +13,17 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
 
-import numpy as np
-
 from cosim import errors
-from cosim.errors import CosimError, FmuError
+from cosim.errors import CosimError, FmuError, UsageError
 from cosim.escaping import sentence, visible
 from cosim.fmi.run.limits import VARIABLE, Limits
 from cosim.model.values import number
 from cosim.temporary import temporary_folder
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.json", "answer.json", "values.npz"
 _SUNDIALS = "[ERROR][rank"  # how fmpy's solver begins what its error says, too
@@ -177,10 +174,10 @@ def _answer(folder: Path, place: str, name: str) -> Trajectory:
     if "error" in answer:
         kind = getattr(errors, answer["error"])
         raise kind(answer["message"].replace(place, name))
-    with np.load(folder / _VALUES, allow_pickle=False) as arrays:
-        time, values = arrays["time"], arrays["values"]
-    columns = tuple(Column(**column) for column in answer["columns"])
-    return Trajectory(answer["model"], time, columns, values, answer["stats"])
+    try:
+        return Trajectory.from_npz(folder / _VALUES)
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 def _end(code: int) -> str:
@@ -208,7 +205,7 @@ def _main(folder: Path) -> None:
 
         run = simulate_fmu(path, **request["options"])
     except CosimError as error:
-        answer: dict[str, Any] = {"error": type(error).__name__, "message": str(error)}
+        answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
         told = f"{path}: the FMU exceeded the limit of memory ({VARIABLE})"
         answer = {"error": "FmuError", "message": told}
@@ -216,9 +213,8 @@ def _main(folder: Path) -> None:
         told = f"{path}: it cannot be run: {type(error).__name__}: {sentence(str(error))}"
         answer = {"error": "FmuError", "message": told}
     else:
-        np.savez(folder / _VALUES, time=run.time, values=run.values)
-        columns = [asdict(column) for column in run.columns]
-        answer = {"model": run.model, "columns": columns, "stats": dict(run.stats)}
+        run.to_npz(folder / _VALUES)
+        answer = {}
     (folder / _ANSWER).write_text(json.dumps(answer))
     with suppress(OSError, TypeError, AttributeError):  # Windows has no C library of this name
         ctypes.CDLL(None).fflush(None)

@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -23,8 +22,9 @@ from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import CacheError, CosimError
 from cosim.integrate.outputs import all_columns
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
-from cosim.study.tradeoff.configuration import COMPILED, INTERPRETED, Configuration, Selection
+from cosim.study.tradeoff.configuration import Configuration, Selection
 from cosim.study.tradeoff.measurement import Measurement, gather, observed_event
 from cosim.study.tradeoff.record import Event
 from cosim.study.tradeoff.result import pareto_front
@@ -35,7 +35,7 @@ TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
 ROUNDS = 4  # of which the fastest counts: what else the machine does makes a run slower only
 SECONDS = 5.0  # after which no configuration is timed once more
 MOST_CALLS = 200_000  # of the equations; a solver that needs more is not tried any tighter
-_FORMAT = "front-2"
+_FORMAT = "front-3"
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,8 @@ def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
     best = reference(scene)
     workshop = Workshop({dae.full_name: scene}, dae.observed, Path())
     begin, end = span(scene)
-    selection = Selection(
-        solvers(dae, compiled=compiled), TOLERANCES, (), (COMPILED if compiled else INTERPRETED,)
-    )
+    road = Road.NATIVE if compiled else Road.INTERPRETED
+    selection = Selection(solvers(dae, compiled=compiled), TOLERANCES, (), (road,))
     wanted = selection.configurations(dae, None, end - begin, dae.experiment.output_interval)
     events: dict[Configuration, Event] = {}
     # Calls of each solver's last run, which repeat whatever else the machine does, as times do not
@@ -162,11 +161,6 @@ def _read(entry: str) -> Front | None:
         return None
     try:
         facts = json.loads(content)
-        return Front(tuple(map(_event_of, facts["events"])), facts["rounding"])
+        return Front(tuple(map(Event.of, facts["events"])), facts["rounding"])
     except (ValueError, KeyError, TypeError):
         return None  # of another version
-
-
-def _event_of(facts: dict[str, Any]) -> Event:
-    configuration = Configuration(**facts["configuration"])
-    return Event(**facts | {"configuration": configuration})

@@ -20,6 +20,7 @@ from cosim.model.catalogue import formulations
 from cosim.model.values import number
 from cosim.study.extremes.cases import Case, Reference, catalogue
 from cosim.study.extremes.oracles import OUTCOMES, Runner, Verdict, judge, run_case
+from cosim.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
 LONGER = 10  # times the limit of other cases, for those that simulate an hour
@@ -60,6 +61,25 @@ def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case
         for case in catalogue()
         if (long or not case.long) and (not models or case.model in wanted)
     ]
+
+
+def extremes(
+    models: str | Sequence[str] = (), *, long: bool = False, timeout: float = 120.0
+) -> Table:
+    """Run models at their limits; return how each case ended, a row each.
+
+    Args:
+        models: Models or formulations of the catalogue; all when none is named.
+        long: With hours of simulated time.
+        timeout: For one case, s.
+
+    Raises:
+        UnknownName: The catalogue has no such model.
+        ParameterError: The timeout is not a positive number.
+    """
+    names = (models,) if isinstance(models, str) else models
+    findings = list(explore(select_cases(names, long=long), timeout=timeout))
+    return Table(tuple(finding.row() for finding in findings))
 
 
 def explore(

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.errors import CosimError, SolverError
 from cosim.study.tradeoff.configuration import Configuration
-from cosim.study.tradeoff.record import Event
+from cosim.study.tradeoff.record import Event, Outcome
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 from cosim.verify.reference import Reference
@@ -33,7 +33,7 @@ class Measurement:
 
     Attributes:
         configuration: What ran.
-        status: "complete", or why there is no result.
+        outcome: How its first run ended.
         error: Largest global error of the kept outputs, in nominal values.
         worst: The output that has it.
         errors: Of each kept output.
@@ -45,7 +45,7 @@ class Measurement:
     """
 
     configuration: Configuration
-    status: str
+    outcome: Outcome
     error: float | None = None
     worst: str | None = None
     errors: Mapping[str, float] | None = None
@@ -58,6 +58,11 @@ class Measurement:
     solver_time: Timing | None = None
     total_time: Timing | None = None
     first_time: float | None = None
+
+    @property
+    def known_error(self) -> float:
+        """The error; infinite where there is no result."""
+        return float("inf") if self.error is None else self.error
 
     def cost(self, kind: str) -> float | None:
         """Return the cost of one of `COSTS`: calls, or the median time in s."""
@@ -88,7 +93,7 @@ class Measurement:
             **_in_ms("total", self.total_time),
             "repeats": self.total_time.repeats if self.total_time else 0,
             "first_ms": None if self.first_time is None else 1e3 * self.first_time,
-            "status": self.status,
+            "status": str(self.outcome),
         }
 
 
@@ -133,7 +138,7 @@ def failed_event(configuration: Configuration, error: CosimError) -> Event:
     """Keep the reason why a configuration has no result, and the time that the solver took."""
     partial = error.partial if isinstance(error, SolverError) else None
     time = partial.stats.get("solve_time") if partial is not None else None
-    return Event(configuration, f"{type(error).__name__}: {error}", solver_time=time)
+    return Event(configuration, Outcome(type(error).__name__, str(error)), solver_time=time)
 
 
 def invariants(reference: Reference) -> tuple[str, ...]:
@@ -166,12 +171,12 @@ def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
 def _measurement(events: Sequence[Event]) -> Measurement:
     first, repeats = events[0], events[1:] or events
     if not first.errors:
-        return Measurement(first.configuration, first.status)
+        return Measurement(first.configuration, first.outcome)
     worst = max(first.errors, key=first.errors.__getitem__)
     drifting = max(first.drift, key=first.drift.__getitem__, default=None)
     return Measurement(
         first.configuration,
-        first.status,
+        first.outcome,
         error=first.errors[worst],
         worst=worst,
         errors=first.errors,

@@ -1,16 +1,34 @@
-"""One run of a configuration as plain values, and the file in which they survive."""
+"""One run of a configuration as plain values, and the file in which runs survive."""
 
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from cosim.codegen.cache import plain_file
 from cosim.errors import ExportError
 from cosim.study.tradeoff.configuration import Configuration
+
+COMPLETE, LEFT_OUT = "complete", "left out"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        kind: "complete", "left out", or the type of the error.
+        reason: Why there is no result.
+    """
+
+    kind: str = COMPLETE
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}" if self.reason else self.kind
 
 
 @dataclass(frozen=True)
@@ -19,7 +37,7 @@ class Event:
 
     Attributes:
         configuration: What ran.
-        status: "complete", or why there is no result.
+        outcome: How the run ended.
         errors: Largest global error by name, in nominal values.
         drift: Largest change of what the reference keeps constant, in nominal values, by name.
         rhs_calls, jacobian_calls, steps: Counts; None where the road does not tell.
@@ -28,7 +46,7 @@ class Event:
     """
 
     configuration: Configuration
-    status: str = "complete"
+    outcome: Outcome = Outcome()
     errors: dict[str, float] = field(default_factory=dict)
     drift: dict[str, float] = field(default_factory=dict)
     rhs_calls: int | None = None
@@ -37,6 +55,17 @@ class Event:
     points: int = 0
     solver_time: float | None = None
     total_time: float | None = None
+
+    @classmethod
+    def of(cls, facts: Mapping[str, Any]) -> "Event":
+        """Return a run from its plain values (`asdict`).
+
+        Raises:
+            KeyError, TypeError: They are of another version.
+        """
+        configuration = Configuration(**facts["configuration"])
+        outcome = Outcome(**facts["outcome"])
+        return cls(**{**facts, "configuration": configuration, "outcome": outcome})
 
     @property
     def run_time(self) -> float:
@@ -76,7 +105,10 @@ class Record:
     def append(self, event: Event) -> None:
         """Add a run; it is on the disk when this returns."""
         with self.path.open("a", encoding="utf-8") as stream:
-            _write(stream, {"key": self.key, **asdict(event)})
+            facts = {"key": self.key} | asdict(event)
+            stream.write(json.dumps({**facts, "sha256": _checksum(facts)}) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
 
     def _events(self) -> Iterator[Event]:
         for line in (plain_file(self.path) or b"").split(b"\n"):
@@ -84,17 +116,10 @@ class Record:
                 facts = json.loads(line)
                 checksum = facts.pop("sha256")
                 if checksum == _checksum(facts) and facts.pop("key") == self.key:
-                    configuration = Configuration(**facts.pop("configuration"))
-                    yield Event(configuration, **facts)
+                    yield Event.of(facts)
             except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 continue  # cut off by an interruption, or damaged
 
 
 def _checksum(facts: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
-
-
-def _write(stream: TextIO, facts: dict[str, Any]) -> None:
-    stream.write(json.dumps({**facts, "sha256": _checksum(facts)}) + "\n")
-    stream.flush()
-    os.fsync(stream.fileno())

@@ -15,7 +15,8 @@ import numpy as np
 
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import MissingTool
-from cosim.study.tradeoff.configuration import COMPILED, Family
+from cosim.scene.roads import Road
+from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.convergence import Order
 from cosim.study.tradeoff.measurement import COSTS, Measurement
 from cosim.study.tradeoff.stability import StabilityLimit
@@ -96,12 +97,14 @@ class Tradeoff:
         groups: dict[tuple[Family, str], list[Measurement]] = {}
         for measurement in self.measurements:
             if measurement.error is None:
-                kind = measurement.status.partition(":")[0]
-                groups.setdefault((measurement.configuration.family, kind), []).append(measurement)
+                kind = (measurement.configuration.family, measurement.outcome.kind)
+                groups.setdefault(kind, []).append(measurement)
         rows = []
         for first, *others in groups.values():
             last = f" ... {others[-1].configuration.setting}" if others else ""
-            rows.append({"configuration": f"{first.configuration}{last}", "reason": first.status})
+            rows.append(
+                {"configuration": f"{first.configuration}{last}", "reason": str(first.outcome)}
+            )
         keys = ("configuration", "reason")
         return [*rows, *(dict(zip(keys, pair, strict=True)) for pair in self.impossible)]
 
@@ -185,7 +188,7 @@ def proportionality(
     families: dict[Family, list[tuple[float, float]]] = {}
     for measurement in measurements:
         configuration, error = measurement.configuration, measurement.error
-        adaptive = configuration.road == COMPILED and configuration.tolerance is not None
+        adaptive = configuration.road is Road.NATIVE and configuration.tolerance is not None
         if adaptive and error is not None and 10 * floor < error < 0.1:
             point = (log10(configuration.tolerance or 1.0), log10(error))
             families.setdefault(configuration.family, []).append(point)

@@ -5,8 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
 
-from cosim.study.tradeoff.configuration import COMPILED, INTERPRETED, Configuration
-from cosim.study.tradeoff.record import Event, Record
+from cosim.scene.roads import Road
+from cosim.study.tradeoff.configuration import Configuration
+from cosim.study.tradeoff.record import LEFT_OUT, Event, Outcome, Record
 
 SLOW = 5.0  # s; what takes longer is not run with tighter tolerances, smaller steps, interpreted
 LONG = 0.5  # s; what takes longer is timed once
@@ -49,11 +50,13 @@ def measure(
                 if number:
                     tell(f"no time for more repeats: {number - 1} of {repeats} are complete")
                     return
-                events.append(Event(configuration, "left out: no time was left; resume the study"))
+                left = Outcome(LEFT_OUT, "no time was left; resume the study")
+                events.append(Event(configuration, left))
                 failed.add(configuration)
                 continue
             reason = None if number else _too_slow(configuration, took)
-            event = Event(configuration, reason) if reason else run(configuration)
+            left = Outcome(LEFT_OUT, reason or "")
+            event = Event(configuration, left) if reason else run(configuration)
             record.append(event)
             events.append(event)
             counts[configuration] += 1
@@ -69,13 +72,13 @@ def _too_slow(configuration: Configuration, took: Mapping[Configuration, float])
     """Say which run, that cannot take longer than this one, was slow already."""
     for other, time in took.items():
         if time > SLOW and _no_slower(other, configuration):
-            return f"left out: {other.short} took {time:.1f} s, more than {SLOW:g} s"
+            return f"{other.short} took {time:.1f} s, more than {SLOW:g} s"
     return None
 
 
 def _no_slower(other: Configuration, configuration: Configuration) -> bool:
     """Tell whether a run is coarser, or the compiled twin of an interpreted one."""
-    twins = (other.road, configuration.road) == (COMPILED, INTERPRETED)
+    twins = (other.road, configuration.road) == (Road.NATIVE, Road.INTERPRETED)
     alike = replace(other, road=configuration.road) if twins else other
     return alike.family == configuration.family and (
         (other.tolerance or 0) >= (configuration.tolerance or 0)
@@ -85,7 +88,7 @@ def _no_slower(other: Configuration, configuration: Configuration) -> bool:
 
 def _said(event: Event) -> str:
     if not event.errors:
-        return f"{event.configuration}: {event.status}"
+        return f"{event.configuration}: {event.outcome}"
     worst = max(event.errors, key=event.errors.__getitem__)
     calls = "" if event.rhs_calls is None else f", {event.rhs_calls} calls"
     told = f"error {event.errors[worst]:.1e} ({worst}){calls}, {1e3 * event.run_time:.2f} ms"

@@ -9,14 +9,9 @@ from cosim.codegen.compiler import find_compiler, has_compiler
 from cosim.errors import CosimError, UsageError
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
-from cosim.study.tradeoff.configuration import (
-    COMPILED,
-    INTERPRETED,
-    ROADS,
-    Configuration,
-    Selection,
-)
+from cosim.study.tradeoff.configuration import Configuration, Selection
 from cosim.study.tradeoff.convergence import observed_order
 from cosim.study.tradeoff.measurement import failed_event, gather, invariants, observed_event
 from cosim.study.tradeoff.record import Event, Record
@@ -146,13 +141,14 @@ def _impossible(workshop: Workshop, selection: Selection) -> tuple[tuple[str, st
     """Return what is not measured because it cannot be, each with the reason."""
     found = [pair for _, dae, _ in workshop.pairs() for pair in selection.impossible(dae)]
     if not has_compiler():
-        found.append((", ".join(road for road in ROADS if road != INTERPRETED), "no C compiler"))
+        compiling = ", ".join(road for road in Road if road is not Road.INTERPRETED)
+        found.append((compiling, "no C compiler"))
     return tuple(found)
 
 
 def _fixed_step_solvers(scene: Scene, selection: Selection) -> tuple[str, ...]:
     """Return the selected solvers of fixed steps; none for a DAE, which they cannot integrate."""
-    if scene.dae.algebraics or not set(selection.roads or (COMPILED,)) & {COMPILED, INTERPRETED}:
+    if scene.dae.algebraics or not any(road.native for road in selection.ways):
         return ()
     wanted = selection.solvers or SOLVERS
     return tuple(n for n, solver in SOLVERS.items() if n in wanted and not solver.adaptive)
@@ -162,10 +158,10 @@ def _possible(selection: Selection, tell: Tell) -> Selection:
     """Leave out what needs a C compiler where there is none, unless it is asked for by name."""
     if has_compiler():
         return selection
-    if selection.roads and selection.roads != (INTERPRETED,):
+    if selection.roads and selection.roads != (Road.INTERPRETED,):
         find_compiler()  # says what is missing
     tell("no C compiler: interpreted equations only")
-    return replace(selection, roads=(INTERPRETED,))
+    return replace(selection, roads=(Road.INTERPRETED,))
 
 
 def study_record(truth: Reference) -> Record:

@@ -12,18 +12,11 @@ from cosim.integrate.simulate import simulate
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.reduction.reduce import reduce
 from cosim.model.reduction.size import size
-from cosim.scene.roads import fitting_formulations
+from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
-from cosim.study.tradeoff.configuration import (
-    CO_SIMULATION,
-    COMPILED,
-    INTERPRETED,
-    MODEL_EXCHANGE,
-    Configuration,
-)
+from cosim.scene.variants import fitting_formulations
+from cosim.study.tradeoff.configuration import Configuration
 from cosim.trajectory import Trajectory
-
-_INTERFACES = {MODEL_EXCHANGE: "ModelExchange", CO_SIMULATION: "CoSimulation"}
 
 
 def members(scene: Scene, *, every_formulation: bool = True) -> tuple[Scene, ...]:
@@ -107,7 +100,7 @@ class Workshop:
         start, stop = span(scene)
         interval = dae.experiment.output_interval
         inputs = scene.inputs and scene.inputs.only({v.name for v in dae.inputs})
-        if configuration.road in (COMPILED, INTERPRETED):
+        if configuration.road.native:
             step = configuration.step
             return simulate(
                 dae,
@@ -119,12 +112,12 @@ class Workshop:
                 step_size=step,
                 inputs=inputs,
                 outputs=self.kept if configuration.reduced else None,
-                compiled=configuration.road == COMPILED,
+                compiled=configuration.road is Road.NATIVE,
                 drift_control=configuration.drift_control,
             )
         return simulate_fmu(
             self._fmu(dae, configuration.reduced),
-            interface=_INTERFACES[configuration.road],
+            interface=configuration.road.interface,
             start_time=start,
             stop_time=stop,
             output_interval=configuration.step or interval,

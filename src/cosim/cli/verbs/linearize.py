@@ -1,0 +1,156 @@
+"""`cosim linearize MODEL|FILE.fmu`: A, B, C, D and eigenvalues, at a state or along a parameter."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+from cosim.cli.options import add_output_file, common
+
+if TYPE_CHECKING:
+    from cosim.cli.options import Verbs
+    from cosim.study.linearize.linearization import Linearization
+    from cosim.study.linearize.sweep import EigenvalueSweep
+
+
+def add_parser(verbs: Verbs) -> None:
+    """Declare the verb."""
+    parser = verbs.add_parser(
+        "linearize",
+        parents=[common()],
+        help="A, B, C, D and eigenvalues at a start, an equilibrium, a time, or along a parameter",
+    )
+    parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
+    parser.add_argument(
+        "--at", default="start", metavar="start|equilibrium|T1,T2", help="start by default; s"
+    )
+    parser.add_argument("--outputs", metavar="A,B", help="of y; all outputs by default")
+    parser.add_argument(
+        "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
+    )
+    parser.add_argument(
+        "-p",
+        dest="values",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE[UNIT]",
+        help="parameter, start value or constant input",
+    )
+    parser.add_argument(
+        "--sweep",
+        metavar="NAME=A:B:N",
+        help="eigenvalues for N values from A to B, and where they cross the imaginary axis",
+    )
+    add_output_file(parser, "FILE", "the matrices, or the eigenvalues of a sweep, as CSV")
+    parser.add_argument("--figure", metavar="FILE", help="of a sweep: PNG, SVG or PDF")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Linearize a model or an FMU."""
+    from cosim.cli.arguments import names_in, scene_from, start_numbers
+    from cosim.errors import UsageError
+    from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
+
+    if args.figure:
+        from cosim.present.picture_files import picture_format
+
+        if not args.sweep:
+            raise UsageError("--figure draws the eigenvalues of a --sweep; give one")
+        picture_format(args.figure)  # refuses before anything has been computed
+    model: Any = args.model
+    if args.model.endswith(".fmu"):
+        start = start_numbers(args, None)
+        outputs = names_in(args.outputs) if args.outputs else None
+    else:
+        scene = scene_from(args)
+        model, start, outputs = scene.dae, dict(scene.values), scene.outputs or None
+    points: list[Any] = [args.at]
+    if args.at not in (START, EQUILIBRIUM):
+        points = [*_numbers("--at", args.at.split(","))]
+    if args.sweep:
+        if len(points) > 1:
+            raise UsageError("--sweep takes one point: --at start, --at equilibrium or one time")
+        return _sweep(args, model, points[0], start, outputs)
+    found = [linearize(model, at=point, start=start, outputs=outputs) for point in points]
+    if args.output_file:
+        if len(found) > 1:
+            raise UsageError("-o takes the matrices of one point; give one time")
+        found[0].to_csv(args.output_file)
+    if args.json:
+        print(json.dumps([_facts(linear) for linear in found], indent=1))
+        return 0
+    for i, linear in enumerate(found):
+        _show(linear, matrices=not args.output_file, first=i == 0)
+    return 0
+
+
+def _sweep(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: Any) -> int:
+    import numpy as np
+
+    from cosim.cli.tables import show_table, write_text
+    from cosim.errors import UsageError
+    from cosim.study.linearize.sweep import linearize_sweep
+
+    name, equals, span = args.sweep.partition("=")
+    parts = span.split(":")
+    if not equals or len(parts) != 3 or not parts[2].isdigit():
+        raise UsageError(f"--sweep {args.sweep}: write NAME=FROM:TO:HOW_MANY")
+    first, last = _numbers("--sweep", parts[:2])
+    values = np.linspace(first, last, int(parts[2])).tolist()
+    found = linearize_sweep(model, name, values, at=at, start=start, outputs=outputs)
+    if args.output_file:
+        write_text(args.output_file, _csv(found))
+    if args.figure:
+        from cosim.present.eigenvalue_figure import draw_eigenvalues
+        from cosim.present.picture_files import save
+
+        save([draw_eigenvalues(found)], args.figure)
+    crossings = [crossing.row(name) for crossing in found.crossings]
+    if args.json:
+        print(json.dumps({"eigenvalues": found.rows(), "crossings": crossings}, indent=1))
+        return 0
+    if crossings:
+        show_table(crossings, as_json=False)
+    else:
+        print(f"no eigenvalue crosses the imaginary axis for {name} = {first:g} ... {last:g}")
+    if not args.quiet:
+        print(f"{len(values)} values; {found.points[0]}", file=sys.stderr)
+    return 0
+
+
+def _show(linear: Linearization, *, matrices: bool, first: bool) -> None:
+    from cosim.cli.tables import show_table
+
+    print("" if first else "\n", end="")
+    print(f"{linear}\n")
+    show_table([mode.row() for mode in linear.modes], as_json=False)
+    if matrices:
+        print("\nd(row)/d(column)")
+        show_table(linear.rows(), as_json=False)
+
+
+def _facts(linear: Linearization) -> dict[str, Any]:
+    facts: dict[str, Any] = {"model": linear.model, "at": linear.point, "time": linear.time}
+    facts |= {"steadiness": linear.steadiness, "cyclic": linear.cyclic}
+    for kind in ("states", "inputs", "outputs"):
+        facts[kind] = getattr(linear, kind)
+    for kind in ("A", "B", "C", "D", "x", "u", "y"):
+        facts[kind] = getattr(linear, kind).tolist()
+    return facts | {"modes": [mode.row() for mode in linear.modes]}
+
+
+def _csv(found: EigenvalueSweep) -> str:
+    rows = found.rows()
+    lines = [",".join(rows[0]), *(",".join(f"{v:.17g}" for v in row.values()) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(option: str, words: list[str]) -> list[float]:
+    from cosim.errors import UsageError
+
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        raise UsageError(f"{option} {','.join(words)}: write numbers") from None

@@ -1,0 +1,162 @@
+"""The linear system of a bare FMU: its directional derivatives at the start of a run."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import FmuError, UnknownName, UsageError
+from cosim.fmi.archive import unpacked
+from cosim.fmi.run.instance import (
+    by_name,
+    choose_interface,
+    instantiated,
+    is_number,
+    may_be_set,
+    read_description,
+)
+from cosim.model.values import listed, number
+
+
+@dataclass(frozen=True, eq=False)
+class FmuLinear:
+    """Names, values and partial derivatives of an FMU at its start.
+
+    Attributes:
+        model: The name inside.
+        states, inputs, outputs: Names.
+        nominal: Of the states.
+        x, u, y, rates: Values.
+        jacobian: d(rates, outputs) / d(states, inputs).
+    """
+
+    model: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    nominal: tuple[float, ...]
+    x: Vector
+    u: Vector
+    y: Vector
+    rates: Vector
+    jacobian: Vector
+
+
+def fmu_linear(
+    path: str | os.PathLike[str],
+    *,
+    time: float = 0.0,
+    start: Mapping[str, float] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> FmuLinear:
+    """Initialize an FMU for model exchange and ask for its directional derivatives.
+
+    Args:
+        path: The FMU. Its binary runs in this process: only run FMUs you trust.
+        time: s.
+        start: Start values, parameters and inputs by name, in the FMU's units.
+        outputs: Names; the FMU's outputs when None.
+
+    Raises:
+        FmuError: It is no FMU for model exchange, or has no directional derivatives, or failed.
+        UnknownName, UsageError: A variable does not exist or cannot be set.
+    """
+    with unpacked(path) as folder:
+        description = read_description(folder, path)
+        choose_interface(folder, description, "ModelExchange", path)
+        abilities = description.modelExchange
+        second = description.fmiVersion.startswith("2")  # fmpy does not read the flag of FMI 3
+        if second and not abilities.providesDirectionalDerivative:
+            raise FmuError(f"{path} has no directional derivatives; linearize the model itself")
+        variables = by_name(description)
+        values = {n: number(str(path), n, v) for n, v in (start or {}).items()}
+        settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
+        for name in values:
+            if name not in variables:
+                raise UnknownName.among(str(path), "start value", name, settable)
+            if name not in settable:
+                raise UsageError(f"{path}: {name} cannot be set; it is calculated, or no number")
+        rates = [item.variable for item in description.derivatives]
+        states = [rate.derivative for rate in rates]
+        inputs = [v for v in variables.values() if v.causality == "input" and is_number(v)]
+        shown = [v for v in variables.values() if v.causality == "output" and is_number(v)]
+        if outputs is not None:
+            for name in listed(f"{path}: outputs", outputs):
+                if name not in variables:
+                    raise UnknownName.among(str(path), "output", name, variables)
+            shown = [variables[name] for name in outputs]
+        with instantiated(folder, description, "ModelExchange", path) as (instance, explained):
+            try:
+                _initialize(instance, description, time, values)
+                x, u, y, slopes = (
+                    _get(instance, [v.valueReference for v in group])
+                    for group in (states, inputs, shown, rates)
+                )
+                jacobian = _jacobian(instance, (*rates, *shown), (*states, *inputs))
+            except FmuError:
+                raise
+            except Exception as error:
+                raise explained(error) from error
+    return FmuLinear(
+        description.modelName,
+        _names(states),
+        _names(inputs),
+        _names(shown),
+        tuple(float(v.nominal or 1.0) for v in states),
+        x,
+        u,
+        y,
+        slopes,
+        jacobian,
+    )
+
+
+def _initialize(instance: Any, description: Any, time: float, values: Mapping[str, float]) -> None:
+    """Bring an instance to continuous time, as `fmpy.simulate_fmu` does."""
+    from fmpy.simulation import (
+        apply_start_values,
+        settable_in_initialization_mode,
+        settable_in_instantiated,
+    )
+
+    left = dict(values)
+    second = description.fmiVersion.startswith("2")
+    if second:
+        instance.setupExperiment(startTime=time)
+    left = apply_start_values(instance, description, left, settable=settable_in_instantiated)
+    if second:
+        instance.enterInitializationMode()
+    else:
+        instance.enterInitializationMode(startTime=time)
+    apply_start_values(instance, description, left, settable=settable_in_initialization_mode)
+    instance.exitInitializationMode()
+    update: Callable[[], Any]
+    update = instance.newDiscreteStates if second else instance.updateDiscreteStates
+    needed, ended = True, False
+    while needed and not ended:
+        needed, ended, *_ = update()
+    if ended:
+        raise FmuError("the FMU ends at its start")
+    instance.enterContinuousTimeMode()
+
+
+def _names(variables: Sequence[Any]) -> tuple[str, ...]:
+    return tuple(variable.name for variable in variables)
+
+
+def _get(instance: Any, references: Sequence[int]) -> Vector:
+    if not references:
+        return np.empty(0)
+    getter = instance.getReal if hasattr(instance, "getReal") else instance.getFloat64
+    return np.array(getter(references), dtype=float)
+
+
+def _jacobian(instance: Any, unknowns: Sequence[Any], knowns: Sequence[Any]) -> Vector:
+    rows = [v.valueReference for v in unknowns]
+    columns = [
+        instance.getDirectionalDerivative(rows, [known.valueReference], [1.0]) for known in knowns
+    ]
+    return np.array(columns, dtype=float).reshape(len(knowns), len(unknowns)).T

@@ -1,0 +1,228 @@
+"""What a model, a scene or an FMU is: its variables with numbers at the start, its size."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from casadi_models.dae import Dae, Start, Variable
+from cosim.arrays import Vector
+from cosim.errors import InitialConditionError
+from cosim.fmi.archive import content_of, opened
+from cosim.fmi.check.parsed import Described, parse
+from cosim.integrate.initial_values import algebraic_values, start_values
+from cosim.integrate.inspection import inspect_start
+from cosim.model.catalogue import load
+from cosim.model.values import assign
+from cosim.scene.scene import Scene
+from cosim.scene.scene_file import read_scene
+from cosim.tables import MOST_LINES, html_table, text_table
+
+_TITLES = {
+    "conditions": "conditions: calculated where --outputs names them",
+    "limits": "limits: a run is valid while a margin is positive",
+}
+_SHOWN = ("name", "unit", "shown in", "start", "bounds", "meaning")
+
+
+@dataclass(frozen=True, repr=False)
+class Info:
+    """Facts on a model, a scene or an FMU.
+
+    Attributes:
+        facts: Name, description, source, span, size.
+        tables: Rows by kind of variable, with real numbers: start, minimum, maximum, nominal;
+            None where there is none.
+        limits: (margin at the start, meaning) of what the model is good for.
+    """
+
+    facts: Mapping[str, str]
+    tables: Mapping[str, Sequence[Mapping[str, Any]]]
+    limits: tuple[tuple[float | None, str], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values, for JSON."""
+        margins = [margin for margin, _ in self.limits]
+        limits = {"limits": [meaning for _, meaning in self.limits], "margins": margins}
+        return {**self.facts, **{key: [*rows] for key, rows in self.tables.items()}, **limits}
+
+    def text(self, width: int | None = None) -> str:
+        """Return everything as text, in lines of up to `width` letters."""
+        parts = ["\n".join(f"{key:12} {value}" for key, value in self.facts.items())]
+        for key, rows in self.tables.items():
+            if rows:
+                table = text_table([_shown(row) for row in rows], width=width)
+                parts.append(f"{_TITLES.get(key, key)}\n{table}")
+        if self.limits:
+            rows = [{"at the start": margin, "meaning": text} for margin, text in self.limits]
+            parts.append(f"{_TITLES['limits']}\n{text_table(rows, width=width)}")
+        return "\n\n".join(parts)
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def __repr__(self) -> str:
+        lines = self.text(100).splitlines()
+        left = len(lines) - MOST_LINES + 1
+        cut = [*lines[: MOST_LINES - 1], f"... and {left} lines more: print(...)"]
+        return "\n".join(lines if left <= 1 else cut)
+
+    def _repr_html_(self) -> str:
+        facts = html_table([{"of": key, "is": value} for key, value in self.facts.items()])
+        tables = (
+            html_table([_shown(r) for r in rows], k) for k, rows in self.tables.items() if rows
+        )
+        return facts + "".join(tables)
+
+
+def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
+    """Return what a model, a scene or an FMU is.
+
+    Args:
+        source: `MODEL`, `MODEL/FORMULATION`, `PATH.py:FUNCTION`, `SCENE.toml`, `FILE.fmu`, or what
+            `load` and `read_scene` return.
+
+    Raises:
+        CosimError: There is no such model, scene or file.
+
+    Example:
+        >>> facts = info("bicycle").to_dict()
+        >>> round([row["start"] for row in facts["states"] if row["name"] == "theta"][0], 6)
+        0.0
+    """
+    if isinstance(source, Dae):
+        return _of_model(source)
+    if isinstance(source, Scene):
+        return _of_scene(source)
+    name = os.fspath(source) if isinstance(source, os.PathLike) else source
+    if isinstance(name, str) and name.endswith(".toml"):
+        return _of_scene(read_scene(name))
+    if isinstance(name, str) and name.endswith(".fmu"):
+        return _of_fmu(Path(name))
+    return _of_model(load(name))
+
+
+def _of_scene(scene: Scene) -> Info:
+    of_model = _of_model(scene.configured())
+    own = {row["of the scene"]: row["is"] for row in scene.rows()}
+    facts = {"scene": scene.name, "title": scene.title, **own} | {
+        key: value for key, value in of_model.facts.items() if key != "model"
+    }
+    return Info(facts, of_model.tables, of_model.limits)
+
+
+def _of_model(dae: Dae) -> Info:
+    x, z = _starts(dae)
+    groups = {
+        "states": _rows(dae.states, x),
+        "algebraic unknowns": _rows(dae.algebraics, z),
+        "inputs": _rows(dae.inputs),
+        "parameters": _rows(dae.parameters),
+        "outputs": _rows(dae.output_variables),
+    }
+    facts = {
+        "model": dae.full_name,
+        "description": dae.description,
+        "source": dae.source,
+        "span": f"0 ... {dae.experiment.stop_time:g} s",
+        "equations": f"{len(dae.states)} differential, {len(dae.algebraics)} algebraic, "
+        f"{dae.operations()} scalar operations",
+    }
+    start = inspect_start(dae)
+    monitors = zip(dae.monitors, start.monitors, strict=True)
+    groups["conditions"] = [
+        {"name": v.name, "at the start": value, "meaning": v.meaning} for (v, _), value in monitors
+    ]
+    meanings = (meaning for _, meaning in dae.limits)
+    return Info(facts, groups, tuple(zip(start.margins, meanings, strict=True)))
+
+
+def _starts(dae: Dae) -> tuple[Vector | None, Vector | None]:
+    """Return consistent states and algebraic unknowns at the start; None where there are none."""
+    values = assign(dae)
+    try:
+        x = start_values(dae, values)
+        return x, algebraic_values(dae, 0.0, x, values)
+    except InitialConditionError:  # `simulate` says why
+        return None, None
+
+
+def _rows(variables: Sequence[Variable], starts: Vector | None = None) -> list[dict[str, Any]]:
+    found = [v.start for v in variables] if starts is None else starts.tolist()
+    return [_row(v, start) for v, start in zip(variables, found, strict=True)]
+
+
+def _row(variable: Variable, start: float | None) -> dict[str, Any]:
+    bounds = variable.minimum, variable.maximum
+    kind = "exact" if variable.start_kind is Start.EXACT else "calculated"
+    return {
+        "name": variable.name,
+        "unit": variable.unit,
+        "shown in": variable.display_unit or variable.unit,
+        "start": start,
+        "start kind": kind,
+        "minimum": bounds[0] if isfinite(bounds[0]) else None,
+        "maximum": bounds[1] if isfinite(bounds[1]) else None,
+        "nominal": variable.nominal,
+        "meaning": variable.meaning,
+    }
+
+
+def _of_fmu(path: Path) -> Info:
+    with opened(path) as archive:
+        described = parse(content_of(archive, "modelDescription.xml"))
+    root = described.root
+    experiment = root.find("DefaultExperiment")
+    span = {} if experiment is None else experiment.attrib
+    facts = {
+        "fmu": path.name,
+        "model": root.get("modelName", ""),
+        "description": root.get("description", ""),
+        "made by": root.get("generationTool", ""),
+        "fmi": f"{root.get('fmiVersion')}, {' and '.join(described.interfaces)}",
+        "span": f"{span.get('startTime', '0')} ... {span.get('stopTime', '?')} s",
+    }
+    meanings = [element.get("description", "") for element in root.findall("ModelVariables/*")]
+    tables: dict[str, list[dict[str, Any]]] = {}
+    for variable, meaning in zip(described.variables, meanings, strict=True):
+        tables.setdefault(variable.causality, []).append(_fmu_row(variable, meaning))
+    return Info({key: value for key, value in facts.items() if value}, tables)
+
+
+def _fmu_row(variable: Described, meaning: str) -> dict[str, Any]:
+    texts = variable.texts
+    return {
+        "name": variable.name,
+        "unit": texts.get("unit", "1"),
+        "shown in": texts.get("displayUnit", texts.get("unit", "1")),
+        "start": _number(texts.get("start")),
+        "start kind": variable.initial or "",
+        "minimum": _number(texts.get("min")),
+        "maximum": _number(texts.get("max")),
+        "nominal": _number(texts.get("nominal")),
+        "meaning": meaning,
+    }
+
+
+def _number(text: str | None) -> Any:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return text  # of a string or a boolean
+
+
+def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row as it stands in a table."""
+    if "bounds" in row or "minimum" not in row:
+        return dict(row)
+    start, kind = row["start"], row["start kind"]
+    text = "" if start is None else f"{start:.10g}" if isinstance(start, float) else str(start)
+    note = f"{text} (calculated)" if text else "calculated"
+    low, high = (
+        "" if bound is None else f"{bound:g}" for bound in (row["minimum"], row["maximum"])
+    )
+    bounds = f"{low or '-inf'} ... {high or 'inf'}" if low or high else ""
+    shown = {**row, "start": note if kind == "calculated" else text, "bounds": bounds}
+    return {key: shown[key] for key in _SHOWN}

@@ -1,0 +1,1 @@
+"""The linear system near a state: matrices, eigenvalues, and where they cross."""

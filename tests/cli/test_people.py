@@ -1,0 +1,193 @@
+"""The command line for people: the book's numbers, units, times, stops, hints, a start."""
+
+import argparse
+import json
+import subprocess
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.cli.main import main
+from cosim.cli.options import seconds
+from cosim.cli.tables import show_table
+
+
+def numbers(capsys, line):
+    """Return the last column of the table that a command prints, by name, and the units."""
+    assert main(line.split()) == 0
+    _, *rows = capsys.readouterr().out.splitlines()
+    cells = [row.split() for row in rows]
+    return {c[0]: float(c[-1]) for c in cells}, {c[0]: c[1] for c in cells}
+
+
+# -- the book's printed numbers, each out of one command (docs/command_line.md) -------------------
+
+BOOK = [
+    (
+        "crank_shaft --at 0 --units book --outputs fx_A,fy_A,T",
+        {"fx_A": "-6.4994", "fy_A": "0.025998", "T": "0.086659"},
+        {"fx_A": "lbf", "fy_A": "lbf", "T": "ft.lbf"},
+    ),
+    ("bar_on_frame.toml --at 10 --units book --outputs tk_G_F", {"tk_G_F": "0.01666"}, {}),
+    ("bicycle_model_2.toml --at 20 --units book --outputs psi", {"psi": "13.65"}, {"psi": "deg"}),
+    (
+        "disk_two_bars.toml --at 20 --units book --outputs theta1,theta2",
+        {"theta1": "20.37", "theta2": "52.77"},
+        {"theta1": "deg", "theta2": "deg"},
+    ),
+]
+
+
+@pytest.mark.parametrize(("line", "printed", "units"), BOOK, ids=[line[0] for line in BOOK])
+def test_printed_number_comes_out_of_one_command(line, printed, units, capsys):
+    found, own = numbers(capsys, f"simulate {line}")
+    for name, text in printed.items():
+        digits = len(text.lstrip("-0.").replace(".", ""))
+        assert f"{found[name]:.{digits}g}" == text
+    assert own.items() >= units.items()
+
+
+# -- units, times, inputs, stops ------------------------------------------------------------------
+
+SHORT = ("--stop-time", "20ms", "--interpreted")
+
+
+def test_file_in_the_book_s_units_names_them_in_its_second_line(tmp_path, capsys):
+    target = tmp_path / "a.csv"
+    line = ["simulate", "crank_shaft", *SHORT, "--outputs", "phi,omega", "-o", str(target)]
+    assert main([*line, "--units", "book"]) == 0
+    assert target.read_text().splitlines()[:2] == ["time,phi,omega", "s,deg,rpm"]
+    run = cosim.Trajectory.read_csv(target)
+    assert main(line) == 0
+    np.testing.assert_allclose(run.values, cosim.Trajectory.read_csv(target).values, rtol=1e-15)
+    assert main([*line, "--units", "imperial"]) == 3
+    assert "no kind of units 'imperial'; it has si, book" in capsys.readouterr().err
+
+
+def test_terminal_gets_a_summary_and_a_pipe_every_row(monkeypatch, capsys):
+    line = ["simulate", "crank_shaft", *SHORT, "--outputs", "phi"]
+    assert main(line) == 0
+    assert capsys.readouterr().out.startswith("time,phi\n0,")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert main(line) == 0
+    told = capsys.readouterr()
+    assert "min at [s]" in told.out
+    assert len(told.out.splitlines()) == 3
+    assert "every output time: -o FILE.csv" in told.err
+
+
+def test_inputs_come_as_formulas_and_files_and_runs_stop(tmp_path, capsys):
+    (tmp_path / "torque.csv").write_text("time,steer_torque\n0,0\n1,1\n")
+    outputs = ["--outputs", "phi", "--interpreted", "--at", "0.5"]
+    found = {}
+    for name, words in {
+        "formula": ["--input", "steer_torque = t"],
+        "file": ["--input-file", str(tmp_path / "torque.csv")],
+        "none": [],
+    }.items():
+        assert main(["simulate", "bicycle", *words, *outputs]) == 0
+        found[name] = float(capsys.readouterr().out.split()[-1])
+    assert found["formula"] == pytest.approx(found["file"], rel=1e-6)
+    assert abs(found["none"] - found["file"]) > 1e-3
+    line = ["simulate", "crank_shaft", "--stop-when", "phi > 360deg", "--interpreted", "--json"]
+    assert main(line) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)["values"]["phi"][-1] == pytest.approx(2 * np.pi, rel=1e-7)
+    assert told.err.startswith("stopped where phi > 360deg from 0.1241")
+
+
+@pytest.mark.parametrize(
+    ("alias", "name"), [("ode45", "erk"), ("ode15s", "cvodes"), ("ode4", "rk4")]
+)
+def test_solvers_have_matlab_s_names_too(alias, name, capsys):
+    assert main(["simulate", "crank_shaft", *SHORT, "--solver", alias, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["stats"]["solver"] == name
+    assert cosim.simulate("crank_shaft", stop_time=0.1, solver=alias).stats.solver == name
+
+
+@pytest.mark.parametrize(("text", "value"), [("5", 5.0), ("5s", 5), ("200 ms", 0.2), ("2min", 120)])
+def test_times_may_have_a_unit(text, value):
+    assert seconds(text) == pytest.approx(value, rel=1e-15)
+    with pytest.raises(argparse.ArgumentTypeError, match="invalid float value: '5m'"):
+        seconds("5m")
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("simulat bicycle", "did you mean simulate?"),
+        ("simulate bicycle --stoptime 3", "did you mean --stop-time?"),
+        ("simulate bicycle --input t", "--input t: write NAME=FORMULA"),
+        ("simulate bicycle --input steer=t", "no input 'steer'; did you mean steer_torque?"),
+        ("simulate bicycle --at soon", "--at: 'soon' is not a number with a unit"),
+        ("scene bicycle_modell_1", "did you mean bicycle_model_1"),
+        ("new pendulum.txt", "give a name like pendulum.py"),
+        ("--print-completion tcsh", "no shell 'tcsh'"),
+    ],
+)
+def test_wrong_words_are_told_with_the_nearest(line, told, capsys):
+    try:
+        code = main(line.split())
+    except SystemExit as end:  # of argparse
+        code = end.code
+    assert code in (2, 3)
+    assert told in capsys.readouterr().err
+
+
+# -- to start from --------------------------------------------------------------------------------
+
+
+def test_new_model_runs_and_is_left_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "swing.py"]) == 0
+    assert "cosim simulate swing.py:build" in capsys.readouterr().err
+    run = cosim.simulate("swing.py:build", compiled=False)
+    assert run.complete
+    assert run["energy"][-1] < run["energy"][0]  # damped
+    assert main(["new", "swing.py"]) == 2
+    assert "swing.py exists" in capsys.readouterr().err
+
+
+def test_scene_is_printed_as_it_is_shipped(tmp_path, capsys):
+    assert main(["scene", "crank_torque"]) == 0
+    (tmp_path / "mine.toml").write_text(capsys.readouterr().out)
+    assert cosim.read_scene(tmp_path / "mine.toml").title == "Drive torque of the crank shaft"
+
+
+def test_export_and_plot_say_what_they_wrote_as_json(tmp_path, capsys):
+    picture = tmp_path / "a.png"
+    assert main(["plot", "crank_torque.toml", "-o", str(picture), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == [str(picture)]
+    fmu = tmp_path / "a.fmu"
+    assert main(["export", "crank_torque.toml", "-o", str(fmu), "--json", "-q"]) == 0
+    assert json.loads(capsys.readouterr().out)["bytes"] == fmu.stat().st_size
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_names_verbs_and_options(shell, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--print-completion", shell])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert "crosscheck" in text
+    assert "stop-when" in text
+    if shell == "bash":
+        check = subprocess.run(
+            ["bash", "-n"], input=text, text=True, capture_output=True, check=False
+        )
+        assert check.stderr == ""
+
+
+def test_verdicts_are_coloured_on_a_terminal_where_nobody_objects(monkeypatch, capsys):
+    rows = [{"road": "fmpy", "verdict": "ok"}, {"road": "ok", "verdict": "DIFFERS"}]
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    show_table(rows, as_json=False)
+    assert "\x1b" not in capsys.readouterr().out
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    show_table(rows, as_json=False)
+    assert "\x1b[31mDIFFERS\x1b[0m" in capsys.readouterr().out
+    monkeypatch.setenv("NO_COLOR", "1")
+    show_table(rows, as_json=False)
+    assert "\x1b" not in capsys.readouterr().out

@@ -1,0 +1,162 @@
+"""Linear systems: closed forms, the published speeds of the bicycle, the FMU against the graph."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers.bicycle_oracles import CAPSIZE_SPEED, WEAVE_FREQUENCY, WEAVE_SPEED
+
+import cosim
+from cosim.cli.main import main
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+from cosim.study.linearize.linearization import blocks
+from cosim.study.linearize.linearize import cyclic_states, linearize
+from cosim.study.linearize.sweep import linearize_sweep
+
+UPRIGHT = {"phi_dot": 0.0}
+
+
+def test_bar_across_the_arm_is_unstable_by_the_closed_form():
+    dae = cosim.load("bar_on_frame/reduced")
+    linear = linearize(dae, at="equilibrium", start={"Omega_dot": 0.0})
+    assert linear.x[0] == pytest.approx(np.pi / 2, abs=1e-9)
+    assert "equilibrium" in linear.point
+    assert linear.steadiness == "steady, phi going on"
+    # theta'' = Omega^2 theta - b / I theta' near 90 deg
+    values = {v.name: v.start for v in dae.parameters}
+    damping = values["b"] / (values["m"] * values["length"] ** 2 / 12)
+    roots = np.roots([1, damping, -((2 * np.pi) ** 2)])
+    found = [m.value for m in linear.modes if "theta" in m.states]
+    np.testing.assert_allclose(sorted(found, key=np.real), sorted(roots), rtol=1e-12)
+
+
+@pytest.mark.parametrize("formulation", ["independent", "multipliers"])
+def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
+    dae = cosim.load(f"bicycle/{formulation}")
+    values = np.linspace(-10, -24, 8)
+    sweep = linearize_sweep(dae, "thetaR_dot", values, start=UPRIGHT, outputs=["speed"])
+    capsize, weave = sweep.crossings
+    assert capsize.outputs["speed"] == pytest.approx(CAPSIZE_SPEED, abs=1e-9)  # 1.4e-11
+    assert weave.outputs["speed"] == pytest.approx(WEAVE_SPEED, abs=1e-9)  # 1.7e-12
+    assert weave.frequency == pytest.approx(WEAVE_FREQUENCY, abs=1e-9)
+    assert capsize.frequency == 0
+    assert (weave.unstable, capsize.unstable) == ("above", "below")  # thetaR_dot is negative
+
+
+@pytest.mark.parametrize(("model", "fmi"), [("bicycle/independent", 2), ("bicycle/multipliers", 3)])
+def test_fmu_has_the_eigenvalues_of_the_graph(tmp_path, model, fmi):
+    dae = cosim.load(model)
+    path = cosim.export_fmu(dae, tmp_path / "bicycle.fmu", fmi=fmi)
+    bare = linearize(path, start=UPRIGHT)
+    graph = linearize(dae, start=UPRIGHT, outputs=bare.outputs)
+    assert bare.states == graph.states
+    assert bare.inputs == graph.inputs
+    for name in "ABCD":
+        own, other = getattr(graph, name), getattr(bare, name)
+        np.testing.assert_allclose(other, own, rtol=1e-10, atol=1e-11 * np.abs(own).max())
+    found, expected = (_simple(linear.eigenvalues) for linear in (bare, graph))
+    assert len(found) == len(expected) >= 4
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def _simple(values):
+    """Leave out zeros and the double root of the closing constraints, known to half the digits."""
+    return np.sort_complex([v for v in values if abs(v) > 1e-6 and abs(v + 1) > 1e-6])
+
+
+def test_linear_system_is_the_slope_of_the_model_itself():
+    dae = cosim.load("bar_on_frame/two_body")
+    linear = linearize(dae, outputs=["M_phi"])
+
+    def output(shift):
+        starts = {"Omega": 2 * np.pi + shift}
+        return cosim.simulate(dae, start_values=starts, stop_time=0.0, outputs=["M_phi"])["M_phi"]
+
+    # the frame's bodies follow their own calculated starts, so only the input is free to compare
+    torque = [
+        cosim.simulate(dae, start_values={"T2": t}, stop_time=0.0, outputs=["M_phi"])["M_phi"][0]
+        for t in (-1e-3, 1e-3)
+    ]
+    column = linear.inputs.index("T2")
+    assert linear.D[0, column] == pytest.approx((torque[1] - torque[0]) / 2e-3, abs=1e-9)
+    assert output(0.0)[0] == linear.y[0]
+
+
+def test_formulations_have_the_same_eigenvalues_that_do_not_vanish():
+    found = []
+    for formulation in ("reduced", "multipliers"):
+        linear = linearize(cosim.load(f"disk_two_bars/{formulation}"), at="equilibrium")
+        found.append([value for value in linear.eigenvalues if abs(value) > 1e-6])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+    assert len(found[0]) == 4
+
+
+def test_along_a_run_the_state_is_that_of_the_run():
+    dae = cosim.load("bar_on_frame/reduced")
+    linear = linearize(dae, at=0.5)
+    run = cosim.simulate(dae, stop_time=0.5, output_interval=0.5)
+    assert linear.x[0] == run["theta"][-1]
+    assert linear.steadiness.startswith("not steady")
+
+
+def test_cyclic_states_influence_nothing_but_each_other():
+    dae = cosim.load("bicycle/independent")
+    names = [dae.states[i].name for i in cyclic_states(dae)]
+    assert names == ["thetaR", "psi", "thetaF", "xP", "yP"]
+
+
+def test_blocks_are_states_that_act_on_each_other_both_ways():
+    pattern = np.array([[0, 1, 0, 0], [1, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
+    assert blocks(pattern) == ((0, 1), (2,), (3,))
+
+
+def test_motion_that_cannot_rest_is_refused_with_its_state():
+    with pytest.raises(InitialConditionError, match="Omega cannot come to rest"):
+        linearize(cosim.load("bar_on_frame/reduced"), at="equilibrium")
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"at": "equilibrum"}, UnknownName, "did you mean equilibrium"),
+        ({"outputs": ["phii"]}, UnknownName, "did you mean phi"),
+        ({"start": {"alphaa": 1.0}}, UnknownName, "did you mean alpha"),
+    ],
+)
+def test_names_that_do_not_exist_are_refused(options, error, text):
+    with pytest.raises(error, match=text):
+        linearize(cosim.load("crank_shaft"), **options)
+
+
+def test_sweep_needs_values_in_order():
+    with pytest.raises(ParameterError, match="increasing or decreasing"):
+        linearize_sweep(cosim.load("crank_shaft"), "alpha", [1.0, 3.0, 2.0])
+
+
+def test_fmu_has_its_start_only(tmp_path):
+    path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
+    with pytest.raises(UsageError, match="linearized at its start"):
+        linearize(path, at=1.0)
+    with pytest.raises(UnknownName, match="did you mean alpha"):
+        linearize(path, start={"alphaa": 1.0})
+
+
+def test_command_shows_modes_and_crossings(tmp_path, capsys):
+    assert main(["linearize", "crank_shaft", "--outputs", "T"]) == 0
+    assert "crank_shaft/driven at its start" in capsys.readouterr().out
+    figure, csv = tmp_path / "e.png", tmp_path / "e.csv"
+    words = ["--sweep", "thetaR_dot=-10:-24:8", "-p", "phi_dot=0", "--outputs", "speed"]
+    files = ["-o", str(csv), "--figure", str(figure)]
+    assert main(["linearize", "bicycle", *words, *files]) == 0
+    shown = capsys.readouterr().out
+    assert "6.024262015" in shown
+    assert "4.292382536" in shown
+    assert figure.stat().st_size > 1000
+    assert len(csv.read_text().splitlines()) == 9
+    assert main(["linearize", "crank_shaft", "--at", "0.5,1", "--json"]) == 0
+    assert [p["time"] for p in json.loads(capsys.readouterr().out)] == [0.5, 1.0]
+
+
+@pytest.mark.parametrize("words", [["--sweep", "alpha"], ["--at", "soon"], ["--figure", "x.png"]])
+def test_command_refuses_what_it_cannot_read(words):
+    assert main(["linearize", "crank_shaft", *words]) == 2

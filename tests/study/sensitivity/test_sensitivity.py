@@ -1,0 +1,163 @@
+"""Derivatives of runs: closed forms, starts that follow, and a second opinion that is heard."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers.oscillators import K, oscillator
+
+import cosim
+from cosim.cli.main import main
+from cosim.errors import InitialConditionError, SolverError, UnknownName, UsageError
+from cosim.model.inputs import InputSeries
+from cosim.model.values import assign
+from cosim.study.sensitivity.sensitivity import sensitivity
+from cosim.study.sensitivity.variational import Target, start_slopes, variational
+
+SHORT = {"stop_time": 1.0, "output_interval": 0.1}
+
+
+@pytest.mark.parametrize("formulation", ["driven", "multipliers"])
+def test_angle_of_the_crank_grows_by_half_the_square_of_time(formulation):
+    dae = cosim.load(f"crank_shaft/{formulation}")
+    found = sensitivity(dae, of=["phi"], with_respect_to=["alpha", "omega", "density"], **SHORT)
+    time = found.run.time
+    # phi = phi0 + omega t + alpha t^2 / 2; measured 2e-16
+    np.testing.assert_allclose(found["phi", "alpha"], time**2 / 2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["phi", "omega"], time, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["phi", "density"], 0, rtol=0, atol=1e-12)
+    assert found.check.scaled < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("algebraic", "solver"),
+    [
+        *((False, solver) for solver in ("dop853", "erk", "rosenbrock", "cvodes")),
+        *((True, solver) for solver in ("dop853", "rosenbrock", "idas")),
+    ],
+)
+def test_derivatives_of_an_oscillator_are_the_closed_form(algebraic, solver):
+    dae = oscillator(algebraic=algebraic).dae
+    found = sensitivity(
+        dae, of=["x"], with_respect_to=["k", "x", "v"], solver=solver, check=False, **SHORT
+    )
+    w, t, x0, v0 = np.sqrt(K), found.run.time, dae.x_start[0], dae.x_start[1]
+    drive = 1 / (K - 1)
+    by_k = (
+        -(drive**2) * np.sin(t)
+        - x0 * t * np.sin(w * t) / (2 * w)
+        + drive**2 / w * np.sin(w * t)
+        + (v0 - drive) * (t * np.cos(w * t) / w - np.sin(w * t) / w**2) / (2 * w)
+    )
+    expected = {"k": by_k, "x": np.cos(w * t), "v": np.sin(w * t) / w}
+    for name, values in expected.items():
+        np.testing.assert_allclose(found["x", name], values, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", ["w", "rF", "lambda", "phi", "delta", "phi_dot"])
+def test_calculated_starts_of_the_bicycle_are_differentiated(name):
+    dae = cosim.load("bicycle/independent")
+    target = Target.of(dae, name)
+    found = start_slopes(dae, assign(dae, {"delta": 0.1, "phi": 0.2}), [target])[:, 0] / target.size
+    value = {"delta": 0.1, "phi": 0.2}.get(name, target.variable.start)
+    step = 1e-5 * target.size
+
+    def start(shift):
+        values = {"delta": 0.1, "phi": 0.2, name: value + shift}
+        return cosim.start_vectors(dae, values)["x0"]
+
+    central = (start(step) - start(-step)) / (2 * step)
+    np.testing.assert_allclose(found, central, rtol=0, atol=1e-7)
+
+
+def test_all_derivatives_of_the_bicycle_agree_with_differences():
+    dae = cosim.load("bicycle/independent")
+    found = sensitivity(dae, stop_time=1.0, output_interval=0.25)
+    assert len(found.targets) == 26
+    assert found.check.scaled < 1e-6  # measured 4e-8
+
+
+def test_direction_leaves_the_model_itself_alone():
+    dae = cosim.load("bar_on_frame/two_body")
+    both = variational(dae)
+    assert both.states[: len(dae.states)] == dae.states
+    assert len(both.states) == 2 * len(dae.states)
+    assert len(both.algebraics) == 2 * len(dae.algebraics)
+
+
+def test_constant_input_counts_and_one_that_follows_a_series_is_refused():
+    dae = cosim.load("bar_on_frame/reduced")
+    found = sensitivity(dae, of=["theta"], with_respect_to=["T2"], **SHORT)
+    assert found["theta", "T2"][-1] == pytest.approx(-1.4744, abs=1e-4)  # the issue's table
+    series = InputSeries(("T2",), np.array([0.0, 1.0]), np.zeros((2, 1)))
+    with pytest.raises(UsageError, match="T2 follows a series"):
+        sensitivity(dae, of=["theta"], with_respect_to=["T2"], inputs=series, **SHORT)
+
+
+def test_what_has_no_influence_is_zero():
+    dae = cosim.load("bar_on_frame/reduced")
+    found = sensitivity(dae, of=["Omega"], with_respect_to=["m", "Omega_dot"], **SHORT)
+    assert not found["Omega", "m"].any()
+    np.testing.assert_allclose(found["Omega", "Omega_dot"], found.run.time, rtol=0, atol=1e-12)
+
+
+def test_second_method_that_disagrees_is_an_error(monkeypatch):
+    from cosim.study.sensitivity import sensitivity as module
+
+    original = module.differences
+    monkeypatch.setattr(module, "differences", lambda *a: original(*a) * 1.001)
+    with pytest.raises(SolverError, match=r"d phi / d alpha at 1 s is 0\.5 by dop853"):
+        sensitivity(cosim.load("crank_shaft"), of=["phi"], with_respect_to=["alpha"], **SHORT)
+
+
+def test_value_at_its_bound_is_checked_from_one_side():
+    dae = cosim.load("bar_on_frame/reduced")  # frame_inertia is 1, its largest value
+    found = sensitivity(dae, of=["M_phi"], with_respect_to=["frame_inertia"], **SHORT)
+    assert found.check.scaled < 1e-8
+    assert found["M_phi", "frame_inertia"].all()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"with_respect_to": ["aplha"]}, UnknownName, "did you mean alpha"),
+        ({"of": ["phii"]}, UnknownName, "did you mean phi"),
+        ({"with_respect_to": []}, UsageError, "give a list of names"),
+    ],
+)
+def test_names_that_do_not_exist_are_refused(options, error, text):
+    with pytest.raises(error, match=text):
+        sensitivity(cosim.load("crank_shaft"), **options)
+
+
+def test_calculated_start_is_refused_with_its_causes():
+    with pytest.raises(InitialConditionError, match="start of theta is calculated"):
+        sensitivity(cosim.load("bicycle"), with_respect_to=["theta"])
+
+
+def test_ranking_begins_with_the_heaviest_and_csv_reads_back(tmp_path):
+    dae = cosim.load("bar_on_frame/reduced")
+    found = sensitivity(dae, of=["theta"], with_respect_to=["b", "m", "length"], **SHORT)
+    weights = [row["weight"] for row in found.ranking()]
+    assert weights == sorted(weights, reverse=True)
+    path = tmp_path / "d.csv"
+    found.to_csv(path)
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    np.testing.assert_array_equal(table["d_theta_d_b"], found["theta", "b"])
+
+
+def test_command_writes_table_file_and_figure(tmp_path, capsys):
+    csv, figure = tmp_path / "d.csv", tmp_path / "d.png"
+    options = ["--outputs", "phi", "--by", "alpha,omega", "--stop-time", "1"]
+    assert (
+        main(["sensitivity", "crank_shaft", *options, "-o", str(csv), "--figure", str(figure)]) == 0
+    )
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[0].split()[:3] == ["output", "by", "weight"]
+    assert "differences of dop853 at 1e-12" in printed.err
+    assert csv.read_text().startswith("time,d_phi_d_alpha,d_phi_d_omega\n")
+    assert figure.stat().st_size > 1000
+    assert main(["sensitivity", "crank_shaft", *options, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["check"]["bound"] == 1e-5
+    assert {row["by"] for row in facts["derivatives"]} == {"alpha", "omega"}
