@@ -40,12 +40,22 @@ def observe(
     return table, margins
 
 
+@kept_per_thread(16)
 def all_columns(dae: Dae) -> tuple[Column, ...]:
     """Return the columns of everything observable: states, algebraic unknowns, outputs."""
     return tuple(
         Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
         for v in (*dae.states, *dae.algebraics, *dae.output_variables)
     )
+
+
+@kept_per_thread(16)
+def recorded(dae: Dae, names: tuple[str, ...]) -> tuple[tuple[Column, ...], tuple[int, ...]]:
+    """Return the columns of these names, and their places among `all_columns`."""
+    every = all_columns(dae)
+    place = {column.name: i for i, column in enumerate(every)}
+    places = tuple(place[name] for name in names)
+    return tuple(every[i] for i in places), places
 
 
 @kept_per_thread(8)

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_accuracy, add_output_file, common
+from cosim.cli.options import add_accuracy, add_output_file, add_timeout, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -43,15 +43,18 @@ def add_parser(verbs: Verbs) -> None:
     for name in ("author", "license", "date"):
         parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} that the FMU tells")
     add_accuracy(parser)
+    add_timeout(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write a model or a scene as an FMU."""
     from cosim.cli.arguments import names_in, scene_from
+    from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
     from cosim.scene.roads import scene_dae
     from cosim.verify.reference_result import export_with_proof
 
+    refuse_timeout(args)
     if args.fmi not in ("2", "3"):
         raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
     scene = scene_from(args)

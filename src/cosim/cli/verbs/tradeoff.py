@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, common, run_options, value_options
+from cosim.cli.options import add_output_file, add_timeout, common, run_options, value_options
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -37,16 +37,19 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs; 5")
     parser.add_argument("--resume", action="store_true", help="go on after an interruption")
     add_output_file(parser, "FILE", "CSV or JSON, with provenance")
+    add_timeout(parser)
     parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
     from cosim.cli.arguments import scene_from
+    from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
     from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
     from cosim.study.tradeoff.study import tradeoff
 
+    refuse_timeout(args)
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
