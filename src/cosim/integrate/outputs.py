@@ -36,11 +36,12 @@ def observe(
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
     call_on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))
-    table, margins = np.split(np.hstack((states.T, rows)), [known], axis=1)
-    return table, margins
+    every = np.hstack((states.T, rows))
+    every.setflags(write=False)  # a trajectory of it need not copy
+    return every[:, :known], every[:, known:]
 
 
-@kept_per_thread(16)
+@kept_per_thread(64)
 def all_columns(dae: Dae) -> tuple[Column, ...]:
     """Return the columns of everything observable: states, algebraic unknowns, outputs."""
     return tuple(
