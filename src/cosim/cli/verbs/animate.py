@@ -10,6 +10,7 @@ from cosim.cli.options import (
     add_picture,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -29,6 +30,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
     add_solver(parser)
     add_timeout(parser)
+    add_trust(parser)
     parser.add_argument(
         "-o",
         "--output-file",
