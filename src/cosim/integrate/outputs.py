@@ -70,6 +70,15 @@ def all_columns(dae: Dae) -> tuple[Column, ...]:
     )
 
 
+@kept_per_thread(16)
+def recorded(dae: Dae, names: tuple[str, ...]) -> tuple[tuple[Column, ...], tuple[int, ...]]:
+    """Return the columns of these names, and their places among `all_columns`."""
+    every = all_columns(dae)
+    place = {column.name: i for i, column in enumerate(every)}
+    places = tuple(place[name] for name in names)
+    return tuple(every[i] for i in places), places
+
+
 @kept_per_thread(8)
 def watching(dae: Dae, names: tuple[str, ...]) -> Dae:
     """Return the DAE with those of its monitors among the outputs that are named."""
