@@ -109,7 +109,7 @@ static inline long long next_break(const Schedule *self, long long begin) {
 /* Integrates from break to break. What the unknowns were before one is kept. */
 static inline int integrate_pieces(Problem *self, const Schedule *schedule, double largest,
                                    double *out, double *z, Course *course) {
-    double before[NZ + 1];
+    double before[NZ + 1] = {0};
     for (long long begin = 0, end; begin < schedule->points - 1; begin = end) {
         end = next_break(schedule, begin);
         const Grid grid = {schedule->times + begin, end - begin + 1, largest};

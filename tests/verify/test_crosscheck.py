@@ -1,6 +1,7 @@
 """The crosscheck: every road of every formulation, a verdict for each, whatever fails."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,8 @@ from cosim.cli.arguments import named_scene
 from cosim.cli.main import main
 from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
 from cosim.verify import crosscheck as crosschecks
-from cosim.verify.crosscheck import Check, crosscheck
+from cosim.verify.check import Check
+from cosim.verify.crosscheck import crosscheck
 
 SHORT = {"stop_time": 0.1, "output_interval": 0.05}
 
@@ -52,9 +54,97 @@ def test_checks_are_kept_and_show_their_table():
     assert checks.agree
 
 
-def test_difference_beyond_the_bound_is_a_verdict_of_its_own():
+def shifted(monkeypatch, shift):
+    """Let every FMU's run be wrong by a constant."""
+    original = crosschecks.run_fmu
+
+    def run_fmu(scene, dae, path: Path, road):
+        run = original(scene, dae, path, road)
+        return replace(run, values=run.values + shift)
+
+    monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
+
+
+def test_difference_beyond_the_bound_is_a_verdict_of_its_own(monkeypatch):
+    shifted(monkeypatch, 1e-3)
+    checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
+    assert {check.verdict for check in checks} == {"DIFFERS"}
+    assert all("try --relative-tolerance 1e-11" in check.note for check in checks)
+    assert all(check.against == "dop853 at 3e-14" for check in checks)
+
+
+def test_smallest_difference_that_the_reference_resolves_is_told():
     checks = list(crosscheck(["crank_shaft/driven"], bound=1e-16, **SHORT))
     assert "DIFFERS" in {check.verdict for check in checks}
+
+
+def test_difference_that_no_reference_resolves_is_not_held_against_the_fmu(monkeypatch):
+    original = crosschecks.reference
+
+    def coarse(scene):
+        best = original(scene)
+        return replace(best, errors=dict.fromkeys(best.errors, 1e-2))
+
+    shifted(monkeypatch, 1e-3)
+    monkeypatch.setattr(crosschecks, "reference", coarse)
+    checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
+    assert {check.verdict for check in checks} == {"reference too coarse"}
+    assert all("the reference may be wrong by" in check.note for check in checks)
+
+
+def test_fmu_nearer_to_the_truth_than_the_plain_run_is_right(monkeypatch):
+    original = crosschecks.run_scene
+
+    def run_scene(scene):
+        run = original(scene)
+        return replace(run, values=run.values + 1e-3)
+
+    monkeypatch.setattr(crosschecks, "run_scene", run_scene)
+    checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
+    assert [(c.verdict, c.against) for c in checks] == 2 * [("ok", "dop853 at 3e-14")]
+
+
+def test_tolerance_of_a_sensitive_motion_is_found(monkeypatch):
+    original = crosschecks.run_fmu
+
+    def run_fmu(scene, dae, path: Path, road):
+        run = original(scene, dae, path, road)
+        return replace(run, values=run.values + 3e4 * scene.settings.relative_tolerance)
+
+    monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
+    checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
+    assert {(c.verdict, c.note) for c in checks} == {("ok", "at relative tolerance 1e-11")}
+    checks = list(crosscheck(["crank_shaft/driven"], relative_tolerance=1e-10, **SHORT))
+    assert {c.verdict for c in checks} == {"DIFFERS"}  # what is asked for is what is judged
+
+
+def test_forms_of_one_file_are_compared(tmp_path):
+    (tmp_path / "twin.py").write_text(TWIN)
+    names = [f"{tmp_path / 'twin.py'}:{form}" for form in ("slow", "shifted", "other")]
+    checks = [c for c in crosscheck(names, **SHORT) if c.road.native]
+    assert [(c.model, c.against, c.verdict) for c in checks] == [
+        ("twin/shifted", "twin/slow", "ok")
+    ]
+
+
+TWIN = """
+from casadi_models.dae import Model
+
+def build(form, rate, name="twin"):
+    model = Model(name, form, stop_time=1.0)
+    x = model.state("x", "m", 1.0, "place")
+    model.derivative(x, -rate * x)
+    return model.freeze()
+
+def slow():
+    return build("slow", 1.0)
+
+def shifted():
+    return build("shifted", 1.0 + 1e-12)
+
+def other():
+    return build("slow", 2.0, "another")
+"""
 
 
 @pytest.fixture
@@ -142,6 +232,14 @@ def test_command_returns_4_beyond_the_bound(capsys):
     printed = capsys.readouterr()
     assert "DIFFERS" in {row["verdict"] for row in json.loads(printed.out)}
     assert printed.err == ""
+
+
+def test_command_returns_4_for_an_fmu_that_differs_and_says_what_to_try(capsys, monkeypatch):
+    shifted(monkeypatch, 1e-3)
+    assert command() == 4
+    printed = capsys.readouterr()
+    assert "DIFFERS" in printed.out
+    assert "try --relative-tolerance" in printed.out.splitlines()[1]
 
 
 @pytest.mark.usefixtures("failing_fmus")

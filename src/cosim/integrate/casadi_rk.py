@@ -10,7 +10,7 @@ from casadi import MX
 
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key
-from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, watched
+from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, smallest_step, watched
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import CALL, driven, prepared, symbols_of
 from cosim.integrate.engine import Engine, Problem, reported
@@ -57,10 +57,10 @@ class _OwnOfCasadi(AdaptiveSolver):
             code = run_time_tolerances(
                 str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
             )
-            return self.finished(watched(code))
+            return self.finished(watched(smallest_step(code)))
 
         details = (unit_grid.tobytes(), repr(sorted(options.items())).encode())
-        key = cache_key(f"generated-6 {self.name}", original, *details)
+        key = cache_key(f"generated-7 {self.name}", original, *details)
         path = str(cached_library(key, generate))
         p = MX.sym("p", dae.p.numel())
         extended = ca.vertcat(constants(p), start, length, *self.tolerance.pair)

@@ -1,13 +1,19 @@
 """The same run on every road and in every formulation, and how far the results are apart."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import casadi_models
 from casadi_models.dae import Dae
-from cosim.errors import FmuError, InitialConditionError, SolverError, UsageError
+from cosim.errors import (
+    CosimError,
+    FmuError,
+    InitialConditionError,
+    SolverError,
+    UsageError,
+)
 from cosim.fmi.export.package import export_fmu
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
@@ -17,59 +23,13 @@ from cosim.scene.variants import fitting_formulations
 from cosim.tables import MOST_LINES, html_table, text_table
 from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
-from cosim.verify.comparison import Comparison, compare
+from cosim.verify.check import Check, Verdict
+from cosim.verify.comparison import compare
+from cosim.verify.reference import reference
 
 BOUND = 1e-6  # of the nominal value
 _FAILURES = (SolverError, FmuError, InitialConditionError)  # of one run, not of what was asked
-
-
-@dataclass(frozen=True)
-class Check:
-    """One comparison of two runs, and what the second one took.
-
-    Attributes:
-        model: `MODEL/FORMULATION` of the second run.
-        road: How it was computed.
-        against: What it is compared with.
-        comparison: The differences; None where the run failed.
-        stats: Of the second run: wall_time [s], rhs_calls.
-        failure: Why the run failed.
-        left_out: Names that are not compared, and why: they mean something else.
-    """
-
-    model: str
-    road: Road
-    against: str
-    comparison: Comparison | None
-    stats: dict[str, Any] = field(default_factory=dict)
-    failure: str = ""
-    left_out: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def verdict(self) -> str:
-        """ "ok", "DIFFERS" or "FAILED"."""
-        if self.comparison is None:
-            return "FAILED"
-        return "ok" if self.comparison.agrees else "DIFFERS"
-
-    def row(self) -> dict[str, Any]:
-        """Return the check as plain values, for tables and JSON."""
-        compared = self.comparison
-        worst = compared and compared.worst
-        return {
-            "model": self.model,
-            "road": self.road,
-            "against": self.against,
-            "variables": compared and len(compared.differences),
-            "worst": worst and worst.name,
-            "difference": worst and worst.scaled,
-            "at": worst and worst.time,
-            "bound": compared and compared.bound,
-            "verdict": self.verdict,
-            "wall_time": self.stats.get("wall_time"),
-            "rhs_calls": self.stats.get("rhs_calls"),
-            "left_out": " ".join(self.left_out) or None,
-        }
+_SETTING = "--relative-tolerance"
 
 
 class Checks(Iterator[Check]):
@@ -170,8 +130,10 @@ def _checks(
     relative_tolerance: float | None,
     bound: float,
 ) -> Iterator[Check]:
+    first: tuple[Trajectory, Dae] | None = None
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
-        first: tuple[Trajectory, Dae] | None = None
+        if not _same_file(item, first):
+            first = None
         for scene in _members(item):
             own = scene.settings
             settings = Settings(
@@ -188,11 +150,15 @@ def _checks(
             except _FAILURES as error:
                 yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue
-            yield from _roads(scene, run, bound)
-            if first is None:
+            yield from _roads(scene, run, bound, relative_tolerance is not None)
+            if first is None or first[1].name != scene.dae.name:
                 first = run, scene.dae
             elif check := _against(first, run, scene.dae, bound):
-                yield check
+                yield (
+                    check
+                    if check.comparison and check.comparison.agrees
+                    else replace(check, note=_advice(settings.relative_tolerance or 0.0))
+                )
 
 
 def _against(
@@ -211,6 +177,11 @@ def _against(
     )
 
 
+def _same_file(item: str | Scene, first: tuple[Trajectory, Dae] | None) -> bool:
+    """Tell whether this may be another form of a user's model that ran before."""
+    return first is not None and isinstance(item, str) and ".py:" in item
+
+
 def _members(item: str | Scene) -> Iterator[Scene]:
     """Yield a scene for each formulation that is asked for."""
     if isinstance(item, str):
@@ -222,17 +193,95 @@ def _members(item: str | Scene) -> Iterator[Scene]:
     yield from fitting_formulations(item)
 
 
-def _roads(scene: Scene, run: Trajectory, bound: float) -> Iterator[Check]:
+def _roads(scene: Scene, run: Trajectory, bound: float, given: bool) -> Iterator[Check]:
     """Compare the FMU's runs with a run through CasADi's integrators."""
     dae = scene_dae(scene)
     with temporary_folder() as folder:
         path = export_fmu(dae, Path(folder) / "model.fmu")
-        solver = run.stats["solver"]
         for road in FMU_ROADS:
-            try:
-                again = run_fmu(scene, dae, path, road)
-            except _FAILURES as error:
-                yield Check(dae.full_name, road, solver, None, failure=str(error))
-                continue
-            difference = compare(run, again, bound=bound, resample=False)
-            yield Check(dae.full_name, road, solver, difference, dict(again.stats))
+            yield _road(scene, dae, path, run, road, bound, given)
+
+
+def _road(
+    scene: Scene, dae: Dae, path: Path, run: Trajectory, road: Road, bound: float, given: bool
+) -> Check:
+    """Compare an FMU's run, with a better reference and at tighter tolerances where it differs."""
+    solver = run.stats["solver"]
+
+    def again(scene: Scene) -> Trajectory:
+        return run_fmu(scene, dae, path, road)
+
+    try:
+        other = again(scene)
+    except _FAILURES as error:
+        return Check(dae.full_name, road, solver, None, failure=str(error))
+    difference = compare(run, other, bound=bound, resample=False)
+    first = Check(dae.full_name, road, solver, difference, dict(other.stats))
+    if difference.agrees:
+        return first
+    return _judged(scene, run.names, first, other, None if given else again)
+
+
+def _judged(
+    scene: Scene,
+    names: Sequence[str],
+    check: Check,
+    other: Trajectory,
+    again: Callable[[Scene], Trajectory] | None,
+) -> Check:
+    """Compare with a reference that states its own error what differs from a plain run.
+
+    Args:
+        scene: What ran.
+        names: The variables that are compared.
+        check: What the plain comparison gave.
+        other: The run that differs.
+        again: Runs the scene with other settings; None where its tolerance was asked for.
+    """
+    assert check.comparison is not None
+    bound = check.comparison.bound
+    settings = scene.settings
+    tolerance = settings.relative_tolerance or 0.0
+    try:
+        best = reference(scene)
+        truth, doubt = best.run.select(names), best.error(names)
+    except CosimError as error:
+        advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"
+        return replace(check, note=advice)
+    found = check
+    for tighter in (1.0, 0.1, 0.01):
+        now = tighter * tolerance
+        try:
+            if tighter < 1:
+                if again is None:
+                    break
+                other = again(replace(scene, settings=replace(settings, relative_tolerance=now)))
+            difference = compare(truth, other, bound=bound, resample=False)
+        except _FAILURES:
+            break
+        note = f"at relative tolerance {now:g}" if tighter < 1 else ""
+        found = Check(
+            check.model,
+            check.road,
+            best.method,
+            difference,
+            dict(other.stats),
+            left_out=check.left_out,
+            doubt=doubt,
+            note=note,
+        )
+        if found.verdict is not Verdict.DIFFERS:
+            break
+    if found.verdict is Verdict.DIFFERS:
+        found = replace(found, note=_advice(tolerance))
+    elif found.verdict is Verdict.COARSE:
+        told = f"the reference may be wrong by {doubt:.1e}: ask for a larger bound or a shorter run"
+        found = replace(found, note=told)
+    return found
+
+
+def _advice(tolerance: float) -> str:
+    return (
+        f"try {_SETTING} {tolerance / 10:g} or a shorter run; if neither helps, the motion is too "
+        "sensitive, or one of the two is wrong"
+    )

@@ -13,27 +13,31 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from warnings import warn
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import FmuError
+from cosim.codegen.compiler import has_compiler
+from cosim.errors import CosimError, FmuError, SolverError, UsageError
 from cosim.escaping import sentence
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.archive import DESCRIPTION, content_of, opened
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
 from cosim.integrate.simulate import simulate
 from cosim.scene.roads import FMU_ROADS
 from cosim.temporary import temporary_folder
 from cosim.trajectory import Column, Trajectory
+from cosim.verify.check import Check, Verdict
 from cosim.verify.comparison import compare
-from cosim.verify.crosscheck import BOUND, Check
+from cosim.verify.crosscheck import BOUND
 
 REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
@@ -41,58 +45,83 @@ OWN = "reference"
 MOST_ROWS = 201
 NOISE = 1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
 FINER = 10  # output times of a check within each of the reference: fmpy's solver takes 500 steps
+LOOSER = 10.0  # tolerance of the run that tells how far the reference may be wrong
+_TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
 COLOURS = 16  # of the picture
 
 
-def export_with_proof(dae: Dae, target: str | os.PathLike[str], **options: Any) -> Path:
+def export_with_proof(
+    dae: Dae, target: str | os.PathLike[str], *, reference: bool = True, **options: Any
+) -> Path:
     """Export an FMU with a reference result, the measured difference from it, and a picture.
+
+    The FMU is written whatever becomes of its proof; a warning says what is missing, and why.
 
     Args:
         dae: The model.
         target: The file, replaced when everything has succeeded.
+        reference: Whether there shall be a reference result.
         options: See `export_fmu`.
 
     Raises:
-        CosimError: See `export_fmu`, `simulate`, `simulate_fmu`.
+        CosimError: See `export_fmu`.
+
+    Warns:
+        UserWarning: There is no reference result, or the FMU is too far from it.
     """
     refuse_unwritable(target)
-    tolerance = dae.experiment.reference_tolerance
     with temporary_folder() as folder:
         plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
-        run = _reference(dae, tolerance)
-        local = plain  # what can be run here
-        if tuple(options.get("platforms", (NATIVE,))) != (NATIVE,):
-            here = options | {"platforms": (NATIVE,)}
-            local = export_fmu(dae, Path(folder) / "local.fmu", **here)
-        checks = [*_checks(local, run, tolerance, BOUND, simulate_fmu)]
-        for check in checks:
-            if check.failure:
-                raise FmuError(check.failure)
-        measured = {c.road: c.comparison.worst for c in checks if c.comparison}
+        proof: dict[str, bytes] = {}
+        if reference:
+            local = plain  # what can be run here
+            if tuple(options.get("platforms", (NATIVE,))) != (NATIVE,):
+                here = options | {"platforms": (NATIVE,)}
+                local = export_fmu(dae, Path(folder) / "local.fmu", **here)
+            proof = _proof(dae, local, str(target))
         with zipfile.ZipFile(plain) as fmu:
             files = {name: fmu.read(name) for name in fmu.namelist()}
+    content = zipped(files | proof)
+    remember(content)
+    return write_atomically(target, content)
+
+
+def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
+    """Return the files that prove an FMU; without a reference, one that says why there is none."""
+    tolerance = dae.experiment.reference_tolerance
+    try:
+        run, doubt = _reference(dae, tolerance)
+    except CosimError as error:
+        warn(f"{target}: no reference: {error}", stacklevel=3)
+        missing = {"model": dae.full_name, "no reference": str(error)}
+        return {MEASURED: (json.dumps(missing, indent=1) + "\n").encode()}
+    checks = [*_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
+    for check in checks:
+        if check.verdict is not Verdict.OK:
+            said = check.failure or f"{check.verdict}: {check.comparison}"
+            warn(f"{target}: {check.road}: {said}; {_TRY}", stacklevel=3)
     text = io.StringIO(newline="")
     run.to_csv(text)
+    worst = {c.road: c.comparison.worst for c in checks if c.comparison}
     facts = {
         "model": run.model,
         "solver": run.stats["solver"],
         "relative_tolerance": tolerance,
+        "estimated error in nominal values": float(f"{doubt:.1e}"),
         "bound": BOUND,
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
         "largest difference in nominal values": {
-            road: {"variable": worst.name, "difference": worst.scaled, "time": worst.time}
-            for road, worst in measured.items()
+            road: {"variable": w.name, "difference": w.scaled, "time": w.time}
+            for road, w in worst.items()
         },
+        "failed": {c.road: c.failure for c in checks if c.failure},
     }
-    extra = {
+    return {
         REFERENCE: text.getvalue().encode(),
         MEASURED: (json.dumps(facts, indent=1) + "\n").encode(),
         "model.png": _picture(run),
     }
-    content = zipped(files | extra)
-    remember(content)
-    return write_atomically(target, content)
 
 
 def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> Iterator[Check]:
@@ -109,17 +138,21 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
     """
     try:
         with opened(path) as fmu:
-            table = content_of(fmu, REFERENCE).decode()
             facts = json.loads(content_of(fmu, MEASURED))
+            if "no reference" in facts:
+                why = sentence(str(facts["no reference"]))
+                raise FmuError(f"{path} carries no reference result: {why}")
+            table = content_of(fmu, REFERENCE).decode()
             against = _whose(path, ET.fromstring(content_of(fmu, DESCRIPTION)))
             run = _from_csv(table, facts)
             tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
+            doubt = float(facts.get("estimated error in nominal values", 0.0))
     except (KeyError, ValueError, TypeError, IndexError, RecursionError, csv.Error) as error:
         raise FmuError(
             f"{path} carries no reference result; export it with cosim export"
         ) from error
     apart = partial(simulate_apart, timeout=timeout)
-    for check in _checks(path, run, tolerance, bound, apart):
+    for check in _checks(path, run, tolerance, bound, apart, doubt):
         yield replace(check, against=against)
 
 
@@ -131,17 +164,40 @@ def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
     return f"{OWN} by {tool}"
 
 
-def _reference(dae: Dae, tolerance: float) -> Trajectory:
+def _reference(dae: Dae, tolerance: float) -> tuple[Trajectory, float]:
+    """Return a run of road one and its estimated error: how far a tenfold tolerance moves it.
+
+    Of a stiff or a sensitive model another solver may be the first that comes through.
+
+    Raises:
+        CosimError: None does; the first one's reason.
+    """
     span, interval = dae.experiment.stop_time, dae.experiment.output_interval
-    run = simulate(
-        dae,
-        output_interval=max(interval, span / (MOST_ROWS - 1)),
-        relative_tolerance=tolerance,
-        solver="rosenbrock" if dae.algebraics else "erk",
-        outputs=dae.observed,
-        compiled=False,
-    )
-    return replace(run, values=without_noise(run.values, [c.nominal for c in run.columns]))
+    ways: list[tuple[str, bool]] = [("rosenbrock" if dae.algebraics else "erk", False)]
+    ways += [("dop853", True)] * has_compiler() + [("rosenbrock", False)]
+    ways += [("idas" if dae.algebraics else "cvodes", False)]
+    first: CosimError | None = None
+    for solver, compiled in dict.fromkeys(ways):
+        try:
+            run, looser = (
+                simulate(
+                    dae,
+                    output_interval=max(interval, span / (MOST_ROWS - 1)),
+                    relative_tolerance=t,
+                    solver=solver,
+                    outputs=dae.observed,
+                    compiled=compiled,
+                )
+                for t in (tolerance, LOOSER * tolerance)
+            )
+        except (SolverError, UsageError) as error:
+            first = first or error
+            continue
+        doubt = compare(run, looser).worst.scaled if run.names else 0.0
+        quiet = without_noise(run.values, [column.nominal for column in run.columns])
+        return replace(run, values=quiet), doubt
+    assert first is not None
+    raise first
 
 
 def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:
@@ -167,22 +223,24 @@ def _checks(
     tolerance: float,
     bound: float,
     simulate_file: Callable[..., Trajectory],
+    doubt: float,
 ) -> Iterator[Check]:
     for road in FMU_ROADS:
         try:
-            fine = simulate_file(
+            again = patiently(
+                simulate_file,
                 path,
                 interface=road.interface,
                 stop_time=float(run.time[-1]),
-                output_interval=float(run.time[1] - run.time[0]) / FINER,
+                output_interval=float(run.time[1] - run.time[0]),
+                least=FINER,
                 relative_tolerance=tolerance,
             )
         except FmuError as error:
             yield Check(run.model, road, OWN, None, failure=str(error))
             continue
-        again = replace(fine, time=fine.time[::FINER], values=fine.values[::FINER])
         difference = compare(run, again, bound=bound)
-        yield Check(run.model, road, OWN, difference, dict(again.stats))
+        yield Check(run.model, road, OWN, difference, dict(again.stats), doubt=doubt)
 
 
 def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:

@@ -69,14 +69,17 @@ def run(args: argparse.Namespace) -> int:
                 told = f"{row['model']}: {row['road']} against {row['against'] or 'others'}"
                 found = check.failure or f"{row['difference']:.1e}"
                 print(f"{told}: {found} {check.verdict}", file=sys.stderr, flush=True)
+                if check.note:
+                    print(f"  {check.note}", file=sys.stderr, flush=True)
                 if row["against"] and row["against"].startswith(f"{OWN} by "):
                     print(f"  that is its maker's own word: {_WORTH}", file=sys.stderr, flush=True)
                 for why in dict.fromkeys(check.left_out.values()):
                     names = " ".join(n for n, reason in check.left_out.items() if reason == why)
                     print(f"  not compared: {names} ({why})", file=sys.stderr, flush=True)
     finally:  # an error or Ctrl-C leaves what has been compared
-        if not args.json and not any(row["left_out"] for row in rows):
-            rows = [{k: v for k, v in row.items() if k != "left_out"} for row in rows]
+        if not args.json:
+            empty = {k for k in ("left_out", "reason") if not any(row[k] for row in rows)}
+            rows = [{k: v for k, v in row.items() if k not in empty} for row in rows]
         show_table(rows, as_json=args.json)
     verdicts = {row["verdict"] for row in rows}
-    return 1 if "FAILED" in verdicts else 4 if "DIFFERS" in verdicts else 0
+    return 1 if "FAILED" in verdicts else 0 if verdicts <= {"ok"} else 4

@@ -40,6 +40,17 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
     )
+    for name in ("author", "license", "date"):
+        parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} that the FMU tells")
+    parser.add_argument(
+        "--tolerance", type=float, metavar="R", help="that the FMU recommends, relative; 1e-8"
+    )
+    parser.add_argument(
+        "--reference",
+        default="auto",
+        metavar="auto|none",
+        help="a reference result inside, as far as there is one, or none; auto",
+    )
     add_accuracy(parser)
     add_timeout(parser)
 
@@ -48,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     """Write a model or a scene as an FMU."""
     from cosim.cli.arguments import names_in, scene_from
     from cosim.cli.running import refuse_timeout
-    from cosim.errors import UnknownName
+    from cosim.errors import UnknownName, UsageError
     from cosim.scene.roads import scene_dae
     from cosim.verify.reference_result import export_with_proof
 
@@ -61,13 +72,21 @@ def run(args: argparse.Namespace) -> int:
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
     options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
     options |= {"platforms": names_in(args.platform), "adjoint": args.adjoint}
+    given = {name: getattr(args, name) for name in ("author", "license", "date")}
+    options["about"] = {name: text for name, text in given.items() if text is not None}
     if args.tunable is not None:
         options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
+    if args.reference not in ("auto", "none"):
+        raise UnknownName.among("cosim export", "reference", args.reference, ("auto", "none"))
+    if args.tolerance is not None:
+        options["tolerance"] = args.tolerance
     if accuracy is None:
-        path = export_with_proof(dae, target, **options)
+        path = export_with_proof(dae, target, reference=args.reference == "auto", **options)
     else:
         from cosim.study.accuracy.fmu import export_accurate
 
+        if args.tolerance is not None or args.reference == "none":
+            raise UsageError("--accuracy finds the tolerance and needs a reference; leave them out")
         made = export_accurate(dae, target, accuracy, **options)
         path = made.path
         if not args.quiet:

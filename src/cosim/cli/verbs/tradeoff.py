@@ -39,6 +39,12 @@ def add_parser(verbs: Verbs) -> None:
     add_output_file(parser, "FILE", "CSV or JSON, with provenance")
     add_timeout(parser)
     parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
+    parser.add_argument(
+        "--all",
+        dest="everything",
+        action="store_true",
+        help="every run in the figure, not only the front and the best of each solver",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -98,8 +104,10 @@ def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
     if args.figure:
         from cosim.present.picture_files import save
         from cosim.present.work_precision import draw_tradeoff
+        from cosim.present.work_precision_front import draw_front
 
-        save([draw_tradeoff(study)], args.figure)
+        draw = draw_tradeoff if args.everything else draw_front
+        save([draw(study)], args.figure)
     if args.json:
         write_text(None, study.to_json())
     else:
