@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         if len(points) > 1:
             raise UsageError("--sweep takes one point: --at start, --at equilibrium or one time")
         return _sweep(args, model, points[0], start, outputs)
-    found = [linearize(model, at=point, start=start, outputs=outputs) for point in points]
+    found = [linearize(model, at=point, start_values=start, outputs=outputs) for point in points]
     if args.output_file:
         if len(found) > 1:
             raise UsageError("-o takes the matrices of one point; give one time")
@@ -99,7 +99,7 @@ def _sweep(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
         raise UsageError(f"--sweep {args.sweep}: write NAME=FROM:TO:HOW_MANY")
     first, last = _numbers("--sweep", parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
-    found = linearize_sweep(model, name, values, at=at, start=start, outputs=outputs)
+    found = linearize_sweep(model, name, values, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, _csv(found))
     if args.figure:
