@@ -3,13 +3,16 @@
 Prints the tables of docs/sweeps.md. Times are those of one core, medians of interleaved repeats
 where several are compared; ratios count, the times are those of the machine it ran on.
 
-    python benchmarks/ensembles.py [bicycles] [outputs] [memory] [fmu] [scalar]
+    python benchmarks/ensembles.py [bicycles] [outputs] [scalar] [memory] [fmu] [kills]
 """
 
+import os
+import signal
 import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -210,6 +213,66 @@ def fmu() -> None:
         print(f"a sweep of an FMU is {statistics.median(ratios):.1f} times a loop of simulate_fmu")
 
 
+SWEEP = """
+import sys
+import numpy as np, cosim
+cosim.sweep(
+    "bar_on_frame", {"theta_dot": np.linspace(-3, 3, 1000)}, outputs=["theta"],
+    keep=["trajectories", "statistics", "final"], solver="cvodes", stop_time=6.0,
+    output_interval=0.05, workers=int(sys.argv[3]), store=sys.argv[1],
+    resume=sys.argv[2] == "resume",
+)
+"""
+
+
+def kills() -> None:
+    """1000 runs with 20 kills of workers and 3 of the coordinator, against calm serial ones."""
+    random = np.random.default_rng(1)
+    with tempfile.TemporaryDirectory() as folder:
+        calm, wild = Path(folder) / "calm", Path(folder) / "wild"
+        subprocess.run([sys.executable, "-c", SWEEP, str(calm), "begin", "0"], check=True)
+        left, coordinators, how = 20, 3, "begin"
+        first: dict[str, int] = {}
+        while True:
+            call = [sys.executable, "-c", SWEEP, str(wild), how, "2"]
+            process = subprocess.Popen(call)
+            share = -(-left // (coordinators + 1))
+            while process.poll() is None and share:
+                time.sleep(random.uniform(0.3, 0.9))
+                for worker in random.permutation(children(process.pid))[:1]:
+                    os.kill(int(worker), signal.SIGKILL)
+                    left, share = left - 1, share - 1
+            if coordinators and process.poll() is None:
+                process.kill()
+                coordinators -= 1
+            code = process.wait()
+            for path in (wild / "chunks").glob("*.npz"):
+                assert (
+                    first.setdefault(path.name, path.stat().st_mtime_ns) == path.stat().st_mtime_ns
+                )
+            how = "resume"
+            if code == 0:
+                break
+        same = all(
+            (wild / name).read_bytes() == (calm / name).read_bytes()
+            for name in ("runs.csv", *files_of(calm / "results.zarr", calm))
+        )
+        print(f"{20 - left} workers and {3 - coordinators} coordinators killed: "
+              f"{'the same bytes' if same else 'OTHER BYTES'} as calm and serial, no chunk written "
+              f"twice, {len(first)} chunks")  # fmt: skip
+
+
+def children(parent: int) -> list[int]:
+    text = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(parent)], capture_output=True, text=True
+    )
+    return [int(word) for word in text.stdout.split()]
+
+
+def files_of(folder: Path, root: Path) -> list[str]:
+    return [str(path.relative_to(root)) for path in sorted(folder.rglob("*")) if path.is_file()]
+
+
 def heyoka_version() -> str:
     import heyoka
 
@@ -229,5 +292,5 @@ BICYCLE = cosim.load("bicycle")
 NAMES = [variable.name for variable in BICYCLE.states]
 
 if __name__ == "__main__":
-    for part in sys.argv[1:] or ["bicycles", "outputs", "scalar", "memory", "fmu"]:
+    for part in sys.argv[1:] or ["bicycles", "outputs", "scalar", "memory", "fmu", "kills"]:
         globals()[part]()

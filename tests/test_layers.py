@@ -28,7 +28,7 @@ cosim._fmu
 casadi_models
 cosim.escaping
 cosim.errors | cosim.memo | cosim.arrays
-cosim.tables | cosim.files | cosim.plotting | cosim.series | cosim.temporary
+cosim.tables | cosim.files | cosim.plotting | cosim.series | cosim.temporary | cosim.processes
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi

@@ -27,6 +27,7 @@ class Mechanism:
     Attributes:
         speeds, accelerations: Of every coordinate.
         loop_loads: What the loops exert against g (forces where g is a length).
+        drives: What moves the driven coordinates as they are told, in their order.
         system: Inertias and loads as the caller wrote them.
         u: The symbols that stand for the speeds there.
     """
@@ -34,6 +35,7 @@ class Mechanism:
     speeds: SX
     accelerations: SX
     loop_loads: SX
+    drives: SX
     system: kane.System
     u: SX
 
@@ -56,6 +58,31 @@ class _Parts:
     system: kane.System
     g: SX
     starts: Mapping[str, float] = field(default_factory=dict)
+    driven: tuple[int, ...] = ()
+    driven_dot: SX = field(default_factory=lambda: SX(0, 1))
+
+    @property
+    def moving(self) -> list[int]:
+        """Coordinates that are not driven."""
+        return [i for i in range(len(self.names)) if i not in self.driven]
+
+    def system_of(
+        self,
+        free: SX,
+        inertias: Sequence[kane.InertialTerm],
+        loads: Sequence[kane.Load],
+        **more: SX,
+    ) -> kane.System:
+        """Return the system with its roles, in the symbols of `more["q_dot"]`."""
+        return kane.System(
+            q=self.q,
+            free=free,
+            prescribed=ca.vertcat(SX(0, 1), *(more["q_dot"][i] for i in self.driven)),
+            prescribed_dot=self.driven_dot,
+            inertias=tuple(inertias),
+            loads=tuple(loads),
+            **more,
+        )
 
 
 def mechanism(
@@ -67,6 +94,7 @@ def mechanism(
     loops: Mapping[str, SX] | None = None,
     *,
     independent: SX | None = None,
+    driven: Mapping[str, SX | float] | None = None,
     speed_starts: Mapping[str, float] | None = None,
     closing_rate: float = CLOSING_RATE,
 ) -> Mechanism:
@@ -81,6 +109,8 @@ def mechanism(
         independent: Coordinates whose speeds remain; the others are eliminated and the result is an
             ODE. All speeds remain when None: a DAE with accelerations and loop loads as unknowns,
             which passes where the elimination is singular.
+        driven: Accelerations of coordinates that move as they are told, by name: loops may move
+            with them. Their speeds are states; the loads that this takes are `drives`.
         speed_starts: By coordinate, 0 where it is not named; of dependent ones, it follows.
         closing_rate: Of drift from the loops in the DAE, 1/s; see `Model.closing_rate`.
 
@@ -92,82 +122,100 @@ def mechanism(
     g = ca.vertcat(SX(0, 1), *(loops or {}).values())
     _refuse_nonlinear(inertias, loads, u)
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
-    parts = _Parts(model, q, u, names, system, g, dict(speed_starts or {}))
-    for name in parts.starts:
+    for name in (*(speed_starts or {}), *(driven or {})):
         if name not in names:
             raise ValueError(f"start of the speed of '{name}': no such coordinate")
+    order = tuple(i for i, name in enumerate(names) if name in (driven or {}))
+    told = ca.vertcat(SX(0, 1), *((driven or {})[names[i]] for i in order))
+    parts = _Parts(model, q, u, names, system, g, dict(speed_starts or {}), order, told)
     if not g.numel():
         return _open(parts)
     jacobian = ca.jacobian(g, q)
+    moving = parts.moving
     if independent is None:
-        dependent = _dependent(parts, loops or {}, jacobian)
+        found = _dependent(parts, loops or {}, jacobian[:, moving])
+        dependent = [moving[i] for i in found]
     else:
         kept = [variable.name for variable in model.declared(independent)]
-        dependent = [i for i, name in enumerate(names) if name not in kept]
+        dependent = [i for i in moving if names[i] not in kept]
         if len(dependent) != g.numel():
             raise ValueError(
-                f"{g.numel()} loops for {len(names)} coordinates leave {len(names) - g.numel()} "
+                f"{g.numel()} loops for {len(moving)} coordinates leave {len(moving) - g.numel()} "
                 f"independent ones; {len(kept)} are named"
             )
         _dependent(parts, loops or {}, jacobian[:, dependent])
-    free = [i for i in range(len(names)) if i not in dependent]
     model.start_equation(q[dependent], g, "the loops are closed")
-    model.invariant("position_drift", q, g, "the loops are closed")
+    model.invariant("position_drift", q[moving], g, "the loops are closed")
     if independent is None:
-        return _with_multipliers(parts, loops or {}, free, dependent, closing_rate)
-    return _eliminated(parts, free, dependent)
+        return _with_multipliers(parts, loops or {}, dependent, closing_rate)
+    return _eliminated(parts, dependent)
 
 
 def _open(parts: _Parts) -> Mechanism:
-    solution = kane.accelerations(parts.system)
+    u, moving = parts.u, parts.moving
+    system = parts.system_of(u[moving], parts.system.inertias, parts.system.loads, q_dot=u)
+    solution = kane.accelerations(system)
     speeds = _speed_states(parts, range(len(parts.names)))
-    accelerations = ca.substitute(solution.free, parts.u, speeds)
-    parts.model.derivative(ca.vertcat(parts.q, speeds), ca.vertcat(speeds, accelerations))
-    conditions.watch_masses(parts.model, ca.substitute(solution.mass, parts.u, speeds))
-    return Mechanism(speeds, accelerations, SX(0, 1), parts.system, parts.u)
+    rates = _column(parts, (moving, solution.free), (parts.driven, parts.driven_dot))
+    rates, drives, mass = (
+        ca.substitute(e, u, speeds)
+        for e in (rates, kane.reactions(system, solution.unknown), solution.mass)
+    )
+    parts.model.derivative(ca.vertcat(parts.q, speeds), ca.vertcat(speeds, rates))
+    conditions.watch_masses(parts.model, mass)
+    return Mechanism(speeds, rates, SX(0, 1), drives, parts.system, u)
 
 
-def _eliminated(parts: _Parts, free: list[int], dependent: list[int]) -> Mechanism:
+def _eliminated(parts: _Parts, dependent: list[int]) -> Mechanism:
     model, q, u = parts.model, parts.q, parts.u
-    order = [*free, *dependent]
-    back = [order.index(i) for i in range(len(order))]
-    system = kane.System(
-        q=q,
+    free = [i for i in parts.moving if i not in dependent]
+    known = sorted((*free, *parts.driven))
+    system = parts.system_of(
+        u[free],
+        parts.system.inertias,
+        parts.system.loads,
         q_dot=u,
-        free=u[free],
         dependent=u[dependent],
-        inertias=parts.system.inertias,
-        loads=parts.system.loads,
         constraints=ca.jtimes(parts.g, q, u),
     )
     solution = kane.accelerations(system)
-    states = _speed_states(parts, free)
-    speeds = ca.vertcat(states, solution.relation @ states)[back]
-    accelerations, loop_loads = (
-        ca.substitute(expression, u, speeds)
-        for expression in (
-            solution.unknown[back],
-            kane.constraint_loads(system, solution.unknown),
-        )
+    jacobian = ca.jacobian(parts.g, q)
+    states = _speed_states(parts, known)
+    follow = -ca.solve(jacobian[:, dependent], jacobian[:, known] @ states)
+    speeds = _column(parts, (known, states), (dependent, follow))
+    rates = _column(
+        parts,
+        (free, solution.free),
+        (dependent, solution.dependent),
+        (parts.driven, parts.driven_dot),
+    )
+    loop_loads = kane.constraint_loads(system, solution.unknown)
+    drives = kane.reactions(system, solution.unknown, loop_loads)
+    rates, loop_loads, drives, mass = (
+        ca.substitute(e, u, speeds) for e in (rates, loop_loads, drives, solution.mass)
     )
     model.derivative(q, speeds)
-    model.derivative(states, accelerations[free])
-    conditions.watch_masses(model, ca.substitute(solution.mass, u, speeds))
-    conditions.watch_elimination(model, ca.jacobian(parts.g, q)[:, dependent])
-    return Mechanism(speeds, accelerations, loop_loads, parts.system, u)
+    model.derivative(states, rates[known])
+    if free:
+        conditions.watch_masses(model, mass)
+    conditions.watch_elimination(model, jacobian[:, dependent])
+    return Mechanism(speeds, rates, loop_loads, drives, parts.system, u)
 
 
 def _with_multipliers(
-    parts: _Parts, loops: Mapping[str, SX], free: list[int], dependent: list[int], rate: float
+    parts: _Parts, loops: Mapping[str, SX], dependent: list[int], rate: float
 ) -> Mechanism:
-    model, q, g = parts.model, parts.q, parts.g
+    model, q, g, moving = parts.model, parts.q, parts.g, parts.moving
     speeds = _speed_states(parts, range(len(parts.names)))
-    nominals = [variable.nominal for variable in model.declared(speeds)]
-    accelerations = ca.vertcat(
+    sizes = [variable.nominal for variable in model.declared(speeds)]
+    unknown = ca.vertcat(
+        SX(0, 1),
         *(
-            model.algebraic(f"{n}_dot_dot", *_rate(parts, i, 2), nominal=10.0 * size)
-            for i, (n, size) in enumerate(zip(parts.names, nominals, strict=True))
-        )
+            model.algebraic(
+                f"{parts.names[i]}_dot_dot", *_rate(parts, i, 2), nominal=10.0 * sizes[i]
+            )
+            for i in moving
+        ),
     )
     loop_loads = ca.vertcat(
         *(
@@ -175,25 +223,37 @@ def _with_multipliers(
             for name in _rows(loops)
         )
     )
-    inertias, loads = _in_states(parts, speeds)
     velocity = ca.jtimes(g, q, speeds)
-    system = kane.System(
-        q=q, q_dot=speeds, free=speeds, inertias=inertias, loads=loads, constraints=velocity
-    )
+    inertias, loads = _in_states(parts, speeds)
+    system = parts.system_of(speeds[moving], inertias, loads, q_dot=speeds, constraints=velocity)
     decay = model.closing_rate(rate)
-    residual = kane.multiplier_equations(system, accelerations, loop_loads)
+    residual = kane.multiplier_equations(system, unknown, loop_loads)
     closing = 2 * decay * velocity + decay**2 * g
-    model.equation(residual + ca.vertcat(SX.zeros(len(parts.names)), closing))
-    model.derivative(ca.vertcat(q, speeds), ca.vertcat(speeds, accelerations))
-    jacobian = kane.constraint_matrix(system)
-    relation = -ca.solve(jacobian[:, dependent], jacobian[:, free])
-    model.start(speeds[dependent], relation @ speeds[free], "the loops stay closed")
+    model.equation(residual + ca.vertcat(SX.zeros(len(moving)), closing))
+    rates = _column(parts, (moving, unknown), (parts.driven, parts.driven_dot))
+    model.derivative(ca.vertcat(q, speeds), ca.vertcat(speeds, rates))
+    jacobian = ca.jacobian(g, q)
+    known = [i for i in range(len(parts.names)) if i not in dependent]
+    follow = -ca.solve(jacobian[:, dependent], jacobian[:, known] @ speeds[known])
+    model.start(speeds[dependent], follow, "the loops stay closed")
     mass = kane.mass_matrix(system)
-    sizes = conditions.equal_energies(mass)
-    model.invariant("velocity_drift", speeds, velocity, "the loops stay closed", sizes=sizes)
+    model.invariant(
+        "velocity_drift",
+        speeds[moving],
+        velocity,
+        "the loops stay closed",
+        sizes=conditions.equal_energies(mass),
+    )
     conditions.watch_masses(model, mass)
-    conditions.watch_constraints(model, jacobian, mass)
-    return Mechanism(speeds, accelerations, loop_loads, parts.system, parts.u)
+    conditions.watch_constraints(model, kane.constraint_matrix(system), mass)
+    drives = kane.reactions(system, unknown, loop_loads)
+    return Mechanism(speeds, rates, loop_loads, drives, parts.system, parts.u)
+
+
+def _column(parts: _Parts, *placed: tuple[Sequence[int], SX]) -> SX:
+    """Return a column over all coordinates from its rows."""
+    rows = {i: row for which, c in placed for i, row in zip(which, ca.vertsplit(c), strict=True)}
+    return ca.vertcat(*(rows[i] for i in range(len(parts.names))))
 
 
 def _in_states(

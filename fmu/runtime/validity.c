@@ -11,7 +11,7 @@ void note_margins(Instance *self, const double margins[]) {
         const uint32_t bit = UINT32_C(1) << i;
         const bool inside = margins[i] > 0;
         if (!inside && !(self->state.outside & bit))
-            log_text(self, WARNING, "from time %.17g on it is no longer true that %s",
+            log_text(self, WARNING, "from time %.9g on it is no longer true that %s",
                      self->state.values[TIME], limits[i]);
         self->state.outside = inside ? self->state.outside & ~bit : self->state.outside | bit;
     }

@@ -2,9 +2,11 @@
  *
  *     run(x0, z0, p, u) -> (xf, zf), one column per output time,
  *
- * p = (c, number of output times, relative and absolute tolerance, largest step, output times).
- * How many output times there are is no constant of the library: `cosim_points` must be called
- * before CasADi asks for the sizes.
+ * p = (c, number of output times, of breaks and of columns of u, relative and absolute tolerance,
+ * largest step, output times, breaks). At a break, the position of an output time, a step ends and
+ * a fresh one begins. u has one column, or one per output time that holds on the way there; where
+ * it changes is a break, too. None of these numbers is a constant of the library: `cosim_sizes`
+ * must be called before CasADi asks for the sizes.
  */
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
@@ -21,14 +23,15 @@ typedef struct {
 
 static const Solver solver;
 
-enum { SETTINGS = 4, REPORT = 6 };
+enum { SETTINGS = 6, REPORT = 6 };
 
 static _Thread_local double report[REPORT];
 static long long size_x0[3] = {NX, 1, 1}, size_z0[3] = {NZ, 1, 1}, size_u[3] = {NU, 1, 1};
 static long long size_p[3] = {0, 1, 1}, size_xf[3] = {NX, 0, 1}, size_zf[3] = {NZ, 0, 1};
 
-SHARED void cosim_points(long long points) {
-    size_p[0] = NC + SETTINGS + points;
+SHARED void cosim_sizes(long long points, long long breaks, long long columns) {
+    size_p[0] = NC + SETTINGS + points + breaks;
+    size_u[1] = columns;
     size_xf[1] = points;
     size_zf[1] = points;
 }
@@ -81,29 +84,70 @@ SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long
     return failed;
 }
 
+/* Output times, positions of breaks among them, and inputs on the way to each of them. */
+typedef struct {
+    const double *times, *breaks, *u;
+    long long points, number_of_breaks, columns;
+} Schedule;
+
+static inline const double *inputs_to(const Schedule *self, long long i) {
+    return self->u + (self->columns > 1 ? i * NU : 0);
+}
+
+/* The position after `begin`, at most the last one, at which a fresh step has to begin. */
+static inline long long next_break(const Schedule *self, long long begin) {
+    long long end = self->points - 1;
+    for (long long i = self->number_of_breaks - 1; i >= 0 && self->breaks[i] > (double)begin; --i)
+        end = (long long)self->breaks[i];
+    if (self->columns > 1)
+        for (long long i = begin + 2; i <= end; ++i)
+            if (memcmp(inputs_to(self, i), inputs_to(self, i - 1), NU * sizeof(double)))
+                end = i - 1;
+    return end;
+}
+
+/* Integrates from break to break. What the unknowns were before one is kept. */
+static inline int integrate_pieces(Problem *self, const Schedule *schedule, double largest,
+                                   double *out, double *z, Course *course) {
+    double before[NZ + 1] = {0};
+    for (long long begin = 0, end; begin < schedule->points - 1; begin = end) {
+        end = next_break(schedule, begin);
+        const Grid grid = {schedule->times + begin, end - begin + 1, largest};
+        double *const own = z ? z + begin * NZ : NULL;
+        if (own) memcpy(before, own, NZ * sizeof *before);
+        self->u = inputs_to(schedule, begin + 1);
+        const int code = solver.integrate(self, &grid, out + begin * NX, own, course);
+        if (own && begin) memcpy(own, before, NZ * sizeof *before);
+        if (code != SUCCESS) return code;
+    }
+    return SUCCESS;
+}
+
 SHARED int run(const double **arg, double **res, long long *iw, double *w, int mem) {
     static const double none[NX + NZ + NU + 1]; /* what is not given is 0 */
     const double *x0 = arg[0] ? arg[0] : none, *c = arg[2];
     (void)mem;
     if (!c || !res[0]) return 1;
-    const double *settings = c + NC;
-    const Grid grid = {settings + SETTINGS, (long long)settings[0], settings[3]};
+    const double *settings = c + NC, *times = settings + SETTINGS;
+    const long long points = (long long)settings[0];
+    const int given = arg[3] != NULL;
+    const Schedule schedule = {times, times + points, given ? arg[3] : none, points,
+                               (long long)settings[1], given ? (long long)settings[2] : 1};
     Problem problem = {
         .rhs = solver.rhs,
         .project = solver.project,
         .z = arg[1] ? arg[1] : none,
-        .u = arg[3] ? arg[3] : none,
         .c = c,
         .arg = arg + 4,
         .res = res + 2,
         .iw = iw,
         .w = w,
-        .relative = settings[1],
-        .absolute = settings[2],
+        .relative = settings[3],
+        .absolute = settings[4],
     };
-    Course course = {grid.times[0], 0};
+    Course course = {times[0], 0};
     memcpy(res[0], x0, NX * sizeof *x0);
-    const int code = solver.integrate(&problem, &grid, res[0], res[1], &course);
+    const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);
     const double seen[REPORT] = {
         (double)problem.steps, (double)problem.calls, 0, code, course.reached, course.last};
     memcpy(report, seen, sizeof report);

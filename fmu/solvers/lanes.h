@@ -28,17 +28,29 @@ static inline V every(double a) {
     return r;
 }
 
-static inline V pick(M where, V yes, V no) { return (V)((where & (M)yes) | (~where & (M)no)); }
-static inline V truth(M where) { return pick(where, every(1), every(0)); }
-static inline V magnitude(V a) { return (V)((M)a & ~(M)every(-0.0)); }
+static inline V pick(M where, V yes, V no) {
+    return (V)((where & (M)yes) | (~where & (M)no));
+}
+static inline V truth(M where) {
+    return pick(where, every(1), every(0));
+}
+static inline V magnitude(V a) {
+    return (V)((M)a & ~(M)every(-0.0));
+}
 
 static inline V with_sign(V a, V b) {
     return (V)(((M)a & ~(M)every(-0.0)) | ((M)b & (M)every(-0.0)));
 }
 
-static inline V sign_of(V a) { return pick(a < 0, every(-1), pick(a > 0, every(1), a)); }
-static inline V smaller(V a, V b) { return pick(a < b, a, pick(b == b, b, a)); } /* as fmin */
-static inline V larger(V a, V b) { return pick(a > b, a, pick(b == b, b, a)); }
+static inline V sign_of(V a) {
+    return pick(a < 0, every(-1), pick(a > 0, every(1), a));
+}
+static inline V smaller(V a, V b) {
+    return pick(a < b, a, pick(b == b, b, a));
+} /* as fmin */
+static inline V larger(V a, V b) {
+    return pick(a > b, a, pick(b == b, b, a));
+}
 
 static inline V root(V a) {
 #if LANES == 8 && defined(__AVX512F__)

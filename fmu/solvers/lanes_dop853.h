@@ -95,7 +95,9 @@ static V norm(const Batch *batch, const V *values, const V *x) {
     return root(sum / every(NX));
 }
 
-static V eighth_root(V a) { return root(root(root(a))); }
+static V eighth_root(V a) {
+    return root(root(root(a)));
+}
 
 /* Steps over which the error of order 8 is about the tolerance, from two derivatives. */
 static V first_steps(Lanes *self, const Batch *batch, double span) {
@@ -198,7 +200,8 @@ static int refill(Lanes *self, const Batch *batch) {
         if (!some) return running;
         const V *in[] = {self->p};
         V *out[] = {self->c};
-        model.constants(in, out); /* the other lanes' stay as they are: the same numbers once more */
+        model.constants(in,
+                        out); /* the other lanes' stay as they are: the same numbers once more */
         slopes(self, self->t, self->x, self->sum);
         const M good = is_finite(self->sum) & is_finite(self->x);
         for (int i = 0; i < NX; ++i) self->k[0][i] = pick(fresh, self->sum[i], self->k[0][i]);
@@ -290,8 +293,10 @@ static void step(Lanes *self, const Batch *batch) {
     FOR_LANES {
         if (self->run[l] < 0) continue;
         const double t = self->t[l], h = self->h[l];
-        if (*batch->stop) finish(self, batch, l, HALTED);
-        else if (++self->trials[l] > MOST_TRIALS) finish(self, batch, l, TOO_MANY_STEPS);
+        if (*batch->stop)
+            finish(self, batch, l, HALTED);
+        else if (++self->trials[l] > MOST_TRIALS)
+            finish(self, batch, l, TOO_MANY_STEPS);
         else if (!(0.1 * h > fabs(t) * DBL_EPSILON && h >= 1e-18 * span))
             finish(self, batch, l, STEP_TOO_SMALL);
         self->final[l] = t + 1.01 * h >= stop;
@@ -305,8 +310,10 @@ static void step(Lanes *self, const Batch *batch) {
     M good = (error <= every(1)) & is_finite(self->end) & is_finite(self->k[END]);
     int dense = 0;
     FOR_LANES {
-        if (self->run[l] < 0) good[l] = 0;
-        else self->calls[l] += STAGES;
+        if (self->run[l] < 0)
+            good[l] = 0;
+        else
+            self->calls[l] += STAGES;
         const int wants = good[l] && batch->grid[self->next[l]] < after[l];
         if (wants) self->calls[l] += EXTENDED - STAGES - 1;
         dense |= wants;

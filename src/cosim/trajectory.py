@@ -77,7 +77,8 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
-            array = np.array(getattr(self, name), dtype=float)
+            given = getattr(self, name)
+            array = given if _is_settled(given) else np.array(given, dtype=float)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         if self.time.ndim != 1 or self.values.shape != (len(self.time), len(self.columns)):
@@ -162,9 +163,16 @@ class Trajectory:
             UnknownName: One was not recorded.
             UsageError: One is named twice.
         """
-        chosen = [self._index(name) for name in _listed(names)]
+        wanted = tuple(_listed(names))
+        own = self.names
+        if wanted == own:
+            return self
+        places = {name: i for i, name in enumerate(own)}
+        chosen = [places[name] if name in places else self._index(name) for name in wanted]
         columns = tuple(self.columns[i] for i in chosen)
-        return replace(self, columns=columns, values=self.values[:, chosen])
+        values = self.values[:, chosen]
+        values.setflags(write=False)
+        return replace(self, columns=columns, values=values)
 
     @property
     def final(self) -> dict[str, float]:
@@ -426,6 +434,13 @@ class Trajectory:
         solver = f", {self.stats['solver']}" if "solver" in self.stats else ""
         variables = f"{count} variable{'s' * (count != 1)}"
         return f"{self.model}: {times}{span}, {variables}{solver}, {self.status}{stop}"
+
+
+def _is_settled(array: object) -> bool:
+    """Tell whether these are doubles that nobody can change any more: no copy is needed."""
+    if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.flags.writeable:
+        return False
+    return array.base is None or _is_settled(array.base)
 
 
 def _listed(names: str | Sequence[str]) -> Sequence[str]:

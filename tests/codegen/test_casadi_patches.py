@@ -6,6 +6,7 @@ from cosim.codegen.casadi_patches import (
     differential_errors,
     in_one_piece,
     run_time_tolerances,
+    smallest_step,
     watched,
 )
 from cosim.errors import UsageError
@@ -14,6 +15,8 @@ DRIVER = """static int casadi_f0(int a) {
   p.abstol = 1e-8;
   p.reltol = 1e-6;
   p.nz_err = 3;
+  p.h_min = 1e-14;
+  if (d->h_next < p->h_min) d->status = IVP_STEP_TOO_SMALL;
           case IVP_EVAL_RHS:
       if (d.status != IVP_SUCCESS) return 1;
 }
@@ -24,7 +27,8 @@ def test_tolerances_become_expressions():
     code = run_time_tolerances(DRIVER, "arg[2][7]", "arg[2][8]")
     assert "p.reltol = arg[2][7];\n" in code
     assert "p.abstol = arg[2][8];\n" in code
-    assert "1e-" not in code
+    assert "1e-8" not in code
+    assert "1e-6" not in code
 
 
 def test_algebraic_unknowns_leave_the_error_test():
@@ -43,6 +47,12 @@ def test_run_can_be_halted_at_every_right_hand_side():
     assert "SHARED void cosim_watch(void)" in code
 
 
+def test_smallest_step_is_what_time_resolves():
+    code = smallest_step(DRIVER)
+    assert "p.h_min = 1e-60;" in code
+    assert "d->h_next < 2.3e-16 * fabs(d->t)" in code
+
+
 def test_entry_is_flattened():
     assert in_one_piece(DRIVER).startswith("__attribute__((flatten)) static int casadi_f0(")
 
@@ -55,6 +65,7 @@ def test_entry_is_flattened():
         differential_errors,
         watched,
         in_one_piece,
+        smallest_step,
     ],
 )
 def test_driver_in_another_form_is_refused(code, change):

@@ -9,17 +9,43 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
+from cosim.cli.streams import NO_ROOM, mend_streams, settled
+from cosim.cli.supervised import can_supervise, supervised
 from cosim.errors import CosimError
+from cosim.escaping import sentence, visible
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `cosim VERB ...`; return the exit code."""
-    args = _arguments(arguments)
+    if arguments is not None:
+        return _run(_arguments(arguments))
+    mend_streams()
+    try:
+        args = _arguments(None)
+        own = next((w for w in _words(args) if ".py:" in w), None)
+        if own is None or not can_supervise():
+            code = _run(args)
+        else:
+            timeout = getattr(args, "timeout", None)
+            code = supervised(lambda: _run(args), f"cosim {args.verb}: {own}", timeout)
+    except SystemExit as ended:  # of argparse
+        code = ended.code if isinstance(ended.code, int) else 2
+    return settled(code)
+
+
+def _words(args: argparse.Namespace) -> Iterator[str]:
+    """Yield what a command line names: models above all."""
+    for value in vars(args).values():
+        yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run a verb; return its exit code, every error told in a sentence."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that a terminal cannot show ends no run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -33,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CosimError as error:
         if args.debug:
             raise
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        told = visible(str(error), lines=True)
+        print(f"{type(error).__name__}: {told}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -44,7 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if args.debug:
             raise
-        told = " ".join(f"{type(error).__name__}: {error}".split())
+        if isinstance(error, OSError) and error.errno in NO_ROOM and error.filename is None:
+            print(f"cannot write the results: {error.strerror}", file=sys.stderr)
+            return 1
+        told = sentence(f"{type(error).__name__}: {error}")
         print(f"cosim {args.verb} failed with {told}; show where with: --debug", file=sys.stderr)
         return 1
 

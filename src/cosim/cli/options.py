@@ -149,10 +149,14 @@ def add_accuracy(parser: Parser) -> None:
 
 
 def add_timeout(parser: Parser) -> None:
-    """Let a verb end the run of an FMU file."""
+    """Let a verb end the run of an FMU file or of a user's own code."""
     parser.add_argument(
         "--timeout", type=seconds, metavar="S", help="for a run of an FMU or a PATH.py, s; no limit"
     )
+
+
+def add_trust(parser: Parser) -> None:
+    """Let a verb run the code of foreign FMUs."""
     parser.add_argument(
         "--trust", action="store_true", help="run this FMU's code, now and in future"
     )

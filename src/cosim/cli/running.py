@@ -25,8 +25,11 @@ def refuse_timeout(args: argparse.Namespace) -> None:
     Raises:
         UsageError: One is given.
     """
-    if args.timeout is not None:
-        raise UsageError("--timeout is for FMU files; a model's run ends at its step limit")
+    models = getattr(args, "models", None) or [args.model]
+    if args.timeout is not None and not any(".py:" in model for model in models):
+        raise UsageError(
+            "--timeout is for FMU files and PATH.py; a model's run ends at its step limit"
+        )
 
 
 def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:

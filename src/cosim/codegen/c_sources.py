@@ -19,6 +19,11 @@ def runtime_sources() -> tuple[Traversable, ...]:
     return tuple(sorted(found, key=lambda entry: entry.name))
 
 
+def license_texts() -> tuple[Traversable, ...]:
+    """Return the licence of the C files, and what holds of generated ones, by name."""
+    return tuple(files("cosim._fmu") / name for name in ("GENERATED.txt", "LICENSE.txt"))
+
+
 def solver_sources() -> tuple[Traversable, ...]:
     """Return the headers of the explicit solvers, by name."""
     found = (e for e in (files("cosim._fmu") / "solvers").iterdir() if e.name.endswith(".h"))

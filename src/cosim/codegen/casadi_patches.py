@@ -33,6 +33,23 @@ def run_time_tolerances(code: str, relative: str, absolute: str) -> str:
     )
 
 
+def smallest_step(code: str) -> str:
+    """Let a step be as small as time resolves it, not a part of the whole span.
+
+    Raises:
+        UsageError: See `run_time_tolerances`.
+    """
+    return _replace(
+        code,
+        {
+            r"p\.h_min = [^;]+;": "p.h_min = 1e-60;",
+            r"if \(d->h_next < p->h_min\)": (
+                "if (d->h_next < p->h_min || d->h_next < 2.3e-16 * fabs(d->t))"
+            ),
+        },
+    )
+
+
 def differential_errors(code: str) -> str:
     """Let the errors of the differential states alone decide on steps and on the start.
 

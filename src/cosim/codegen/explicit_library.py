@@ -19,7 +19,7 @@ from cosim.codegen.tableau import Tableau
 
 _sizing = Lock()
 
-SETTINGS = 4  # number of output times, both tolerances, largest step
+SETTINGS = 6  # numbers of output times, breaks, columns of u; both tolerances, largest step
 
 
 class MethodText(NamedTuple):
@@ -58,17 +58,21 @@ def explicit_library(
     return str(cached_library(cache_key(f"explicit {name}", rhs, details.encode()), generate))
 
 
-def explicit_function(path: str, points: int) -> tuple[ca.Function, ctypes.CDLL]:
+def explicit_function(
+    path: str, points: int, breaks: int = 0, columns: int = 1
+) -> tuple[ca.Function, ctypes.CDLL]:
     """Return `run(x0, z0, p, u) -> (xf, zf)` of a compiled solver, and its library.
 
     Args:
         path: Of the library.
-        points: Number of output times; p = (c, points, relative and absolute tolerance, largest
-            step, output times).
+        points: Number of output times; p = (c, points, breaks, columns, relative and absolute
+            tolerance, largest step, output times, positions of the breaks).
+        breaks: Number of output times at which a step ends and a fresh one begins.
+        columns: Of u: 1, or one per output time that holds on the way there.
     """
     library = ctypes.CDLL(path)
     with _sizing:  # CasADi reads the sizes while it makes the function
-        library.cosim_points(ctypes.c_longlong(points))
+        library.cosim_sizes(*map(ctypes.c_longlong, (points, breaks, columns)))
         return ca.external("run", path), library
 
 

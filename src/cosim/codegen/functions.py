@@ -35,19 +35,22 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     Without `sensitivities` it has derivatives with respect to x and z only, which is all that an
     integration needs: a third to a half of the code.
     """
-    return _function(dae, dae.p, dae.ode, dae.alg, sensitivities)
+    known = [sensitivities, True, True, sensitivities, sensitivities]
+    return _function(dae, dae.p, dae.ode, dae.alg, known)
 
 
 @kept_per_thread(16)
-def prepared(dae: Dae) -> tuple[ca.Function, ca.Function]:
+def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.Function]:
     """Return `dae(t, x, z, u, c) -> (ode, alg)` and `p -> c`.
 
     c are the parameters and all that depends on nothing else: calculated once, not in every step.
+    Without `sensitivities`, `dae` has no derivatives with respect to c.
     """
     rows, symbols, values = ca.extract_parametric(ca.vertcat(dae.ode, dae.alg), dae.p)
     nx = dae.x.numel()
+    rates = [True, True, True, True, sensitivities]
     c = ca.vertcat(dae.p, *symbols)
-    function = _function(dae, c, rows[:nx], rows[nx:], sensitivities=False)
+    function = _function(dae, c, rows[:nx], rows[nx:], rates)
     return function, ca.Function("constants", [dae.p], [ca.vertcat(dae.p, *values)], {"cse": True})
 
 
@@ -69,9 +72,11 @@ def symbols_of(function: ca.Function) -> list[MX]:
     return [MX.sym(name, function.sparsity_in(i)) for i, name in enumerate(CALL)]
 
 
-def _function(dae: Dae, p: ca.SX, ode: ca.SX, alg: ca.SX, sensitivities: bool) -> ca.Function:
-    options: dict[str, Any] = {"cse": True}
-    if not sensitivities:
-        options["is_diff_in"] = [False, True, True, False, False]
+def _function(
+    dae: Dae, p: ca.SX, ode: ca.SX, alg: ca.SX, differentiable: list[bool]
+) -> ca.Function:
+    """Return the equations; of an argument that is not differentiable, CasADi takes the derivatives
+    for 0 without a word: only where nobody asks for them."""
+    options: dict[str, Any] = {"cse": True, "is_diff_in": differentiable}
     symbols = [dae.t, dae.x, dae.z, dae.u, p]
     return ca.Function("dae", symbols, [ode, alg], CALL, ["ode", "alg"], options)

@@ -55,6 +55,9 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
             counts = engine.counts()
             cause = counts.cause or "step size too small, or too many steps"
             reason = "" if succeeded else cause
+    if engine.kept is not None:
+        states, algebraics = states[engine.kept], algebraics[engine.kept]
+        n = len(states)
     finite = np.isfinite(states)
     reached = n if finite.all() else int(np.argmin(finite.all(axis=1)))
     if interrupts or "KeyboardInterrupt" in reason + told.getvalue():  # a failure, to CasADi

@@ -10,13 +10,12 @@ from casadi import MX
 
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key
-from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, watched
+from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, smallest_step, watched
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import CALL, driven, prepared, symbols_of
 from cosim.integrate.engine import Engine, Problem, reported
-from cosim.integrate.plugin import COMMON, plugin_engine
+from cosim.integrate.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
-from cosim.integrate.sundials import tolerances
 
 _NAMES = ("n_steps", "n_rhs", "n_jac")
 
@@ -30,7 +29,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         """Build the engine for a problem."""
         if problem.compiled:
             return self._generated(problem)
-        options = COMMON | tolerances(self) | {"control_group_size": [len(problem.grid)]}
+        options = COMMON | tolerances(self) | _grouped(problem)
         return plugin_engine(problem, self.name, options, _NAMES)
 
     def _generated(self, problem: Problem) -> Engine:
@@ -45,7 +44,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         ode, alg = function(t, x, z, driven(dae, inputs, t, u), c)
         symbols = [s, x, z, u, ca.vertcat(c, span)]
         system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
-        options: dict[str, Any] = COMMON | {"control_group_size": [len(grid)]}
+        options: dict[str, Any] = COMMON | _grouped(problem)
         if inputs is not None:
             options["max_step_size"] = float(np.diff(inputs.time).min() / length)
         original = ca.Function("driven", symbols, [system["ode"], alg])
@@ -58,17 +57,19 @@ class _OwnOfCasadi(AdaptiveSolver):
             code = run_time_tolerances(
                 str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
             )
-            return self.finished(watched(code))
+            return self.finished(watched(smallest_step(code)))
 
         details = (unit_grid.tobytes(), repr(sorted(options.items())).encode())
-        key = cache_key(f"generated-6 {self.name}", original, *details)
+        key = cache_key(f"generated-7 {self.name}", original, *details)
         path = str(cached_library(key, generate))
         p = MX.sym("p", dae.p.numel())
         extended = ca.vertcat(constants(p), start, length, *self.tolerance.pair)
         library = ctypes.CDLL(path)
         parameters = ca.Function("parameters", [p], [extended])
         run = ca.external("run", path)
-        return Engine(run, parameters, False, reported(library, start, length), True, library)
+        return Engine(
+            run, parameters, problem.piecewise, reported(library, start, length), True, library
+        )
 
     @staticmethod
     def finished(code: str) -> str:
@@ -95,6 +96,11 @@ class Rosenbrock(_OwnOfCasadi):
     name = "rosenbrock"
     solves_dae = True
     uses_jacobian = True
+
+
+def _grouped(problem: Problem) -> dict[str, Any]:
+    """Let steps pass output times where inputs do not change there."""
+    return {} if problem.piecewise else {"control_group_size": [len(problem.grid)]}
 
 
 def _unit_grid(grid: Vector) -> Vector:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
@@ -33,6 +34,7 @@ class Problem:
         inputs: Time series of some inputs.
         compiled: Whether the equations are to be machine code.
         sensitivities: Whether somebody will differentiate the engine's function.
+        piecewise: Whether inputs have a column per output time, which holds on the way there.
         project: Whether every step is to end where the model's invariants vanish.
     """
 
@@ -41,6 +43,7 @@ class Problem:
     inputs: InputSeries | None = None
     compiled: bool = False
     sensitivities: bool = True
+    piecewise: bool = False
     project: bool = False
 
     @property
@@ -65,8 +68,11 @@ class Engine:
         compiled: Whether the equations are machine code.
         library: What runs as one C function and takes over Ctrl-C (fmu/solvers/interrupt.c); None
             where CasADi sees to that.
+        kept: Which columns of the results are at the problem's output times; all when None.
         restart: Builds the engine for a start where this one fails although it is consistent, from
             dx/dt there, (nx,); None where there is none.
+        fallback: Builds the engine of settings that fail less, for a run that failed; None where
+            there are none.
     """
 
     function: ca.Function
@@ -75,7 +81,9 @@ class Engine:
     counts: Callable[[], Counts]
     compiled: bool
     library: ctypes.CDLL | None = None
+    kept: NDArray[np.intp] | None = None
     restart: "Callable[[Vector], Engine] | None" = None
+    fallback: "Callable[[], Engine] | None" = None
 
 
 def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], Counts]:

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from casadi import MX
+from numpy.typing import NDArray
 
+from cosim.arrays import Vector
 from cosim.codegen.explicit_library import (
     MethodText,
     dop853_method,
@@ -31,9 +33,7 @@ class Dop853(AdaptiveSolver):
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
-        inputs = problem.inputs
-        longest = np.inf if inputs is None else float(np.diff(inputs.time).min())
-        return explicit_engine(problem, self.name, dop853_method(), (*self.tolerance.pair, longest))
+        return explicit_engine(problem, self.name, dop853_method(), (*self.tolerance.pair, np.inf))
 
 
 def explicit_engine(
@@ -63,9 +63,22 @@ def explicit_engine(
     projection = projection_step(dae, c.numel()) if problem.project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
     path = explicit_library(rhs, name, method, projection)
-    grid = problem.grid
-    run, library = explicit_function(path, len(grid))
+    grid, breaks = problem.grid, ca.DM(0, 1)
+    kept: NDArray[np.intp] | None = None
+    if inputs is not None and settings[0]:  # where error control would stumble over kinks
+        grid, breaks, kept = _with_samples(grid, inputs.time)
+    columns = len(grid) if problem.piecewise else 1
+    run, library = explicit_function(path, len(grid), breaks.numel(), columns)
     p = MX.sym("p", dae.p.numel())
-    extended = ca.vertcat(constants(p), len(grid), *settings, ca.DM(grid))
+    numbers = (len(grid), breaks.numel(), columns, *settings)
+    extended = ca.vertcat(constants(p), *numbers, ca.DM(grid), breaks)
     parameters = ca.Function("parameters", [p], [extended])
-    return Engine(run, parameters, False, reported(library, 0.0, 1.0), True, library)
+    counts = reported(library, 0.0, 1.0)
+    return Engine(run, parameters, problem.piecewise, counts, True, library, kept)
+
+
+def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, ca.DM, NDArray[np.intp]]:
+    """Return a grid with the samples within it, the positions of these, and those of its own."""
+    within = samples[(samples > grid[0]) & (samples < grid[-1])]
+    every = np.union1d(grid, within)
+    return every, ca.DM(np.searchsorted(every, within).astype(float)), np.searchsorted(every, grid)

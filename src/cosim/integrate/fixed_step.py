@@ -65,7 +65,7 @@ class FixedStep(Solver):
         dae, grid = problem.dae, problem.grid
         intervals = np.diff(grid)
         parts = np.maximum(1, np.ceil(intervals / largest * (1 - 1e-12))).astype(int)
-        full, constants = prepared(dae)
+        full, constants = prepared(dae, sensitivities=problem.sensitivities)
         t, x, z, u, c = symbols_of(full)
         ode, _ = full(t, x, z, driven(dae, problem.inputs, t, u), c)
         rhs = ca.Function("rhs", [t, x, u, c], [ode])
@@ -75,8 +75,10 @@ class FixedStep(Solver):
         begins = np.repeat(grid[:-1], parts) + within * sizes
         total = len(sizes)
         run = step.mapaccum("steps", total, {"base": 100}) if total > 1 else step
-        x0, p, u0 = (MX.sym(n, v.numel()) for n, v in (("x0", dae.x), ("p", dae.p), ("u", dae.u)))
-        repeated = (ca.repmat(u0, 1, total), ca.repmat(constants(p), 1, total))
+        x0, p = MX.sym("x0", dae.x.numel()), MX.sym("p", dae.p.numel())
+        u0 = MX.sym("u", dae.u.numel(), len(grid) if problem.piecewise else 1)
+        columns = np.repeat(np.arange(1, len(grid)) * problem.piecewise, parts)
+        repeated = (u0[:, columns.tolist()], ca.repmat(constants(p), 1, total))
         states = run(x0, ca.DM(begins).T, ca.DM(sizes).T, *repeated)
         kept = (np.cumsum(parts) - 1).tolist()
         function = ca.Function(
@@ -87,7 +89,7 @@ class FixedStep(Solver):
             ["xf", "zf"],
         )
         counts = Counts(total, total * len(self.tableau.b), 0)
-        return Engine(function, None, False, lambda: counts, False)
+        return Engine(function, None, problem.piecewise, lambda: counts, False)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ from casadi_models.dae import Dae, StartRule
 from cosim.arrays import Vector
 from cosim.codegen.initialization import DEFECT_LIMIT, algebraic_function, start_function
 from cosim.errors import InitialConditionError
+from cosim.memo import kept_per_thread
 from cosim.model.values import Values
 
 
@@ -16,6 +17,12 @@ def start_values(dae: Dae, values: Values) -> Vector:
     Raises:
         InitialConditionError: A calculated start has no solution or leaves its bounds.
     """
+    return _start_values(dae, values.x.tobytes(), values.p.tobytes()).copy()
+
+
+@kept_per_thread(64)
+def _start_values(dae: Dae, guesses: bytes, parameters: bytes) -> Vector:
+    values = Values(np.frombuffer(guesses), np.frombuffer(parameters), np.empty(0))
     solved, defect = start_function(dae)(values.x, values.p)
     x = np.array(solved).ravel()
     if dae.start_rules and not (np.isfinite(x).all() and float(defect) < DEFECT_LIMIT):

@@ -1,6 +1,8 @@
 """The bare function of CasADi's integrator API, and what to call it with."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 from casadi import MX
@@ -9,8 +11,11 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
+from cosim.errors import UsageError
 from cosim.integrate import initial_values
-from cosim.integrate.engine import Problem
+from cosim.integrate.derivatives import MOST_NUMBERS, jacobian_of_run, size_of_jacobian
+from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.fixed_step import FixedStep
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import chosen_solver, engine_of
 from cosim.model.time_grid import checked_grid
@@ -26,38 +31,67 @@ def integrator(
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
     compiled: bool | None = None,
+    derivatives: bool | None = None,
 ) -> ca.Function:
     """Return the bare function of CasADi's integrator API, to embed, map or differentiate.
 
     Args:
         dae: The model.
         grid: Increasing output times, s, the start first, (n,).
-        solver, relative_tolerance, absolute_tolerance, step_size, compiled: See `simulate`.
+        solver, relative_tolerance, absolute_tolerance, compiled: See `simulate`.
+        step_size: Largest step of a solver with fixed ones, s; the model's output interval when
+            None. Steps end at every output time.
+        derivatives: Whether the function is to have derivatives, which takes some preparation and,
+            where compiled, a library of their own. When None, they are left out where the Jacobian
+            of the run would have more than 3 million numbers.
 
     Returns:
-        `(x0, z0, p, u, ...) -> (xf, zf, ...)` with one column per time of the grid, in the order
-        of `dae.x`, `dae.z`, `dae.p`, `dae.u`. What is not given is 0: see `start_vectors`.
-        Compiled `erk`, `rosenbrock`, `rk4` and `ode8` have no derivatives; pass `compiled=False`
-        where an optimizer needs them.
+        `(x0, z0, p, u) -> (xf, zf)` with one column per time of the grid, in the order of `dae.x`,
+        `dae.z`, `dae.p`, `dae.u`. What is not given is 0: see `start_vectors`. `u` has one column
+        per time, too, (nu, n): each holds on the way to its time, the first one is of no effect. A
+        single column holds throughout. Forward and reverse derivatives are those of the solution,
+        to the tolerance of the solver, or those of the very steps where these are fixed. Second
+        derivatives exist for fixed steps with `compiled=False` only.
 
     Raises:
         ParameterError: The grid is not increasing or not finite.
-        UnknownName, UsageError, MissingTool: See `simulate`.
+        UsageError: Derivatives are asked for of so long a grid; and see `simulate`.
+        UnknownName, MissingTool: See `simulate`.
     """
     times = checked_grid(grid)
     chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
+    if isinstance(chosen, FixedStep) and chosen.step_size is None:
+        chosen = replace(chosen, step_size=dae.experiment.output_interval)
     compiled = has_compiler() if compiled is None else compiled
-    built = engine_of(Problem(dae, times.tobytes(), compiled=compiled), chosen)
-    if built.parameters is None:
-        return built.function
-    x0, z0, p, u = (
-        MX.sym(n, v.numel()) for n, v in (("x0", dae.x), ("z0", dae.z), ("p", dae.p), ("u", dae.u))
+    own = isinstance(chosen, FixedStep) and not compiled  # CasADi's are those of the very steps
+    problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
+    built = engine_of(problem, chosen)
+    size = size_of_jacobian(dae, len(times))
+    if own or derivatives is False or (derivatives is None and size > MOST_NUMBERS):
+        return _function(dae, built, len(times), {})
+    if size > MOST_NUMBERS:
+        raise UsageError(
+            f"{dae.full_name}: derivatives over {len(times)} output times are {size:.0e} numbers; "
+            "give fewer times, or chain runs"
+        )
+    jacobian = jacobian_of_run(problem, chosen)
+    options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
+    options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
+    return _function(dae, built, len(times), options)
+
+
+def _function(dae: Dae, built: Engine, n: int, options: dict[str, Any]) -> ca.Function:
+    x0, z0, p = (
+        MX.sym(name, symbol.numel())
+        for name, symbol in (("x0", dae.x), ("z0", dae.z), ("p", dae.p))
     )
-    result = built.function(x0=x0, z0=z0, p=built.parameters(p), u=u)
+    u = MX.sym("u", dae.u.numel(), n)
+    parameters = p if built.parameters is None else built.parameters(p)
+    inputs = {"u": u} if dae.inputs else {}  # CasADi maps over columns of nothing
+    result = built.function(x0=x0, z0=z0, p=parameters, **inputs)
     names = ["x0", "z0", "p", "u"]
-    return ca.Function(
-        "integrator", [x0, z0, p, u], [result["xf"], result["zf"]], names, ["xf", "zf"]
-    )
+    columns = [ca.densify(result["xf"]), ca.densify(result["zf"])]
+    return ca.Function("integrator", [x0, z0, p, u], columns, names, ["xf", "zf"], options)
 
 
 def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> dict[str, Vector]:

@@ -36,16 +36,27 @@ def observe(
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
     call_on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))
-    table, margins = np.split(np.hstack((states.T, rows)), [known], axis=1)
-    return table, margins
+    every = np.hstack((states.T, rows))
+    every.setflags(write=False)  # a trajectory of it need not copy
+    return every[:, :known], every[:, known:]
 
 
+@kept_per_thread(64)
 def all_columns(dae: Dae) -> tuple[Column, ...]:
     """Return the columns of everything observable: states, algebraic unknowns, outputs."""
     return tuple(
         Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
         for v in (*dae.states, *dae.algebraics, *dae.output_variables)
     )
+
+
+@kept_per_thread(16)
+def recorded(dae: Dae, names: tuple[str, ...]) -> tuple[tuple[Column, ...], tuple[int, ...]]:
+    """Return the columns of these names, and their places among `all_columns`."""
+    every = all_columns(dae)
+    place = {column.name: i for i, column in enumerate(every)}
+    places = tuple(place[name] for name in names)
+    return tuple(every[i] for i in places), places
 
 
 @kept_per_thread(8)

@@ -5,10 +5,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from casadi import MX
 
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.functions import CALL, driven, equations, symbols_of
+from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts, Engine, Problem
+from cosim.integrate.solver import AdaptiveSolver
 
 # of every plugin; the number of steps is per output interval
 COMMON = {"show_eval_warnings": False, "max_num_steps": 100_000}
@@ -27,10 +30,7 @@ def plugin_engine(
     """
     dae, grid, inputs = problem.dae, problem.grid, problem.inputs
     if problem.compiled or inputs is not None:
-        function = equations(dae, sensitivities=problem.sensitivities)
-        if problem.compiled:
-            functions = [function, function.jacobian()]
-            (function,) = external(functions, cache_key("sundials", function), ["dae"])
+        function = _equations(problem)
         t, x, z, u, p = symbols = symbols_of(function)
         ode, alg = function(t, x, z, driven(dae, inputs, t, u), p)
         system: dict[str, Any] = dict(zip(CALL, symbols, strict=True)) | {"ode": ode, "alg": alg}
@@ -47,3 +47,51 @@ def plugin_engine(
         return Counts(steps, rhs, jacobians)
 
     return Engine(run, None, "control_group_size" not in options, counts, problem.compiled)
+
+
+def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) -> Engine:
+    """Return an engine of SUNDIALS' that begins anew at every output time.
+
+    Within one run, CasADi goes on there with what it knows of the past, though inputs have changed:
+    its error tests fail, or it starts from unknowns that belong to other inputs.
+
+    Args:
+        problem: With inputs that have a column per output time.
+        plugin, options: See `plugin_engine`; times go from 0 to 1.
+    """
+    dae, grid = problem.dae, problem.grid
+    function, n = _equations(problem), len(grid)
+    s, x, z, u, p = symbols_of(function)
+    begin, length = MX.sym("begin"), MX.sym("length")
+    ode, alg = function(begin + length * s, x, z, u, p)
+    known = ca.vertcat(u, p, begin, length)
+    system = {"t": s, "x": x, "z": z, "p": known, "ode": length * ode, "alg": alg}
+    run = ca.integrator("run", plugin, system, 0, 1, dict(options))
+    found = run(x0=x, z0=z, p=known)
+    arguments = [x, z, u, p, begin, length]
+    interval = ca.Function("interval", arguments, [found["xf"], found["zf"]])
+    steps = interval.mapaccum("intervals", n - 1, 2) if n > 2 else interval
+    columns = MX.sym("u", u.numel(), n)
+    numbers = (ca.DM(grid[:-1]).T, ca.DM(np.diff(grid)).T)
+    rest = steps(x, z, columns[:, 1:], ca.repmat(p, 1, n - 1), *numbers)
+    first = algebraic_function(dae)(grid[0], x, z, columns[:, 1], p)
+    results = [ca.horzcat(start, part) for start, part in zip((x, first), rest, strict=True)]
+    names = ["x0", "z0", "p", "u"]
+    whole = ca.Function("run", [x, z, p, columns], results, names, ["xf", "zf"])
+    return Engine(whole, None, True, Counts, problem.compiled)
+
+
+def _equations(problem: Problem) -> ca.Function:
+    """Return the model's equations, with their Jacobian in a library where compiled."""
+    complete = problem.sensitivities or not problem.compiled
+    function = equations(problem.dae, sensitivities=complete)
+    if problem.compiled:
+        functions = [function, function.jacobian()]
+        (function,) = external(functions, cache_key("sundials", function), ["dae"])
+    return function
+
+
+def tolerances(solver: AdaptiveSolver) -> dict[str, Any]:
+    """Return the tolerances as CasADi's integrators take them."""
+    relative, absolute = solver.tolerance.pair
+    return {"reltol": relative, "abstol": absolute}

@@ -18,6 +18,7 @@ class RunStats(Mapping[str, Any]):
         compiled: Whether the equations were machine code.
         wall_time: What everything took, s.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
+        note: What was done that was not asked for.
         invalid_from: From when on it does, s; None where it does not.
         stop: The condition that ended the run, and when it became true.
         stop_time: When, s.
@@ -33,6 +34,7 @@ class RunStats(Mapping[str, Any]):
     compiled: bool
     wall_time: float
     invalid: tuple[str, ...] = ()
+    note: str | None = None
     invalid_from: float | None = None
     stop: str | None = None
     stop_time: float | None = None
@@ -50,3 +52,6 @@ class RunStats(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._known())
+
+    def __or__(self, more: Mapping[str, Any]) -> dict[str, Any]:
+        return self._known() | dict(more)

@@ -14,11 +14,11 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.explicit import Dop853
-from cosim.integrate.outputs import all_columns, wanted_names, watching
+from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
 from cosim.integrate.run_stats import RunStats
 from cosim.integrate.solution import Solution, solve
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import NUMBERS, chosen_solver
+from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
@@ -126,15 +126,18 @@ def simulate(
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
     drawing = dae.drawing.with_numbers(numbers_of(dae, values))
-    columns = all_columns(dae)
-    every = Trajectory(dae.full_name, time, columns, solution.table, stats, status, drawing=drawing)
-    run = every.select(names)
+    columns, places = recorded(dae, names)
+    everything = places == tuple(range(solution.table.shape[1]))
+    table = solution.table if everything else solution.table[:, places]
+    run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
+        others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
+        which = f" ({', '.join(others)})" if dae.algebraics else ""
         raise SolverError(
-            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}); look for a "
-            "singularity near that state, or use another tolerance or step, formulation or solver",
+            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}); look for a singularity "
+            f"near that state, or use another tolerance or step, formulation or solver{which}",
             run,
         )
     return run
@@ -202,5 +205,6 @@ def _stats(
         compiled=compiled,
         wall_time=wall_time,
         invalid=tuple(breach.text for breach in first.invalid),
+        note=first.note or None,
         invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

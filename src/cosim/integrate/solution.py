@@ -20,6 +20,8 @@ from cosim.integrate.validity import Breach, breaches, too_coarse
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
 
+Numbers = tuple[Vector, Vector, Vector, Vector]  # start of x, guess of z, p, u
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -32,6 +34,7 @@ class Solution:
         solve_time: What it took, s; None where there was nothing to integrate.
         reason: Why it ended early; empty where it did not.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
+        note: What was done that was not asked for; empty where nothing was.
     """
 
     grid: Vector
@@ -40,6 +43,7 @@ class Solution:
     solve_time: float | None
     reason: str
     invalid: tuple[Breach, ...]
+    note: str
 
 
 def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> Solution:
@@ -54,14 +58,17 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
     z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
     states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
     counts, solve_time = Counts(), None
-    reason, found = "", list[Breach]()
+    reason, note, found = "", "", list[Breach]()
     if len(grid) > 1 and dae.states:
         engine = engine_of(problem, solver)
         ready = perf_counter()
-        reached = call(engine, x0, z0, values.p, values.u)
-        if engine.restart is not None and not _started(reached):
-            again = engine.restart(_slopes(dae, grid[0], x0, z0, replace(values, u=u[:, 0])))
-            reached = call(again, x0, z0, values.p, values.u)
+        numbers = (x0, z0, values.p, values.u)
+        reached = _reached(engine, numbers, dae, grid[0], replace(values, u=u[:, 0]))
+        if engine.fallback is not None and reached.reason not in ("", INTERRUPTED):
+            other = _reached(engine.fallback(), numbers, dae, grid[0], replace(values, u=u[:, 0]))
+            if not other.reason:
+                note = f"without errors of algebraic unknowns, with which: {reached.reason}"
+                reached = other
         counts, solve_time = reached.counts, perf_counter() - ready
         states, guesses, reason = reached.states, reached.algebraics, reached.reason
         if isinstance(solver, FixedStep) and not reason and on_invalid != "ignore":
@@ -77,7 +84,7 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
         found = sorted([*found, *breaches(dae, grid[:n], margins[:n])])
         if found and on_invalid == "stop":
             n, reason = found[0]
-    return Solution(grid, table[:n], counts, solve_time, reason, tuple(found))
+    return Solution(grid, table[:n], counts, solve_time, reason, tuple(found), note)
 
 
 def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
@@ -96,6 +103,15 @@ def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | N
                 raise UnknownName.among(dae.full_name, "input", name, known)
             table[known.index(name)] = row
     return table
+
+
+def _reached(engine: Engine, numbers: Numbers, dae: Dae, t: float, values: Values) -> Reached:
+    """Call an engine, once more where it fails at a start that is consistent."""
+    reached = call(engine, *numbers)
+    if engine.restart is not None and not _started(reached):
+        x0, z0, *_ = numbers
+        reached = call(engine.restart(_slopes(dae, t, x0, z0, values)), *numbers)
+    return reached
 
 
 def _started(reached: Reached) -> bool:

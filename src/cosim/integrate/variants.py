@@ -1,6 +1,7 @@
 """The two ways to run many variants of a model: in SIMD lanes, and one by one."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +23,7 @@ from cosim.integrate.lanes import CAUSES, HALTED, OUTSIDE, LaneResults, lane_sta
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solver import Tolerance
+from cosim.memo import kept_per_thread
 from cosim.model.many_values import ManyValues
 from cosim.model.values import Values
 from cosim.trajectory import Column, Trajectory
@@ -46,6 +48,8 @@ def in_lanes(
         grid: Two or more output times, s, the start first.
         tolerance, on_invalid, threads, lanes: See `simulate_many`.
     """
+    if on_invalid == "ignore":
+        dae = _unlimited(dae)
     compiled = lane_library(dae, names, lanes or processor_lanes())
     refused, runs = dict(values.refused), len(values)
     x = np.ascontiguousarray(values.x)
@@ -99,6 +103,12 @@ def in_lanes(
         stats={"lanes": compiled.lanes, "solve_time": result.solve_time},
     )
     return ensemble, result.interrupted
+
+
+@kept_per_thread(16)
+def _unlimited(dae: Dae) -> Dae:
+    """Return the DAE without limits: what nobody looks at need not be computed."""
+    return replace(dae, limits=())
 
 
 def _outcome(dae: Dae, result: LaneResults, i: int, grid: Vector) -> tuple[RunState, str, str]:

@@ -10,6 +10,7 @@ import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
+from cosim.escaping import sentence
 from cosim.model.dae_builder import from_dae_builder
 from cosim.model.from_casadi import from_user, is_system
 from cosim.model.named_symbols import identifier
@@ -28,7 +29,9 @@ def load_user_model(path: str, function: str) -> Dae:
     builder = _function(path, function)
     try:
         built = builder()
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise UsageError(f"{path}:{function} failed: {_told(error)}") from error
     if isinstance(built, ca.DaeBuilder):
         built = from_dae_builder(built)
@@ -54,7 +57,9 @@ def _function(path: str, function: str) -> Callable[[], Any]:
     sys.modules[spec.name] = module  # where dataclasses look their annotations up
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise UsageError(f"{path} cannot be loaded: {_told(error)}") from error
     builder = getattr(module, function, None)
     if not callable(builder):
@@ -66,4 +71,4 @@ def _function(path: str, function: str) -> Callable[[], Any]:
 
 def _told(error: BaseException) -> str:
     """Return an exception of a user's own code in one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return sentence(f"{type(error).__name__}: {error}").removesuffix(":")

@@ -89,7 +89,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
     p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
     u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
-    _check_inertias(dae, p)
+    _check_inertias(dae, p.tobytes())
     return Values(x, p, u)
 
 
@@ -176,11 +176,12 @@ def unphysical(matrices: Vector) -> Truths:
     return result
 
 
-def _check_inertias(dae: Dae, p: Vector) -> None:
+@kept_per_thread(64)
+def _check_inertias(dae: Dae, numbers: bytes) -> None:
     """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
     if not dae.inertias:
         return
-    blocks = inertias(dae, p[None])
+    blocks = inertias(dae, np.frombuffer(numbers)[None])
     if not unphysical(blocks).any():
         return
     for (body, _), matrix in zip(dae.inertias, blocks[0], strict=True):

@@ -1,12 +1,15 @@
-"""The map of the extremes: every case as a square, coloured by how it ended."""
+"""The map of the extremes: for each limit its values across, formulations and solvers down."""
 
 from collections.abc import Sequence
-from math import ceil
 
+import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cosim.plotting import STYLE, Picture
 from cosim.study.extremes.campaign import Finding
+from cosim.study.extremes.cases import Case
 from cosim.study.extremes.oracles import OUTCOMES
 
 COLOURS = {
@@ -18,40 +21,77 @@ COLOURS = {
     "hang": "#111111",
     "crash": "#7f0000",
 }
-_ACROSS = 54  # cases in a line
+LETTERS = {  # for print without colour; what is accurate stays empty
+    "accurate": "",
+    "refused": "r",
+    "failed": "f",
+    "silent": "S",
+    "unverified": "u",
+    "hang": "H",
+    "crash": "C",
+}
+_CELL, _HEAD = 0.16, 0.95  # inches: a row, and what stands around a panel
+_WIDTH = 15.0
 
 
 def draw_map(findings: Sequence[Finding]) -> Figure:
-    """Draw a block of squares per family, in the order of the catalogue."""
-    families: dict[str, list[str]] = {}
+    """Draw a panel per family of cases: values of its parameter across, who ran it down."""
+    families: dict[str, list[Finding]] = {}
     for finding in findings:
-        families.setdefault(finding.case.family, []).append(finding.verdict.outcome)
-    lines = sum(ceil(len(outcomes) / _ACROSS) for outcomes in families.values())
-    figure = Figure(figsize=(11, 0.26 * lines + 1.3), layout="constrained")
-    axis = figure.subplots()
-    ticks, labels, line = [], [], 0
-    for family, outcomes in families.items():
-        places = [(i % _ACROSS, line + i // _ACROSS) for i in range(len(outcomes))]
-        colours = [COLOURS[outcome] for outcome in outcomes]
-        across, down = zip(*places, strict=True)
-        axis.scatter(across, down, c=colours, marker="s", s=62, linewidths=0)
-        ticks.append(line)
-        labels.append(f"{family} ({len(outcomes)})")
-        line += ceil(len(outcomes) / _ACROSS)
-    axis.set_yticks(ticks, labels, fontsize=9)
-    axis.set_xticks([])
-    axis.set_xlim(-0.8, _ACROSS - 0.2)
-    axis.set_ylim(line - 0.4, -0.6)
-    for side in axis.spines.values():
-        side.set_visible(False)
-    axis.tick_params(length=0)
-    everyone = [finding.verdict.outcome for finding in findings]
-    handles = [
-        Line2D(
-            [], [], marker="s", linestyle="", color=COLOURS[o], label=f"{o}: {everyone.count(o)}"
+        families.setdefault(finding.case.family, []).append(finding)
+    columns: list[list[str]] = [[], []]
+    heights = [0.0, 0.0]
+    for family, members in families.items():
+        shorter = heights.index(min(heights))
+        columns[shorter].append(family)
+        heights[shorter] += _HEAD + _CELL * len({_runner(f.case) for f in members})
+    with matplotlib.rc_context(STYLE | {"axes.grid": False}):
+        used = [names for names in columns if names]
+        size = (_WIDTH * len(used) / 2, max(heights) + 0.9)
+        figure = Picture(figsize=size, layout="constrained")
+        parts = figure.subfigures(1, len(used), squeeze=False)[0]
+        for part, names in zip(parts, used, strict=True):
+            rows = [_HEAD + _CELL * len({_runner(f.case) for f in families[n]}) for n in names]
+            axes = part.subplots(len(names), 1, squeeze=False, height_ratios=rows).ravel()
+            for axis, name in zip(axes, names, strict=True):
+                _panel(axis, name, families[name])
+        everyone = [finding.verdict.outcome for finding in findings]
+        handles = [
+            Line2D([], [], marker="s", linestyle="", color=COLOURS[o],
+                   label=f"{o}{f' ({LETTERS[o]})' if LETTERS[o] else ''}: {everyone.count(o)}")
+            for o in OUTCOMES
+        ]  # fmt: skip
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=len(handles), frameon=False
         )
-        for o in OUTCOMES
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    axis.set_title(f"{len(findings)} limit cases and how they end", fontsize=11)
+        figure.suptitle(f"{len(findings)} limit cases and how they end", fontsize=11)
     return figure
+
+
+def _panel(axis: Axes, family: str, findings: Sequence[Finding]) -> None:
+    points = list(dict.fromkeys(_point(f.case) for f in findings))
+    runners = sorted({_runner(f.case) for f in findings})
+    for finding in findings:
+        x, y = points.index(_point(finding.case)), runners.index(_runner(finding.case))
+        outcome = finding.verdict.outcome
+        axis.plot(x, y, "s", color=COLOURS[outcome], markersize=8, markeredgewidth=0)
+        if LETTERS[outcome]:
+            axis.text(x, y, LETTERS[outcome], ha="center", va="center", fontsize=6, color="white")
+    axis.set_title(f"{family} ({len(findings)})", fontsize=9, loc="left")
+    axis.set_xticks(range(len(points)), points, rotation=35, ha="right", fontsize=6)
+    axis.set_yticks(range(len(runners)), runners, fontsize=6)
+    axis.set_xlim(-0.8, max(len(points), 8) - 0.2)
+    axis.set_ylim(len(runners) - 0.4, -0.6)
+    axis.tick_params(length=0)
+
+
+def _point(case: Case) -> str:
+    """Return which value of the family's parameter a case has."""
+    return case.name.removesuffix(f", {case.solver}")
+
+
+def _runner(case: Case) -> str:
+    """Return formulation and solver."""
+    model = case.model.partition("/")[2] or case.model
+    several = case.family in ("mass ratios", "tolerances")
+    return ", ".join(filter(None, (case.model if several else model, case.solver)))

@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from cosim.plotting import Picture
 from cosim.scene.roads import Road
 from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.measurement import Measurement
 from cosim.study.tradeoff.result import Tradeoff
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart, and two darker ones
-_COLOURS = {
+SOLVER_COLOURS = {
     "cvodes": "#0072B2",
     "cvodes_adams": "#56B4E9",
     "idas": "#CC79A7",
@@ -55,7 +56,7 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
     shown = study.competing
     with matplotlib.rc_context(_STYLE):
         panels = 3 if any(m.drift for m in shown) else 2
-        figure = Figure(figsize=(6.4 * panels, 7.4), layout="constrained")
+        figure = Picture(figsize=(6.4 * panels, 7.4), layout="constrained")
         axes = figure.subplots(1, panels, width_ratios=(1.2, 1.2, 0.8)[:panels])
         _errors(axes[0], study, shown, "rhs_calls", 1.0)
         axes[0].set_xlabel("right-hand sides evaluated")
@@ -123,7 +124,7 @@ def _scatter(
         configuration = measurement.configuration
         point = (factor * price, max(value, _SMALLEST))
         families.setdefault(configuration.family, []).append(point)
-        colour = _COLOURS[configuration.solver]
+        colour = SOLVER_COLOURS[configuration.solver]
         axis.plot(
             *point,
             _MARKERS[configuration.road],
@@ -136,7 +137,9 @@ def _scatter(
     for (model, _, _, solver, _), points in families.items():
         along = sorted(points, key=lambda point: -point[1])
         alpha = 0.5 if model == first else 0.2
-        axis.plot(*zip(*along, strict=True), color=_COLOURS[solver], linewidth=0.6, alpha=alpha)
+        axis.plot(
+            *zip(*along, strict=True), color=SOLVER_COLOURS[solver], linewidth=0.6, alpha=alpha
+        )
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.grid(True)
@@ -185,8 +188,8 @@ def _some(names: Sequence[str], most: int = 5) -> str:
 def _legend(shown: Sequence[Measurement]) -> list[Line2D]:
     configurations = [m.configuration for m in shown]
     roads = [road for road in Road if any(c.road == road for c in configurations)]
-    solvers = [name for name in _COLOURS if any(c.solver == name for c in configurations)]
-    handles = [_key("o", _COLOURS[name], name) for name in solvers]
+    solvers = [name for name in SOLVER_COLOURS if any(c.solver == name for c in configurations)]
+    handles = [_key("o", SOLVER_COLOURS[name], name) for name in solvers]
     handles += [_key(_MARKERS[road], "0.3", road) for road in roads]
     if any(c.reduced for c in configurations):
         handles.append(_key("o", "0.3", "reduced to the kept outputs", hollow=True))

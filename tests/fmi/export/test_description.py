@@ -1,6 +1,7 @@
 """The model description: what the model says of a variable is what the file says of it."""
 
 from math import inf
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -149,6 +150,46 @@ def test_display_units_convert_as_the_standard_says(fmi):
     display = described(rich(), fmi).root.find("UnitDefinitions/Unit[@name='rad']/DisplayUnit")
     assert display.get("name") == "deg"
     assert float(display.get("factor")) * 3.141592653589793 == pytest.approx(180, rel=1e-15)
+
+
+@VERSIONS
+def test_variables_have_declared_types_with_quantity_and_unit(fmi):
+    root = described(rich(), fmi).root
+    types = {}
+    for element in root.find("TypeDefinitions"):
+        facts = element if fmi == 3 else element[0]
+        types[element.get("name")] = facts.get("quantity"), facts.get("unit")
+    assert types["Angle"] == ("Angle", "rad")
+    assert types["Length"] == ("Length", "m")
+    for element in root.find("ModelVariables"):
+        facts = element if fmi == 3 else element[0]
+        if kind := facts.get("declaredType"):
+            assert types[kind][1] == facts.get("unit")
+    assert {v.texts.get("declaredType") for v in described(rich(), fmi).variables} >= {"Force"}
+
+
+@VERSIONS
+def test_rates_are_shown_like_what_they_are_the_rate_of(fmi):
+    read = {v.name: v.texts for v in described(rich(), fmi).variables}
+    assert read["der(a)"]["displayUnit"] == "deg/s"
+    assert "displayUnit" not in read["der(b)"]
+
+
+@VERSIONS
+def test_author_license_and_date_are_told_when_given(fmi):
+    about = {"author": "A. U. Thor", "license": "MIT", "date": "2025-01-01T00:00:00Z"}
+    given = source_files(rich(), "rich", 1e-9, fmi, about=about)
+    root = ET.fromstring(given["modelDescription.xml"])
+    names = ("author", "license", "generationDateAndTime")
+    assert [root.get(name) for name in names] == [*about.values()]
+    assert "generationDateAndTime" not in described(rich(), fmi).root.attrib
+
+
+def test_licenses_lie_beside_the_documentation():
+    files = source_files(rich(), "rich", 1e-9, 2)
+    own = Path(__file__).parents[3] / "LICENSE"
+    assert files["documentation/licenses/LICENSE.txt"] == own.read_bytes()
+    assert b"free of copyright" in files["documentation/licenses/GENERATED.txt"]
 
 
 @VERSIONS

@@ -133,6 +133,19 @@ def test_summary_counts_every_outcome_and_names_the_worst():
     assert (row["worst error"], row["at"]) == (1e-7, "m/x, b")
 
 
+def test_map_tells_which_value_and_which_solver_ended_how():
+    findings = [
+        Finding(Case("spin", f"omega = {v}, {s}", "m/x", solver=s), Verdict(o, None, "", 0.0))
+        for v, s, o in (("1", "erk", "accurate"), ("2", "erk", "failed"), ("2", "idas", "silent"))
+    ]
+    (axis,) = draw_map(findings).get_axes()
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["omega = 1", "omega = 2"]
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["x, erk", "x, idas"]
+    places = [tuple(int(c[0]) for c in line.get_data()) for line in axis.lines]
+    assert places == [(0, 0), (1, 0), (1, 1)]
+    assert [text.get_text() for text in axis.texts] == ["f", "S"]  # readable without colour
+
+
 def test_map_shows_each_outcome_in_its_own_colour(tmp_path):
     findings = [Finding(Case("f", o, "m/x"), Verdict(o, None, "", 0.0)) for o in OUTCOMES]
     (path,) = save([draw_map(findings)], str(tmp_path / "map.png"))

@@ -49,3 +49,14 @@ def test_quantiles_keep_sign_and_zero():
     node, sketch = node_of(0, values, good), sketch_of(values, good)
     found = [quantile(sketch, node, q)[0, 0] for q in (0.2, 0.4, 0.6, 0.8, 1.0)]
     np.testing.assert_allclose(found, values.ravel(), rtol=1 / 256)
+
+
+@pytest.mark.parametrize("most", [1, 2, 16])
+def test_a_run_that_is_missing_leaves_no_trace_in_the_grouping(most):
+    def without_first(most):
+        parts = [(first, VALUES[first : first + n]) for first, n in aligned(1, 100, most)]
+        return merged(node_of(first, part, np.ones(len(part), bool)) for first, part in parts)
+
+    node, other = without_first(64), without_first(most)
+    np.testing.assert_array_equal(other.mean, node.mean)
+    np.testing.assert_array_equal(other.squares, node.squares)

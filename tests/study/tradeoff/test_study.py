@@ -11,6 +11,7 @@ from cosim.cli.main import main
 from cosim.errors import MissingTool, ParameterError, SolverError, UnknownName, UsageError
 from cosim.model.catalogue import load
 from cosim.present.work_precision import draw_tradeoff
+from cosim.present.work_precision_front import draw_front
 from cosim.scene.scene import Scene, Settings
 from cosim.study.tradeoff.configuration import Configuration, Selection
 from cosim.study.tradeoff.measurement import (
@@ -319,6 +320,23 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
     }
     assert {"casadi", "fmpy", "cosim-rigid", "platform", "compiler"} <= set(facts["provenance"])
     assert set(facts["fronts"]) == set(COSTS)
+
+
+def test_plain_figure_shows_the_front_and_one_line_for_each_solver(study):
+    figure = draw_front(study)
+    axis = figure.axes[0]
+    labels = [line.get_label() for line in axis.lines]
+    solvers = {m.configuration.solver for m in study.competing}
+    assert sorted(label.partition(",")[0] for label in labels[:-1]) == sorted(solvers)
+    assert labels[-1] == "Pareto front"
+    looks = {(line.get_color(), line.get_marker()) for line in axis.lines}
+    assert len(looks) == len(axis.lines)  # no two alike in the legend
+    notes = [text.get_text() for text in figure.legends[1].get_texts()]
+    assert 1 <= len(notes) <= 10
+    assert [note.partition(" ")[0] for note in notes] == [t.get_text() for t in axis.texts]
+    front = {m.configuration.solver for m in study.front("solver_time")}
+    assert {note.split()[1].rstrip(",") for note in notes} <= front
+    assert any(patch.get_y() + patch.get_height() == study.floor for patch in axis.patches)
 
 
 def test_figure_names_the_front_and_shows_the_floor(study):

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import add_timeout, common, run_options
+from cosim.cli.options import add_timeout, add_trust, common, run_options
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -24,6 +24,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("models", metavar="MODEL|SCENE.toml", nargs="*", help="all by default")
     parser.add_argument("--bound", type=float, metavar="B", help="in nominal values; 1e-6")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:

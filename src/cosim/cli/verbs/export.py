@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_accuracy, add_output_file, common
+from cosim.cli.options import add_accuracy, add_output_file, add_timeout, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -40,6 +40,8 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
     )
+    for name in ("author", "license", "date"):
+        parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} that the FMU tells")
     parser.add_argument(
         "--tolerance", type=float, metavar="R", help="that the FMU recommends, relative; 1e-8"
     )
@@ -50,15 +52,18 @@ def add_parser(verbs: Verbs) -> None:
         help="a reference result inside, as far as there is one, or none; auto",
     )
     add_accuracy(parser)
+    add_timeout(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write a model or a scene as an FMU."""
     from cosim.cli.arguments import names_in, scene_from
+    from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName, UsageError
     from cosim.scene.roads import scene_dae
     from cosim.verify.reference_result import export_with_proof
 
+    refuse_timeout(args)
     if args.fmi not in ("2", "3"):
         raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
     scene = scene_from(args)
@@ -67,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
     options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
     options |= {"platforms": names_in(args.platform), "adjoint": args.adjoint}
+    given = {name: getattr(args, name) for name in ("author", "license", "date")}
+    options["about"] = {name: text for name, text in given.items() if text is not None}
     if args.tunable is not None:
         options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
     if args.reference not in ("auto", "none"):

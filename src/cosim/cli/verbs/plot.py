@@ -12,6 +12,7 @@ from cosim.cli.options import (
     add_picture,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -46,6 +47,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     add_picture(parser, "")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:

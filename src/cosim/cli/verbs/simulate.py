@@ -11,6 +11,7 @@ from cosim.cli.options import (
     add_output_file,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -34,6 +35,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     parser.add_argument("--at", metavar="T1,T2", help="values at these times, as a table")
     add_timeout(parser)
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, common, run_options, value_options
+from cosim.cli.options import add_output_file, add_timeout, common, run_options, value_options
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -37,16 +37,25 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="timed runs; 5")
     parser.add_argument("--resume", action="store_true", help="go on after an interruption")
     add_output_file(parser, "FILE", "CSV or JSON, with provenance")
+    add_timeout(parser)
     parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
+    parser.add_argument(
+        "--all",
+        dest="everything",
+        action="store_true",
+        help="every run in the figure, not only the front and the best of each solver",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
     from cosim.cli.arguments import scene_from
+    from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
     from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
     from cosim.study.tradeoff.study import tradeoff
 
+    refuse_timeout(args)
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
@@ -95,8 +104,10 @@ def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
     if args.figure:
         from cosim.present.picture_files import save
         from cosim.present.work_precision import draw_tradeoff
+        from cosim.present.work_precision_front import draw_front
 
-        save([draw_tradeoff(study)], args.figure)
+        draw = draw_tradeoff if args.everything else draw_front
+        save([draw(study)], args.figure)
     if args.json:
         write_text(None, study.to_json())
     else:

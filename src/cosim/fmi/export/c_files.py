@@ -75,6 +75,9 @@ INSIDE_BEGIN
 _SMALL = re.compile(r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE)
 
 
+# Some function must be headed so: a model may have no derivative that is worth its own.
+_HEADING = re.compile(r"^/\* \w+:.*\n(?:SMALL )?(?:static )?int ", re.MULTILINE)
+
 _MODEL_NAME = re.compile(r"\bmodel_")  # what CasADi makes around a function has its name, too
 
 
@@ -87,8 +90,8 @@ def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code, rare = _SMALL.subn(r"\1SMALL ", folded(code))
-    if not rare:
+    code = _SMALL.sub(r"\1SMALL ", folded(code))
+    if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
             "use casadi 3.8"

@@ -1,13 +1,14 @@
 """`modelDescription.xml`: all but what the versions of FMI say in different ways."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import isfinite
 from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
 from cosim.fmi.export.dependencies import Dependencies
+from cosim.fmi.export.quantities import QUANTITIES
 from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
 from cosim.model.reduction.structure import Pattern
 
@@ -26,6 +27,7 @@ class Identity:
         identifier, guid, tool, tolerance: C identifier, GUID, exporting tool, relative tolerance.
         sources: Files to compile, by name.
         adjoint: Whether it offers adjoint derivatives (FMI 3.0).
+        about: author, license and generationDateAndTime, as far as they are given.
     """
 
     identifier: str
@@ -34,6 +36,7 @@ class Identity:
     sources: tuple[str, ...]
     tolerance: float
     adjoint: bool = False
+    about: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Dialect:
     Attributes:
         root: Attributes of the whole, from the identity.
         interfaces: Elements of model exchange and co-simulation.
+        quantity: Element of a declared type, likewise.
         variable: Element of a variable, from its attributes and those of its type.
         structure: Element of the model structure.
         fixed_are_knowns: Whether unknowns depend on fixed parameters, too.
@@ -67,6 +71,7 @@ class Dialect:
 
     root: Callable[[Identity], dict[str, str]]
     interfaces: Callable[[Identity], list[ET.Element]]
+    quantity: Callable[[dict[str, str], dict[str, str]], ET.Element]
     variable: Callable[[dict[str, str], dict[str, str]], ET.Element]
     structure: Callable[[Structure], ET.Element]
     fixed_are_knowns: bool
@@ -84,12 +89,14 @@ def model_description(
         "modelName": identity.identifier,
         "description": dae.description,
         "version": "1",
+        **identity.about,
         "generationTool": identity.tool,
         "variableNamingConvention": "structured",
     }
     root = ET.Element("fmiModelDescription", dialect.root(identity) | common)
     root.extend(dialect.interfaces(identity))
     root.append(unit_definitions(variables))
+    root.append(_type_definitions(variables, dialect))
     root.append(log_categories())
     root.append(default_experiment(dae, identity.tolerance))
     listed = ET.SubElement(root, "ModelVariables")
@@ -98,6 +105,15 @@ def model_description(
     structure = model_structure(variables, depends, fixed_are_knowns=dialect.fixed_are_knowns)
     root.append(dialect.structure(structure))
     return to_bytes(root)
+
+
+def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.Element:
+    """Return a declared type for each quantity in use."""
+    element = ET.Element("TypeDefinitions")
+    for unit in sorted({v.unit for v in variables} & set(QUANTITIES), key=QUANTITIES.__getitem__):
+        name = QUANTITIES[unit]
+        element.append(dialect.quantity({"name": name}, {"quantity": name, "unit": unit}))
+    return element
 
 
 def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], dict[str, str]]:
@@ -112,6 +128,8 @@ def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], 
     if initial := initial_of(variable):
         general["initial"] = initial
     facts = {"unit": variable.unit}
+    if variable.unit in QUANTITIES:
+        facts["declaredType"] = QUANTITIES[variable.unit]
     if variable.display_unit:
         facts["displayUnit"] = variable.display_unit
     if variable.derivative_of is not None:

@@ -33,6 +33,12 @@ def _interfaces(identity: Identity) -> list[ET.Element]:
     return elements
 
 
+def _quantity(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
+    element = ET.Element("SimpleType", general)
+    ET.SubElement(element, "Real", facts)
+    return element
+
+
 def _variable(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
     element = ET.Element("ScalarVariable", general)
     if "derivative" in facts:  # an index, the value reference plus one
@@ -59,4 +65,4 @@ def _structure(structure: Structure) -> ET.Element:
     return element
 
 
-FMI2 = Dialect(_root, _interfaces, _variable, _structure, fixed_are_knowns=False)
+FMI2 = Dialect(_root, _interfaces, _quantity, _variable, _structure, fixed_are_knowns=False)

@@ -26,6 +26,10 @@ def _interfaces(identity: Identity) -> list[ET.Element]:
     ]
 
 
+def _quantity(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
+    return ET.Element("Float64Type", general | facts)
+
+
 def _variable(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
     return ET.Element("Float64", general | facts)
 
@@ -46,4 +50,4 @@ def _structure(structure: Structure) -> ET.Element:
 
 
 # The table of `dependencies` (2.4.8) counts all parameters as knowns.
-FMI3 = Dialect(_root, _interfaces, _variable, _structure, fixed_are_knowns=True)
+FMI3 = Dialect(_root, _interfaces, _quantity, _variable, _structure, fixed_are_knowns=True)

@@ -2,7 +2,8 @@
 
 CasADi writes one operation a line, each into a variable: `a3=(a1*a2); a3=(a3+a4);`. A value that is
 used once is written where it is used instead: `a3=((a1*a2)+a4);`. The operations and their order
-stay, so that results are the same bits.
+stay, so that results are the same bits. Measured: it makes the file of `bicycle/book` 15 % smaller,
+`bicycle/independent` 11 %, the double pendulum 6 %; compiling takes as long with it as without.
 """
 
 import re

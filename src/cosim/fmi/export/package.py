@@ -5,13 +5,14 @@ import io
 import os
 import uuid
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 
 from casadi_models.dae import Dae
-from cosim.codegen.c_sources import cache_folder, runtime_sources, solver_sources
+from cosim.codegen.c_sources import cache_folder, license_texts, runtime_sources, solver_sources
 from cosim.codegen.runge_kutta_c import dop853_coefficients
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
@@ -34,6 +35,7 @@ from cosim.model.values import A_DAE, listed, number
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 VERSIONS = {2: FMI2, 3: FMI3}
+ABOUT = {"author": "author", "license": "license", "date": "generationDateAndTime"}
 _DOP853 = ("dop853.h", "interpolant.h", "ode.h")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
@@ -50,6 +52,7 @@ def export_fmu(
     solver: str | None = None,
     tunable: Sequence[str] | None = None,
     adjoint: bool = False,
+    about: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
 
@@ -68,6 +71,8 @@ def export_fmu(
             and those that start values follow from.
         adjoint: Whether the FMU says that it has adjoint derivatives (FMI 3.0). CasADi up to
             3.8.2 gets wrong Jacobians from them: it writes all directions over the first.
+        about: What the description says besides: "author", "license", "date" (ISO 8601). Without a
+            date, the same model gives the same bytes at any time.
 
     Returns:
         Path of the FMU.
@@ -96,11 +101,16 @@ def export_fmu(
         raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
     if outputs is not None:
         dae = _observing(dae, listed(f"{dae.full_name}: outputs", outputs))
+    for key in about or {}:
+        if key not in ABOUT:
+            raise UnknownName.among("export", "fact about an FMU", key, ABOUT)
     if tunable:
         tunable = listed(f"{dae.full_name}: tunable", tunable)
     if adjoint and fmi == 2:
         raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
-    files = source_files(dae, name, tolerance, fmi, solver, tunable=tunable, adjoint=adjoint)
+    files = source_files(
+        dae, name, tolerance, fmi, solver, tunable=tunable, adjoint=adjoint, about=about or {}
+    )
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
     content = zipped(files | binaries(sources, name, chosen))
     if problems := check_fmu(io.BytesIO(content)):
@@ -121,6 +131,7 @@ def source_files(
     *,
     tunable: Sequence[str] | None = None,
     adjoint: bool = False,
+    about: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, bytes]:
     """Return the content of the FMU by path, without binaries; see `export_fmu`."""
     solver = solver_for(dae, solver)
@@ -136,7 +147,8 @@ def source_files(
         code["dop853_coefficients.h"] = dop853_coefficients().encode()
     compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
     tool = f"cosim-rigid {version('cosim-rigid')}"
-    draft = Identity(name, "", tool, compiled, tolerance, adjoint)
+    told = {ABOUT[key]: text for key, text in about.items()}
+    draft = Identity(name, "", tool, compiled, tolerance, adjoint, told)
     depends = dependencies(dae)
     unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
     digest = hashlib.sha256()
@@ -147,6 +159,7 @@ def source_files(
     code["buildDescription.xml"] = build_description(signed)
     return {
         "modelDescription.xml": model_description(dae, signed, variables, depends, VERSIONS[fmi]),
+        **{f"documentation/licenses/{e.name}": e.read_bytes() for e in license_texts()},
         "documentation/index.html": documentation_page(dae, variables, solver, tolerance).encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
     }

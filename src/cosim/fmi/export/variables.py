@@ -77,6 +77,7 @@ def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
             f"time derivative of {state.name}",
             rate_unit(state.unit)[0],
             Role.DERIVATIVE,
+            _rate_display(state),
             derivative_of=1 + i,
         )
     for algebraic in dae.algebraics:
@@ -88,6 +89,14 @@ def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
         yield replace(variable, tunable=parameter.name in tunable)
     for output in dae.output_variables:
         yield _plain(output, Role.OUTPUT, observed, None)
+
+
+def _rate_display(state: Variable) -> str | None:
+    """Return the display unit of a state's rate: deg/s where the state is shown in deg."""
+    if not state.display_unit:
+        return None
+    name, _ = rate_unit(state.display_unit)
+    return name if name in UNITS else None
 
 
 def _settled(dae: Dae) -> list[float | None]:

@@ -22,13 +22,13 @@ from cosim.errors import CosimError, FmuError, UsageError
 from cosim.escaping import sentence, visible
 from cosim.fmi.run.limits import VARIABLE, Limits
 from cosim.model.values import number
+from cosim.processes import MARK, end_all
 from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.json", "answer.json", "values.npz"
 _SUNDIALS = "[ERROR][rank"  # how fmpy's solver begins what its error says, too
 MOST_OUTPUT = 10_000  # bytes of what an FMU prints
-_MARK = "COSIM_RUN"  # by which what an FMU has started is found again
 _ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
     *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", VARIABLE),
@@ -94,7 +94,7 @@ def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
 
     mark = secrets.token_hex(16)
     own = {name: str(folder / "temporary") for name in ("TMPDIR", "TEMP", "TMP")}
-    own |= {_MARK: mark, "OPENBLAS_NUM_THREADS": "1"}  # whose threads reserve memory
+    own |= {MARK: mark, "OPENBLAS_NUM_THREADS": "1"}  # whose threads reserve memory
     with subprocess.Popen(
         [sys.executable, "-P", "-m", __name__, str(folder)],
         stdin=subprocess.PIPE,  # its end tells the child that we are gone
@@ -112,30 +112,11 @@ def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
         except subprocess.TimeoutExpired:
             code = None
         finally:
-            _stop(process, mark)
+            end_all(process.pid, mark)
             reader.join(1.0)
     printed = kept.decode(errors="replace").splitlines(keepends=True)
     others = (line for line in printed if not line.startswith(_SUNDIALS))
     return code, visible("".join(others), lines=True)
-
-
-def _stop(process: subprocess.Popen[bytes], mark: str) -> None:
-    """End a child and what it started, also where that has left its group."""
-    with suppress(OSError):
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, signal.SIGKILL)
-        else:
-            process.kill()
-    known = f"{_MARK}={mark}".encode()
-    for _ in range(10):  # as they may start others meanwhile
-        found = False
-        for entry in Path("/proc").glob("[0-9]*/environ"):
-            with suppress(OSError):
-                if known in entry.read_bytes().split(b"\0"):
-                    os.kill(int(entry.parent.name), signal.SIGKILL)
-                    found = True
-        if not found:
-            return
 
 
 @contextmanager

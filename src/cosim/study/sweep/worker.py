@@ -3,6 +3,7 @@
 import os
 import pickle
 import sys
+from contextlib import suppress
 from typing import BinaryIO
 
 from cosim.study.sweep.chunk import compute_chunk
@@ -40,7 +41,7 @@ def _main() -> None:
 
         msvcrt.setmode(own, os.O_BINARY)
         msvcrt.setmode(0, os.O_BINARY)
-    with os.fdopen(own, "wb") as answers:
+    with suppress(BrokenPipeError), os.fdopen(own, "wb") as answers:  # nobody listens any more
         serve(sys.stdin.buffer, answers)
 
 

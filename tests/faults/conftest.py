@@ -1,0 +1,131 @@
+"""Runs rows of the table and counts how they end badly: `pytest tests/faults` prints the counts."""
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from helpers.fault_rows import HERE, Row
+from helpers.hostile import hostile, hostile_binary
+
+from cosim.cli.main import main
+
+BAD = ("silent", "hang", "crash", "traceback", "leftover", "orphan", "other")
+LIMIT = 60  # s
+COUNTS: Counter[str] = Counter()
+
+
+def pytest_terminal_summary(terminalreporter):
+    if COUNTS["rows"]:
+        told = ", ".join(f"{name} {COUNTS[name]}" for name in BAD)
+        terminalreporter.write_line(f"{COUNTS['rows']} faults: {told}")
+
+
+@pytest.fixture(scope="session")
+def misbehaving(tmp_path_factory):
+    return hostile(hostile_binary(tmp_path_factory.mktemp("hostile")))
+
+
+@pytest.fixture
+def ends_well(request, tmp_path, monkeypatch, capfd):
+    """Return what runs a row and returns what is wrong with its end, by kind."""
+    place, temporary = tmp_path / "here", tmp_path / "temporary"
+    place.mkdir()
+    temporary.mkdir()
+    monkeypatch.chdir(place)
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+
+    def run(row: Row) -> dict[str, str]:
+        if row.prepare:
+            row.prepare(place)
+        before = sorted(place.iterdir())
+        words = list(row.words)
+        if len(words) > 1 and words[1].startswith("fmi2"):
+            words[1] = str(request.getfixturevalue("misbehaving")(words[1]))
+        code = _here(words) if row.where == HERE else _apart(words, row.shell)
+        printed = capfd.readouterr()
+        wrong = _wrong(row, code, printed.out, printed.err)
+        if sorted(place.iterdir()) != before or any(temporary.iterdir()):
+            wrong["leftover"] = str([*place.iterdir(), *temporary.iterdir()])
+        if orphans := _children(str(temporary)):
+            wrong["orphan"] = str(orphans)
+        COUNTS.update(["rows", *wrong])
+        return wrong
+
+    return run
+
+
+def _wrong(row: Row, code: int | str, out: str, err: str) -> dict[str, str]:
+    wrong: dict[str, str] = {}
+    lines = [line for line in err.splitlines() if not line.startswith("warning: ")]
+    allowed = (1, 2, 3) if row.code == -1 else (row.code,)
+    if code == "hang":
+        wrong["hang"] = err
+    elif isinstance(code, int) and code < 0:
+        wrong["crash"] = f"signal {-code}"
+    elif code == 0 and row.code != 0:
+        wrong["silent"] = out
+    elif code not in allowed:
+        wrong["other"] = f"exit code {code}: {err}"
+    if "Traceback" in err or "Exception ignored" in err:
+        wrong["traceback"] = err
+    if row.told and not re.search(row.told, err):
+        wrong["other"] = f"not told: {err}"
+    if out and not row.output:
+        wrong["other"] = f"on standard output: {out}"
+    if row.code not in (0,) and len(lines) > 1:
+        wrong["other"] = f"more than a sentence: {err}"
+    return wrong
+
+
+def _here(words: list[str]) -> int | str:
+    def late(*_):
+        raise _Late
+
+    usual = signal.signal(signal.SIGALRM, late)
+    signal.alarm(LIMIT)
+    try:
+        return main(words)
+    except SystemExit as end:  # of argparse
+        return end.code if isinstance(end.code, int) else 1
+    except _Late:
+        return "hang"
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, usual)
+
+
+class _Late(BaseException):
+    """A command takes too long."""
+
+
+def _apart(words: list[str], shell: str) -> int | str:
+    call = shlex.join([sys.executable, "-P", "-m", "cosim", *words])
+    process = subprocess.Popen(["sh", "-c", f"exec {call} {shell}"])
+    try:
+        return process.wait(LIMIT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return "hang"
+
+
+def _children(place: str) -> list[str]:
+    """Return the processes that a row has left: ours, or with its folder in their environment."""
+    left = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (entry / "environ").read_bytes()
+            state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            continue
+        if place.encode() in environment and int(entry.name) != os.getpid() and state != "Z":
+            left.append(entry.name)
+    return left

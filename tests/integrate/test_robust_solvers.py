@@ -1,0 +1,72 @@
+"""Solvers where their defaults gave up: long spans, tight tolerances of DAEs."""
+
+import numpy as np
+import pytest
+
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import SolverError
+from cosim.integrate.simulate import simulate
+
+# Mazzia & Magherini, Test Set for Initial Value Problem Solvers (Bari, 2008), ROBER at 1e11
+ROBERTSON = (0.2083340149701255e-07, 0.8333360770334713e-13, 0.9999999791665050)
+
+
+def robertson():
+    model = Model("robertson", stop_time=1e11, output_interval=2.5e10)
+    a = model.state("a", "1", 1.0, "first share")
+    b = model.state("b", "1", 0.0, "second share", nominal=1e-5)
+    c = model.state("c", "1", 0.0, "third share")
+    slow, fast = 0.04 * a - 1e4 * b * c, 3e7 * b**2
+    model.derivative(a, -slow)
+    model.derivative(b, slow - fast)
+    model.derivative(c, fast)
+    return model.freeze()
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_rosenbrock_begins_a_long_span_with_a_small_step(compiled):
+    """Its smallest step is a part of the time, not of the span: 1e-14 of 1e11 s were too long."""
+    run = simulate(
+        robertson(),
+        solver="rosenbrock",
+        relative_tolerance=1e-8,
+        absolute_tolerance=1e-20,
+        compiled=compiled,
+    )
+    end = np.array([run[name][-1] for name in "abc"])
+    np.testing.assert_allclose(end, ROBERTSON, rtol=1e-6)  # measured 2e-9
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_step_that_time_cannot_resolve_still_ends_a_run(compiled):
+    model = Model("blow_up", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, x**2)
+    with pytest.raises(SolverError, match=r"step size too small|not finite") as caught:
+        simulate(model.freeze(), solver="rosenbrock", compiled=compiled)
+    assert caught.value.partial.time[-1] == pytest.approx(0.99, abs=0.011)
+
+
+def test_idas_goes_on_without_errors_of_algebraic_unknowns_and_says_so():
+    """At 1e-13 the rounding of contact forces exceeds what the tolerance allows."""
+    dae = cosim.load("bicycle/multipliers")
+    settings = {"stop_time": 1.0, "relative_tolerance": 1e-13}
+    run = simulate(dae, solver="idas", **settings)
+    assert run.complete
+    assert "without errors of algebraic unknowns, with which: IDA_ERR_FAIL" in run.stats["note"]
+    other = simulate(dae, solver="dop853", **settings)
+    for name in ("phi", "delta", "fz_P"):
+        apart = np.abs(run[name] - other[name]).max() / run.column(name).nominal
+        assert apart < 1e-10  # measured 1e-12
+    assert "note" not in simulate(dae, solver="idas", stop_time=1.0).stats
+
+
+def test_failure_of_a_dae_names_the_solvers_that_are_left():
+    model = Model("singular", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "x")
+    z = model.algebraic("z", "1", 1.0, "its inverse")
+    model.derivative(x, -1)
+    model.equation(x * z - 1)
+    with pytest.raises(SolverError, match=r"or solver \(rosenbrock, dop853\)"):
+        simulate(model.freeze(), solver="idas")

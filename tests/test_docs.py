@@ -1,0 +1,90 @@
+"""What README and docs show: Python runs as printed, commands are ones that `cosim` takes."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cosim.cli.main import main
+from cosim.cli.parser import command_line
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+# "```python fragment" is a part of something that stands elsewhere
+FENCE = re.compile(r"^```(\w+)(?! fragment)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+EXTRAS = ("zarr", "xarray", "pandas", "dask", "viser", "libcosimpy", "ecospy")
+
+
+def blocks(page, *languages):
+    """Return the code blocks of a page in some languages, in their order."""
+    return [body for language, body in FENCE.findall(page.read_text()) if language in languages]
+
+
+def commands(page):
+    """Return the `cosim` command lines of a page, without comments, prompts and shell parts."""
+    found = []
+    for body in blocks(page, "sh", "console", "bash"):
+        for line in body.replace("\\\n", " ").splitlines():
+            words = re.sub(r"^(\$ |\+ )", "", line.strip())
+            if not words.startswith("cosim "):
+                continue
+            try:
+                parts = shlex.split(words, comments=True)
+            except ValueError:
+                continue
+            stop = next((i for i, p in enumerate(parts) if p in ("|", ">", "&&", ";", "2>")), None)
+            found.append(parts[1:stop])
+    return found
+
+
+FILES_FROM_COMMANDS = ("embedding",)  # whose Python takes the files that its commands write
+WITH_PYTHON = [page for page in PAGES if page.exists() and blocks(page, "python")]
+WITH_COMMANDS = [page for page in PAGES if page.exists() and commands(page)]
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
+def test_python_of_a_page_runs_from_top_to_bottom(page, tmp_path):
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    exports = [words for words in commands(page) if words[0] == "export"]
+    if page.stem in FILES_FROM_COMMANDS:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(tmp_path)
+            assert [main(words) for words in exports] == [0] * len(exports)
+    names = [f"block {i}" for i, _ in enumerate(blocks(page, "python"))]
+    code = "\n".join(f"# {n}\n{b}" for n, b in zip(names, blocks(page, "python"), strict=True))
+    (tmp_path / "page.py").write_text(code)
+    environment = os.environ | {"MPLBACKEND": "Agg", "COLUMNS": "100"}
+    command = [sys.executable, "-W", "ignore", "page.py"]
+    run = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment
+    )
+    missing = re.search(r"No module named '(\w+)'|The (\w+) package is required", run.stderr)
+    if run.returncode and missing and (missing[1] or missing[2]) in EXTRAS:
+        pytest.skip(f"{missing[1] or missing[2]} is an extra of the package")
+    assert run.returncode == 0, run.stderr[-3000:]
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.stem)
+def test_commands_of_a_page_are_ones_that_cosim_takes(page):
+    parser = command_line()
+    for words in commands(page):
+        try:
+            unknown: list[str] = []
+            _, unknown = parser.parse_known_args(words)
+        except SystemExit as end:
+            code = end.code or 0
+        else:
+            code = 0
+        assert code == 0, f"cosim {shlex.join(words)}"
+        assert not unknown, f"cosim {shlex.join(words)}"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.exists()], ids=lambda p: p.stem)
+def test_links_of_a_page_lead_to_files(page):
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text())
+    missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
+    assert missing == []
