@@ -141,6 +141,14 @@ def test_fmu_has_its_start_only(tmp_path):
         linearize(path, start_values={"alphaa": 1.0})
 
 
+def test_command_runs_no_fmu_that_is_not_trusted(tmp_path, monkeypatch):
+    path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
+    monkeypatch.setenv("COSIM_TRUST", "known")
+    monkeypatch.setattr("cosim.fmi.trust.is_trusted", lambda _: False)
+    assert main(["linearize", str(path)]) == 1
+    assert main(["linearize", str(path), "--trust", "--outputs", "T"]) == 0
+
+
 def test_command_shows_modes_and_crossings(tmp_path, capsys):
     assert main(["linearize", "crank_shaft", "--outputs", "T"]) == 0
     assert "crank_shaft/driven at its start" in capsys.readouterr().out

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, common
+from cosim.cli.options import add_output_file, add_trust, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -43,6 +43,7 @@ def add_parser(verbs: Verbs) -> None:
         metavar="NAME=A:B:N",
         help="eigenvalues for N values from A to B, and where they cross the imaginary axis",
     )
+    add_trust(parser)
     add_output_file(parser, "FILE", "the matrices, or the eigenvalues of a sweep, as CSV")
     parser.add_argument("--figure", metavar="FILE", help="of a sweep: PNG, SVG or PDF")
 
@@ -61,6 +62,9 @@ def run(args: argparse.Namespace) -> int:
         picture_format(args.figure)  # refuses before anything has been computed
     model: Any = args.model
     if args.model.endswith(".fmu"):
+        from cosim.fmi.trust import require_trust
+
+        require_trust(args.model, trusted=args.trust)
         start = start_numbers(args, None)
         outputs = names_in(args.outputs) if args.outputs else None
     else:
