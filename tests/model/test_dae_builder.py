@@ -436,7 +436,14 @@ def test_accepted_model_is_right(name):
         assert run[variable][-1] == pytest.approx(value, abs=1e-6)
 
 
-QUICK = ("calculated_start", "structured_names", "matrix_of_parameters", "any_unit", "quadrature")
+QUICK = (
+    "switch",
+    "calculated_start",
+    "structured_names",
+    "matrix_of_parameters",
+    "any_unit",
+    "quadrature",
+)
 
 
 @pytest.mark.parametrize(

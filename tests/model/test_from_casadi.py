@@ -1,9 +1,12 @@
 """CasADi's symbols, expressions and functions as models: right values, or one sentence."""
 
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
 from casadi import MX, SX
+from fmpy.validation import validate_fmu
 
 import cosim
 from cosim.codegen.casadi_library import external
@@ -217,6 +220,19 @@ def test_starts_that_nobody_gave_satisfy_the_constraints_and_follow_the_paramete
 def test_given_starts_that_contradict_the_constraints_are_refused():
     with pytest.raises(InitialConditionError, match=r"given starts .x, y"):
         cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.9, "L": 1.0})
+
+
+def test_first_example_of_the_readme_makes_an_fmu_that_fmpy_validates(
+    tmp_path, monkeypatch, capsys
+):
+    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    code = next(part for part in text.split("```python\n")[1:] if "from_casadi" in part)
+    code = code.partition("```")[0]
+    assert len(code.splitlines()) <= 12
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    assert " agree: " in capsys.readouterr().out
+    assert validate_fmu("oscillator.fmu") == []
 
 
 # -- what is not scalar ---------------------------------------------------------------------------
