@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.oscillators import bad_output, blow_up, emptying, oscillator
@@ -243,3 +244,12 @@ def test_an_ensemble_becomes_a_dataset(reference):
     np.testing.assert_array_equal(data["phi"], reference["phi"])
     assert data["phi"].attrs["units"] == "rad"
     np.testing.assert_array_equal(data.coords["phi_dot_start"], ROLLS)
+
+
+def test_an_output_that_lanes_cannot_compute_takes_the_scalar_road():
+    model = Model("inverse", stop_time=1.0)
+    x = model.state("x", "1", 0.1, "x")
+    model.derivative(x, 0.5)
+    model.output("y", "1", ca.erfinv(x), "inverse error function")
+    run = cosim.simulate(model.freeze())
+    assert run["y"][-1] == pytest.approx(0.5951160814, abs=1e-7)  # erf(0.5951160814) = 0.6
