@@ -1,5 +1,7 @@
 """From states to everything that a run records."""
 
+import ctypes
+
 import casadi as ca
 import numpy as np
 from casadi import MX
@@ -36,8 +38,8 @@ def observe(
     n, known = len(time), len(all_columns(dae))
     if not n:
         return np.empty((0, known)), np.empty((0, len(dae.limits)))
-    if compiled and n >= _WORTHWHILE and not dae.algebraics and dae.states:
-        return _in_lanes(dae, time, states, u, p)
+    if compiled and n >= _WORTHWHILE and (library := _lane_library(dae)) is not None:
+        return _in_lanes(library, dae, time, states, u, p)
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
     call_on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))
@@ -46,12 +48,22 @@ def observe(
     return every[:, :known], every[:, known:]
 
 
+@kept_per_thread(16)
+def _lane_library(dae: Dae) -> ctypes.CDLL | None:
+    """Return the outputs of an explicit form for several times at once, where lanes have them."""
+    if dae.algebraics or not dae.states:
+        return None
+    try:
+        return lane_outputs(dae, processor_lanes())
+    except UsageError:  # an operation that lanes do not have
+        return None
+
+
 def _in_lanes(
-    dae: Dae, time: Vector, states: Vector, u: Vector, p: Vector
+    library: ctypes.CDLL, dae: Dae, time: Vector, states: Vector, u: Vector, p: Vector
 ) -> tuple[Vector, Vector]:
     """Return what `observe` does, for explicit forms."""
     n, nx, known = len(time), len(states), len(all_columns(dae))
-    library = lane_outputs(dae, processor_lanes())
     rows = np.empty((n, known + len(dae.limits)))
     rows[:, :nx] = states.T
     held = [np.ascontiguousarray(part, dtype=float) for part in (time, states.T, u.T, p)]
