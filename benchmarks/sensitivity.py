@@ -16,8 +16,8 @@ import numpy as np
 
 import cosim
 from casadi_models.dae import Dae
+from cosim.integrate.ensemble.simulate_many import simulate_many
 from cosim.integrate.simulate import simulate
-from cosim.integrate.simulate_many import simulate_many
 from cosim.study.sensitivity.sensitivity import sensitivity
 
 ROUNDS = 7

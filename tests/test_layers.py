@@ -48,7 +48,10 @@ LAYERS = {
 }
 # Upward all the same, with the reason
 CONTRACT = {
-    ("cosim.trajectory", "cosim.present.animate"): "run.animate(): loaded when it is called",
+    (
+        "cosim.trajectory",
+        "cosim.present.playback.animate",
+    ): "run.animate(): loaded when it is called",
 }
 
 

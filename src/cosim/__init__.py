@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from cosim.fmi.export.package import export_fmu
     from cosim.fmi.run.simulate import simulate_fmu
     from cosim.fmi.ssp import write_ssp
-    from cosim.integrate.ensemble import Ensemble
+    from cosim.integrate.ensemble.ensemble import Ensemble
+    from cosim.integrate.ensemble.simulate_many import simulate_many
     from cosim.integrate.integrator import integrator, start_vectors
-    from cosim.integrate.simulate_many import simulate_many
     from cosim.model.catalogue import load
-    from cosim.model.dae_builder import from_dae_builder
-    from cosim.model.from_casadi import from_casadi
+    from cosim.model.foreign.dae_builder import from_dae_builder
+    from cosim.model.foreign.from_casadi import from_casadi
     from cosim.model.inputs import InputSeries, read_inputs
     from cosim.model.reduction.reduce import reduce
     from cosim.model.summary import models
-    from cosim.present.animate import animate
     from cosim.present.figures import draw_figures
     from cosim.present.info import Info, info
+    from cosim.present.playback.animate import animate
     from cosim.scene.scene import FigureSpec, Scene, Settings
     from cosim.scene.scene_file import read_scene
     from cosim.series.column import Column
@@ -54,7 +54,7 @@ _HOMES = {
     "Column": "series.column",
     "Comparison": "verify.comparison",
     "CosimError": "errors",
-    "Ensemble": "integrate.ensemble",
+    "Ensemble": "integrate.ensemble.ensemble",
     "FigureSpec": "scene.scene",
     "Info": "present.info",
     "InputSeries": "model.inputs",
@@ -62,15 +62,15 @@ _HOMES = {
     "Settings": "scene.scene",
     "SweepResult": "study.sweep.result",
     "Trajectory": "trajectory",
-    "animate": "present.animate",
+    "animate": "present.playback.animate",
     "check_fmu": "fmi.check.check",
     "compare": "verify.comparison",
     "crosscheck": "verify.crosscheck",
     "draw_figures": "present.figures",
     "export_fmu": "fmi.export.package",
     "extremes": "study.extremes.campaign",
-    "from_casadi": "model.from_casadi",
-    "from_dae_builder": "model.dae_builder",
+    "from_casadi": "model.foreign.from_casadi",
+    "from_dae_builder": "model.foreign.dae_builder",
     "info": "present.info",
     "integrator": "integrate.integrator",
     "linearize": "study.linearize.linearize",
@@ -85,7 +85,7 @@ _HOMES = {
     "sensitivity": "study.sensitivity.sensitivity",
     "simulate": "api",
     "simulate_fmu": "fmi.run.simulate",
-    "simulate_many": "integrate.simulate_many",
+    "simulate_many": "integrate.ensemble.simulate_many",
     "start_vectors": "integrate.integrator",
     "sweep": "study.sweep.sweep",
     "tradeoff": "study.tradeoff.study",

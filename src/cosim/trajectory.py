@@ -408,7 +408,7 @@ class Trajectory:
 
     def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
         """Show the run in three dimensions; see `cosim.animate`."""
-        from cosim.present.animate import animate  # the one import of an upper room
+        from cosim.present.playback.animate import animate  # the one import of an upper room
 
         return animate(self, target, **options)
 

@@ -35,7 +35,8 @@ def test_fmu_is_shown_by_the_model_that_it_is_named_after(tmp_path):
 def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr(
-        "cosim.present.animate.animate", lambda runs, *_, **__: shown.extend(runs) or tmp_path / "x"
+        "cosim.present.playback.animate.animate",
+        lambda runs, *_, **__: shown.extend(runs) or tmp_path / "x",
     )
     values = ("-p", "thetaR_dot=-12,-14,-16", "--stop-time", "0.1")
     assert animate("bicycle", *values, "-o", tmp_path / "x.html") == 0

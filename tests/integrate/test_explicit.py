@@ -16,7 +16,7 @@ from cosim.codegen import dop853
 from cosim.codegen.compiler import find_compiler
 from cosim.codegen.explicit_library import _solver_text, dop853_method, fixed_step_method
 from cosim.errors import MissingTool, UsageError
-from cosim.integrate.fixed_step import tableau_of
+from cosim.integrate.families.fixed_step import tableau_of
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solver import Tolerance
 from cosim.integrate.solvers import SOLVERS

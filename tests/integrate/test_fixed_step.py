@@ -11,7 +11,7 @@ from helpers.oscillators import oscillator
 from casadi_models.dae import Model
 from cosim.codegen.tableau import ODE8, RK4, Tableau
 from cosim.errors import SolverError
-from cosim.integrate.fixed_step import Rk4
+from cosim.integrate.families.fixed_step import Rk4
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.simulate import simulate
 from cosim.model.catalogue import load

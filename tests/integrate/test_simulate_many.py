@@ -20,9 +20,9 @@ from cosim.errors import (
     UnknownName,
     UsageError,
 )
-from cosim.integrate.ensemble import RunState
+from cosim.integrate.ensemble.ensemble import RunState
+from cosim.integrate.ensemble.simulate_many import simulate_many
 from cosim.integrate.outputs import _lane_library
-from cosim.integrate.simulate_many import simulate_many
 
 ROLLS = np.linspace(0.3, 0.5, 37)
 

@@ -15,7 +15,7 @@ from cosim import solvers
 from cosim.codegen.tableau import Tableau
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate import simulate as native
-from cosim.integrate.fixed_step import FixedStep
+from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.solver import Tolerance
 from cosim.integrate.solvers import SOLVERS, solver_class
 from cosim.model.time_grid import time_grid

@@ -5,9 +5,9 @@ import pytest
 
 import casadi_models
 import cosim
-from cosim.present.meshes import mesh_of
-from cosim.present.playback import playback
-from cosim.present.turning import to_matrices
+from cosim.present.playback.meshes import mesh_of
+from cosim.present.playback.playback import playback
+from cosim.present.playback.turning import to_matrices
 
 
 def shown(name, **options):

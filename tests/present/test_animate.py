@@ -13,11 +13,11 @@ from PIL import Image
 
 import cosim
 from cosim.errors import ExportError, MissingTool, UnknownName, UsageError
-from cosim.present import turning
-from cosim.present.animate import Animation, animate
-from cosim.present.meshes import arrow, joined, mesh_of
-from cosim.present.playback import playback
-from cosim.present.render import draw_pose
+from cosim.present.playback import turning
+from cosim.present.playback.animate import Animation, animate
+from cosim.present.playback.meshes import arrow, joined, mesh_of
+from cosim.present.playback.playback import playback
+from cosim.present.playback.render import draw_pose
 from cosim.present.scale import scale_of
 
 
@@ -327,7 +327,7 @@ def test_missing_extra_names_the_command(run, tmp_path, monkeypatch, package, ki
 def test_importing_the_package_imports_no_extra():
     import sys
 
-    code = "import sys, cosim.present.animate; print([m for m in ('viser', 'pygltflib', "
+    code = "import sys, cosim.present.playback.animate; print([m for m in ('viser', 'pygltflib', "
     code += "'imageio_ffmpeg', 'trimesh') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -10,10 +10,10 @@ from helpers.scenes import spinning
 from PIL import Image
 
 import cosim
-from cosim.present.animate import animate
-from cosim.present.html import html
-from cosim.present.playback import playback
-from cosim.present.render import Camera
+from cosim.present.playback.animate import animate
+from cosim.present.playback.html import html
+from cosim.present.playback.playback import playback
+from cosim.present.playback.render import Camera
 from cosim.present.scale import scale_of, view_from
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -6,8 +6,8 @@ from helpers.scenes import spinning
 
 import cosim
 from cosim.errors import UsageError
-from cosim.present import turning
-from cosim.present.playback import frame_times, playback
+from cosim.present.playback import turning
+from cosim.present.playback.playback import frame_times, playback
 
 
 def rotations(n=500):

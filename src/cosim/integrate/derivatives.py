@@ -20,9 +20,9 @@ from cosim.codegen.explicit_library import (
 )
 from cosim.codegen.variational import directions, variational_rhs
 from cosim.integrate.engine import Problem
-from cosim.integrate.explicit import Dop853
-from cosim.integrate.fixed_step import FixedStep
-from cosim.integrate.plugin import COMMON, tolerances
+from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.families.plugin import COMMON, tolerances
 from cosim.integrate.solver import AdaptiveSolver, Solver
 
 MOST_NUMBERS = 3_000_000  # in the Jacobian of a whole run

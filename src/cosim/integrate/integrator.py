@@ -15,7 +15,7 @@ from cosim.errors import UsageError
 from cosim.integrate import initial_values
 from cosim.integrate.derivatives import MOST_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.fixed_step import FixedStep
+from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import chosen_solver, engine_of
 from cosim.model.time_grid import checked_grid

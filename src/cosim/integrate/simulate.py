@@ -13,7 +13,7 @@ from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
-from cosim.integrate.explicit import Dop853
+from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.kinks import nearest_kink
 from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
 from cosim.integrate.run_stats import RunStats

@@ -11,7 +11,7 @@ from cosim.codegen.functions import equations
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.call import INTERRUPTED, Reached, call
 from cosim.integrate.engine import Counts, Engine, Problem
-from cosim.integrate.fixed_step import FixedStep
+from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
 from cosim.integrate.outputs import all_columns, observe
 from cosim.integrate.solver import Solver

@@ -3,12 +3,12 @@
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.casadi_rk import Erk, Rosenbrock
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.explicit import Dop853
-from cosim.integrate.fixed_step import FixedStep, Ode8, Rk4
+from cosim.integrate.families.casadi_rk import Erk, Rosenbrock
+from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.families.fixed_step import FixedStep, Ode8, Rk4
+from cosim.integrate.families.sundials import Cvodes, CvodesAdams, Idas
 from cosim.integrate.solver import Solver, Tolerance
-from cosim.integrate.sundials import Cvodes, CvodesAdams, Idas
 from cosim.memo import kept_per_thread
 from cosim.model.values import A_DAE
 

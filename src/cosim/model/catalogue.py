@@ -5,8 +5,8 @@ from pathlib import Path
 import casadi_models
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
-from cosim.model.from_casadi import from_casadi
-from cosim.model.named_symbols import identifier
+from cosim.model.foreign.from_casadi import from_casadi
+from cosim.model.foreign.named_symbols import identifier
 from cosim.model.user_model import load_user_model
 
 _OTHER_FILES = {

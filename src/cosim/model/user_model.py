@@ -11,9 +11,9 @@ import casadi as ca
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
 from cosim.escaping import sentence
-from cosim.model.dae_builder import from_dae_builder
-from cosim.model.from_casadi import from_user, is_system
-from cosim.model.named_symbols import identifier
+from cosim.model.foreign.dae_builder import from_dae_builder
+from cosim.model.foreign.from_casadi import from_user, is_system
+from cosim.model.foreign.named_symbols import identifier
 
 
 def load_user_model(path: str, function: str) -> Dae:

@@ -20,9 +20,9 @@ from cosim.errors import MissingTool
 from cosim.model.reduction.size import size
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
-from cosim.present.html import html as playback_page
-from cosim.present.playback import playback
-from cosim.present.render import draw_pose
+from cosim.present.playback.html import html as playback_page
+from cosim.present.playback.playback import playback
+from cosim.present.playback.render import draw_pose
 from cosim.scene.scene import Scene
 from cosim.tables import html_table
 from cosim.trajectory import Trajectory

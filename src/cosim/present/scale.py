@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from casadi_models.dae.drawing import World
 from cosim.errors import UnknownName
-from cosim.present.meshes import mesh_of
-from cosim.present.playback import Load, Playback
-from cosim.present.turning import to_matrices
+from cosim.present.playback.meshes import mesh_of
+from cosim.present.playback.playback import Load, Playback
+from cosim.present.playback.turning import to_matrices
 
 Array = NDArray[np.float64]
 

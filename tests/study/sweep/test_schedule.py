@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from cosim.study.sweep.schedule import Schedule, aligned, gaps
+from cosim.study.sweep.engines.schedule import Schedule, aligned, gaps
 
 
 def test_chunks_are_powers_of_two_at_multiples_of_themselves():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.study.sweep.schedule import aligned
+from cosim.study.sweep.engines.schedule import aligned
 from cosim.study.sweep.statistics import Sketch, added, merged, node_of, quantile, sketch_of
 
 RANDOM = np.random.default_rng(7)

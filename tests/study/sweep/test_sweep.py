@@ -13,7 +13,7 @@ import pytest
 
 import cosim
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.integrate.ensemble import RunState
+from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.store import Store
 
 MODEL = textwrap.dedent(
@@ -310,7 +310,7 @@ def test_sobol_indices_of_a_linear_number_are_its_shares(tmp_path):
 
 def test_a_worker_ends_with_the_process_that_asked():
     worker = subprocess.Popen(
-        [sys.executable, "-m", "cosim.study.sweep.worker"], stdin=subprocess.PIPE
+        [sys.executable, "-m", "cosim.study.sweep.engines.worker"], stdin=subprocess.PIPE
     )
     worker.stdin.close()
     assert worker.wait(30) != 0

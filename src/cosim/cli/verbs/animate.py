@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.cli.arguments import names_in, start_numbers
     from cosim.cli.runs import number_in, runs_of, size_of
     from cosim.model.catalogue import load
-    from cosim.present.animate import animate, animation_format, guessed_model
+    from cosim.present.playback.animate import animate, animation_format, guessed_model
 
     animation_format(args.output_file)  # refuses before anything has been computed
     at = None if args.at is None else [number_in("--at", text) for text in names_in(args.at)]

@@ -10,9 +10,9 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import SolverError, UnknownName, UsageError
-from cosim.integrate.ensemble import Ensemble
+from cosim.integrate.ensemble.ensemble import Ensemble
+from cosim.integrate.ensemble.simulate_many import simulate_many
 from cosim.integrate.simulate import simulate
-from cosim.integrate.simulate_many import simulate_many
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Truths, Vector
-from cosim.integrate.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.keep import Keep
 from cosim.study.sweep.statistics import node_of, sketch_of
 from cosim.study.sweep.store import STATES, Record, Store
 from cosim.study.sweep.subject import Subject, opened
-from cosim.study.sweep.watch import Watch
 from cosim.trajectory import Trajectory
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.opened import OpenedFmu
-from cosim.integrate.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
-from cosim.study.sweep.watch import Watch
 from cosim.trajectory import Column
 
 _TAKEN = ("start_time", "stop_time", "output_interval", "relative_tolerance")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Truths, Vector
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
-from cosim.integrate.ensemble import RunState
+from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.extra import extra
 from cosim.study.sweep.samples import Samples
 from cosim.study.sweep.statistics import Node, Sketch, added, merged, quantile, settled

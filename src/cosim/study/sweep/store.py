@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.errors import ExportError, UsageError
 from cosim.files import write_atomically
-from cosim.integrate.ensemble import RunState
+from cosim.integrate.ensemble.ensemble import RunState
+from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import Samples, read_samples
 from cosim.study.sweep.statistics import Node, Sketch
-from cosim.study.sweep.watch import Watch
 
 STATES = tuple(RunState)  # a state is stored as its position here
 _CHUNK = re.compile(r"(\d+)-(\d+)\.npz")

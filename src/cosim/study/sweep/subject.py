@@ -15,17 +15,17 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.lane_library import lane_library, processor_lanes
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.ensemble import Ensemble
+from cosim.integrate.ensemble.ensemble import Ensemble
+from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
 from cosim.integrate.outputs import all_columns, wanted_names, watching
-from cosim.integrate.simulate_many import runs_in_lanes, simulate_many
 from cosim.model.catalogue import load
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign, listed, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
+from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
-from cosim.study.sweep.watch import Watch
 from cosim.trajectory import Column
 
 

@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.errors import Interrupted, ParameterError, UsageError
-from cosim.integrate.simulate_many import processors
+from cosim.integrate.ensemble.simulate_many import processors
 from cosim.integrate.solver import Solver
 from cosim.study.sweep.chunk import Job
-from cosim.study.sweep.cluster import connected, run_cluster
+from cosim.study.sweep.engines.cluster import connected, run_cluster
+from cosim.study.sweep.engines.processes import run_here, run_processes
+from cosim.study.sweep.engines.schedule import Schedule, gaps
 from cosim.study.sweep.extra import extra
 from cosim.study.sweep.keep import keep_from
-from cosim.study.sweep.processes import run_here, run_processes
 from cosim.study.sweep.progress import Progress
 from cosim.study.sweep.result import SweepResult, collect
 from cosim.study.sweep.samples import Samples, as_samples, digest_of
-from cosim.study.sweep.schedule import Schedule, gaps
 from cosim.study.sweep.store import Store
 from cosim.study.sweep.subject import as_subject, opened
 from cosim.trajectory import Trajectory

@@ -14,10 +14,17 @@ from casadi import SX
 
 from casadi_models.dae import Dae, Model
 from cosim.errors import ParameterError, UsageError
-from cosim.model.casadi_system import SYMBOLS, System, evaluated, read_system, refuse_sizes, scalars
-from cosim.model.index_reduction import ConsistentStart, consistent_start
-from cosim.model.named_symbols import Symbol
-from cosim.model.variable_facts import Facts
+from cosim.model.foreign.casadi_system import (
+    SYMBOLS,
+    System,
+    evaluated,
+    read_system,
+    refuse_sizes,
+    scalars,
+)
+from cosim.model.foreign.index_reduction import ConsistentStart, consistent_start
+from cosim.model.foreign.named_symbols import Symbol
+from cosim.model.foreign.variable_facts import Facts
 
 CONSTRAINTS = "the constraints that index reduction keeps"
 _OPTIONS = ("start_values", "outputs", "units", "meanings", "nominals", "name", "description")

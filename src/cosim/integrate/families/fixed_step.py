@@ -12,7 +12,7 @@ from cosim.codegen.functions import driven, prepared, symbols_of
 from cosim.codegen.tableau import ODE8, RK4, Tableau, step_function
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.engine import Counts, Engine, Problem
-from cosim.integrate.explicit import explicit_engine
+from cosim.integrate.families.explicit import explicit_engine
 from cosim.integrate.solver import Solver
 from cosim.model.values import number
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from cosim.arrays import Vector
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.plugin import COMMON, plugin_engine, restarted_engine, tolerances
+from cosim.integrate.families.plugin import COMMON, plugin_engine, restarted_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
 _NAMES = ("nsteps", "nfevals", "nlinsetups")

@@ -13,8 +13,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cosim.present.meshes import Mesh, arrow, joined, mesh_of
-from cosim.present.playback import Playback
+from cosim.present.playback.meshes import Mesh, arrow, joined, mesh_of
+from cosim.present.playback.playback import Playback
+from cosim.present.playback.turning import to_matrices
 from cosim.present.scale import (
     arrow_text,
     invalid_text,
@@ -22,7 +23,6 @@ from cosim.present.scale import (
     scale_of,
     view_from,
 )
-from cosim.present.turning import to_matrices
 
 Array = NDArray[np.float64]
 

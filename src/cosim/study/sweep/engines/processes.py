@@ -12,8 +12,8 @@ from typing import Any
 
 from cosim.errors import CosimError
 from cosim.study.sweep.chunk import Job, Summary, compute_chunk, lost, summary_of
+from cosim.study.sweep.engines.schedule import Range, Schedule
 from cosim.study.sweep.samples import Samples
-from cosim.study.sweep.schedule import Range, Schedule
 from cosim.study.sweep.store import Store
 
 _MOST_FAILED_STARTS = 5  # of processes, one after the other
@@ -149,7 +149,7 @@ class _Worker(Thread):
                 return
             _buried(self._process)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "cosim.study.sweep.worker"],
+            [sys.executable, "-m", "cosim.study.sweep.engines.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the process that asked

@@ -10,8 +10,8 @@ from casadi import MX, SX
 
 from casadi_models.units import known as known_unit
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.model.casadi_system import System, entry_names, scalars
-from cosim.model.named_symbols import Symbol
+from cosim.model.foreign.casadi_system import System, entry_names, scalars
+from cosim.model.foreign.named_symbols import Symbol
 
 
 @dataclass(frozen=True)

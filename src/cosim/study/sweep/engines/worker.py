@@ -1,4 +1,4 @@
-"""A process of a sweep: `python -m cosim.study.sweep.worker`, asked and answering through pipes."""
+"""A process of a sweep, asked and answering through pipes."""
 
 import os
 import pickle

@@ -11,8 +11,8 @@ from casadi import MX, SX
 from casadi_models.dae import Dae, Model
 from casadi_models.units import known as known_unit
 from cosim.errors import UsageError
-from cosim.model.casadi_system import System, evaluated
-from cosim.model.named_symbols import Symbol, identifier
+from cosim.model.foreign.casadi_system import System, evaluated
+from cosim.model.foreign.named_symbols import Symbol, identifier
 
 _DEPTH = 1000  # of definitions that use definitions
 

@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from cosim.study.sweep.chunk import Job, Summary, compute_chunk
+from cosim.study.sweep.engines.processes import after_death
+from cosim.study.sweep.engines.schedule import Schedule
 from cosim.study.sweep.extra import extra
-from cosim.study.sweep.processes import after_death
 from cosim.study.sweep.samples import Samples
-from cosim.study.sweep.schedule import Schedule
 
 
 @contextmanager

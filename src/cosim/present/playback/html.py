@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.extras import extra
-from cosim.present.meshes import mesh_of
-from cosim.present.playback import Load, Playback
+from cosim.present.playback.extras import extra
+from cosim.present.playback.meshes import mesh_of
+from cosim.present.playback.playback import Load, Playback
 from cosim.present.scale import Scale, invalid_text, label_text, scale_of, view_from
 
 Array = NDArray[np.float64]

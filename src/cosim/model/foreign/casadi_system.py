@@ -10,8 +10,8 @@ import casadi as ca
 from casadi import DM, MX, SX
 
 from cosim.errors import UnknownName, UsageError
-from cosim.model.named_symbols import Symbol, named_symbols
-from cosim.model.scalar_graph import refuse_calls, scalar_graph
+from cosim.model.foreign.named_symbols import Symbol, named_symbols
+from cosim.model.foreign.scalar_graph import refuse_calls, scalar_graph
 
 SYMBOLS = ("t", "x", "z", "u", "p")
 LAWS = ("ode", "alg", "quad")

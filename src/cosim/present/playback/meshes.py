@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.playback import Prop
-from cosim.present.turning import onto
+from cosim.present.playback.playback import Prop
+from cosim.present.playback.turning import onto
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int_]

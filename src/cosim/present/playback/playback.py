@@ -14,7 +14,7 @@ from casadi_models.dae import Drawing
 from casadi_models.dae.drawing import World
 from casadi_models.units import UNITS
 from cosim.errors import UsageError
-from cosim.present import turning
+from cosim.present.playback import turning
 from cosim.trajectory import Trajectory
 
 Array = NDArray[np.float64]

@@ -17,9 +17,16 @@ from cosim.errors import (
     SolverError,
     UsageError,
 )
-from cosim.integrate.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.lanes import (
+    CAUSES,
+    HALTED,
+    OUTSIDE,
+    LaneResults,
+    lane_starts,
+    run_lanes,
+)
 from cosim.integrate.initial_values import start_values
-from cosim.integrate.lanes import CAUSES, HALTED, OUTSIDE, LaneResults, lane_starts, run_lanes
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solver import Tolerance

@@ -16,11 +16,11 @@ from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.model.catalogue import load
 from cosim.plotting import picture
-from cosim.present import movie
-from cosim.present.glb import glb
-from cosim.present.html import html
-from cosim.present.playback import FRAMES_PER_SECOND, Playback, playback
-from cosim.present.render import draw_pose
+from cosim.present.playback import movie
+from cosim.present.playback.glb import glb
+from cosim.present.playback.html import html
+from cosim.present.playback.playback import FRAMES_PER_SECOND, Playback, playback
+from cosim.present.playback.render import draw_pose
 from cosim.present.scale import VIEWS
 from cosim.trajectory import Trajectory
 

@@ -10,9 +10,9 @@ import matplotlib
 import numpy as np
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
-from cosim.present.extras import extra
-from cosim.present.playback import Playback
-from cosim.present.render import Stage, canvas
+from cosim.present.playback.extras import extra
+from cosim.present.playback.playback import Playback
+from cosim.present.playback.render import Stage, canvas
 
 FRAMES_PER_SECOND = {"gif": 15.0, "mp4": 25.0}
 _DPI = 100

@@ -14,7 +14,7 @@ from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, smal
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import CALL, driven, prepared, symbols_of
 from cosim.integrate.engine import Engine, Problem, reported
-from cosim.integrate.plugin import COMMON, plugin_engine, tolerances
+from cosim.integrate.families.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
 _NAMES = ("n_steps", "n_rhs", "n_jac")

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.extras import extra
-from cosim.present.meshes import Mesh, arrow, joined, mesh_of
-from cosim.present.playback import Load, Playback
+from cosim.present.playback.extras import extra
+from cosim.present.playback.meshes import Mesh, arrow, joined, mesh_of
+from cosim.present.playback.playback import Load, Playback
+from cosim.present.playback.turning import continuous, onto, to_matrices, to_quaternions
 from cosim.present.scale import Scale, scale_of
-from cosim.present.turning import continuous, onto, to_matrices, to_quaternions
 
 Array = NDArray[np.float64]
 

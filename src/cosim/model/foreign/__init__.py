@@ -1,0 +1,1 @@
+"""Other people's CasADi objects to a `Dae`."""
