@@ -237,7 +237,7 @@ def test_missing_file_in_a_folder_is_named(tmp_path):
         pytest.param('"30 deg"', '"30 lbf"', ParameterError,
                      r"line 10: .*'lbf' cannot be converted to 'rad'", id="kind of unit"),
         pytest.param('"30 deg"', '"30,5 deg"', ParameterError,
-                     r"line 10: theta: '30,5 deg' is not a number", id="comma in a text"),
+                     r"line 10: theta = 30,5 deg: write a decimal point", id="comma in a text"),
         pytest.param('"30 deg"', "30,5", UsageError, r"line 10, column 11: ", id="comma"),
         pytest.param('"30 deg"', "true", ParameterError,
                      r"line 10: .*True is not a real number", id="truth value"),
