@@ -7,10 +7,11 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import common
+from cosim.cli.options import add_trust, common, seconds
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
+    from cosim.fmi.check.findings import Finding
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -19,6 +20,9 @@ def add_parser(verbs: Verbs) -> None:
         "check", parents=[common()], help="what is wrong with an FMU; its code runs with --run only"
     )
     parser.add_argument("file", metavar="FILE.fmu")
+    parser.add_argument("--run", dest="trials", action="store_true", help="run its code, too")
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="of --run, s; 120")
+    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,6 +31,8 @@ def run(args: argparse.Namespace) -> int:
     from cosim.fmi.check.findings import WRONG, examine
 
     findings = list(examine(args.file))
+    if args.trials:
+        findings += _trials(args)
     rows = [finding.row() for finding in findings]
     if args.json:
         print(json.dumps(rows, indent=1))
@@ -36,3 +42,18 @@ def run(args: argparse.Namespace) -> int:
     if not args.quiet:
         print(f"{args.file}: {wrong} wrong, {len(findings) - wrong} advice", file=sys.stderr)
     return 4 if wrong else 0
+
+
+def _trials(args: argparse.Namespace) -> tuple[Finding, ...]:
+    """Run the FMU's code and say on stderr what was tried."""
+    from cosim.fmi.check.apart import try_apart
+    from cosim.fmi.trust import require_trust
+
+    require_trust(args.file, trusted=args.trust)
+    verdict = try_apart(args.file, timeout=120.0 if args.timeout is None else args.timeout)
+    if not args.quiet:
+        print(f"passed: {', '.join(verdict.passed) or 'none'}", file=sys.stderr)
+    if args.verbose:
+        for reason in verdict.skipped:
+            print(f"skipped: {reason}", file=sys.stderr)
+    return verdict.findings
