@@ -122,18 +122,19 @@ def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
         raise Skipped("it is a trial of model exchange")
     every = bench.described.variables
     found = (v for v in every if v.causality == "parameter" and v.variability == "fixed")
-    parameter = next((v for v in found if bench.single(v)), None)
-    if parameter is None:
+    parameters = [v for v in found if bench.single(v)]
+    if not parameters:
         raise Skipped("it has no fixed real parameter")
-    with bench.session(kind) as session:
-        session.start()
-        (value,) = session.values([parameter])
-        with suppress(Exception):
-            session.put(parameter, value)
-            yield Finding(
-                *(ADVICE, "fixed", parameter.name, "a fixed parameter is accepted during a run"),
-                "refuse it with an error, or make it tunable",
-            )
+    for parameter in parameters[:_NAMES]:  # a refusal may end the instance
+        with bench.session(kind) as session:
+            session.start()
+            (value,) = session.values([parameter])
+            with suppress(Exception):
+                session.put(parameter, value)
+                yield Finding(
+                    *(ADVICE, "fixed", parameter.name, "a fixed parameter is accepted in a run"),
+                    "refuse it with an error, or make it tunable",
+                )
 
 
 def sixtieths(bench: Bench, kind: str) -> Iterator[Finding]:
