@@ -11,7 +11,7 @@ from helpers.small_models import decay
 
 from cosim.cli.main import main
 from cosim.fmi.check.apart import try_apart
-from cosim.fmi.check.findings import ADVICE, WRONG
+from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.trials import TRIALS
 from cosim.fmi.export.build import binaries
 from cosim.fmi.export.package import source_files, zipped
@@ -127,3 +127,10 @@ def test_no_code_runs_without_being_asked(tmp_path, capsys):
     assert not any(row["rule"] == "crash" for row in json.loads(capsys.readouterr().out))
     assert main(["check", path, "--json", "--run", "--trust", "-q"]) == 4
     assert "crash" in {row["rule"] for row in json.loads(capsys.readouterr().out)}
+
+
+def test_file_that_cannot_run_keeps_its_other_findings(exported, tmp_path, capsys):
+    edit = set_attributes(".", fmiVersion="1.0")
+    path = str(with_description(exported(NAME), tmp_path / "old.fmu", edit))
+    assert main(["check", path, "--run", "--trust", "--json", "-q"]) == 4
+    assert [row["rule"] for row in json.loads(capsys.readouterr().out)] == ["version", "run"]

@@ -11,7 +11,7 @@ from cosim.cli.options import add_trust, common, seconds
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
-    from cosim.fmi.check.findings import Finding
+    from cosim.fmi.check.finding import Finding
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -28,7 +28,8 @@ def add_parser(verbs: Verbs) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show the findings; 4 where something is wrong, else 0."""
     from cosim.cli.tables import show_table
-    from cosim.fmi.check.findings import WRONG, examine
+    from cosim.fmi.check.finding import WRONG
+    from cosim.fmi.check.findings import examine
 
     findings = list(examine(args.file))
     if args.trials:
@@ -46,11 +47,17 @@ def run(args: argparse.Namespace) -> int:
 
 def _trials(args: argparse.Namespace) -> tuple[Finding, ...]:
     """Run the FMU's code and say on stderr what was tried."""
+    from cosim.errors import FmuError
     from cosim.fmi.check.apart import try_apart
+    from cosim.fmi.check.finding import ADVICE, Finding
     from cosim.fmi.trust import require_trust
 
     require_trust(args.file, trusted=args.trust)
-    verdict = try_apart(args.file, timeout=120.0 if args.timeout is None else args.timeout)
+    try:
+        verdict = try_apart(args.file, timeout=120.0 if args.timeout is None else args.timeout)
+    except FmuError as error:  # what is wrong with the file itself has been found
+        told = str(error).removeprefix(f"{args.file}: ")
+        return (Finding(ADVICE, "run", "archive", told, "run it where it can run"),)
     if not args.quiet:
         print(f"passed: {', '.join(verdict.passed) or 'none'}", file=sys.stderr)
     if args.verbose:

@@ -3,6 +3,7 @@
 import json
 import os
 import secrets
+import signal
 import subprocess
 import sys
 import threading
@@ -15,10 +16,16 @@ from cosim.errors import FmuError
 from cosim.escaping import sentence
 from cosim.fmi.archive import unpacked
 from cosim.fmi.check.bench import Bench, Skipped
-from cosim.fmi.check.findings import WRONG, Finding
+from cosim.fmi.check.finding import WRONG, Finding
 from cosim.fmi.check.trials import TRIALS, Trial
-from cosim.fmi.run.instance import choose_interface
-from cosim.fmi.run.isolated import _ENVIRONMENT, _end, _end_with_parent, _own_folder
+from cosim.fmi.run.instance import INTERFACES, choose_interface
+from cosim.fmi.run.isolated import (
+    _ENVIRONMENT,
+    _end,
+    _end_with_parent,
+    _ended_by_signals,
+    _own_folder,
+)
 from cosim.fmi.run.limits import Limits
 from cosim.model.values import number
 from cosim.processes import MARK, end_all
@@ -53,9 +60,13 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
     """
     number(str(path), "timeout", timeout, positive=True)
     Limits.chosen()
-    with _own_folder() as folder, unpacked(path) as files:
+    with _ended_by_signals(), _own_folder() as folder, unpacked(path) as files:
         bench = Bench(files, str(path))
-        kinds = [kind for kind in ("ModelExchange", "CoSimulation") if _offered(bench, kind)]
+        try:
+            offered = bench.described.interfaces
+        except ValueError as error:
+            raise FmuError(f"{path}: {error}") from error
+        kinds = [kind for kind in INTERFACES if kind in offered]
         if not kinds:
             raise FmuError(f"{path} has neither model exchange nor co-simulation; nothing can run")
         for kind in kinds:
@@ -65,10 +76,6 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
             lines = (folder / _ANSWER).read_text().splitlines()
             return _verdict([json.loads(line) for line in lines], code, timeout)
         raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
-
-
-def _offered(bench: Bench, kind: str) -> bool:
-    return kind in bench.described.interfaces
 
 
 def _child(folder: Path, files: Path, name: str, kinds: list[str], timeout: float) -> int | None:
@@ -141,6 +148,8 @@ def _lines(bench: Bench, kinds: list[str]) -> Iterator[dict[str, object]]:
 def _main(answer: Path, files: Path, name: str, kinds: list[str]) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     Limits.chosen().apply()
+    if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
+        signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
     with answer.open("w", encoding="utf-8") as stream:
         for line in _lines(Bench(files, name), kinds):
             stream.write(json.dumps(line) + "\n")

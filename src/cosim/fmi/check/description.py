@@ -39,7 +39,7 @@ def _head(described: Description) -> Iterator[str]:
     root = described.root
     if not described.token.strip():
         yield "the GUID or instantiation token is missing"
-    if not described.interfaces:
+    if not described.interfaces and root.find("ScheduledExecution") is None:
         yield "there is neither model exchange nor co-simulation"
     for name, attributes in described.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")

@@ -5,36 +5,12 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from cosim.fmi.archive import DESCRIPTION, Source, content_of, opened
 from cosim.fmi.check.check import problems_of
-
-WRONG, ADVICE = "wrong", "advice"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something about an FMU.
-
-    Attributes:
-        level: "wrong" where the FMI is broken or a run fails, else "advice".
-        rule: A short name, the same for all findings of a kind.
-        place: File within the FMU, variable or interface.
-        found: What is there.
-        cure: What its author can do.
-    """
-
-    level: str
-    rule: str
-    place: str
-    found: str
-    cure: str
-
-    def row(self) -> dict[str, Any]:
-        """Return the finding as a line of a table."""
-        return asdict(self)
+from cosim.fmi.check.finding import ADVICE, WRONG, Finding
+from cosim.fmi.check.libraries import library_findings
 
 
 @dataclass(frozen=True)
@@ -73,7 +49,7 @@ _RULES = (
     _Rule(r"refers to no variable|does not exist", WRONG, "structure", "name what is described"),
     _Rule(r"is listed \d+ times|Outputs: '.*' (is missing|does not b)", WRONG, "structure", _NAMED),
     _Rule(r"' (is missing|does not belong there)$", ADVICE, "structure", _NAMED),
-    _Rule(r"which is not a known", ADVICE, "dependencies", "list states and inputs only"),
+    _Rule(r"which is not a known", "", "dependencies", ""),  # parameters are listed by many
     _Rule(r"is listed, but missing", WRONG, "sources", "add the file or do not list it"),
     _Rule(r"binaries/\S+ is missing", WRONG, "binary", "name the library like modelIdentifier"),
     _Rule(
@@ -103,7 +79,8 @@ def examine(source: Source) -> tuple[Finding, ...]:
     with opened(source) as archive:
         text = content_of(archive, DESCRIPTION)
         aliases = re.search(rb"fmiVersion\s*=\s*.2", text) is not None  # FMI 2 allows them
-        return tuple(_told(problems_of(archive), aliases=aliases))
+        told = _told(problems_of(archive), aliases=aliases)
+        return (*told, *library_findings(archive))
 
 
 def _told(problems: Iterator[str], *, aliases: bool) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.check.bench import Bench, Session, Skipped
-from cosim.fmi.check.findings import ADVICE, WRONG, Finding
+from cosim.fmi.check.finding import ADVICE, WRONG, Finding
 from cosim.fmi.check.parsed import Described
 
 MOST_STEPS = 6000  # of 1/60 s: 100 s
@@ -70,7 +70,7 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
         for i, (state, _) in enumerate(pairs):
             session.put_states(at)
             told = session.slopes(rates, state)
-            scale = max(abs(at[i]), abs(float(state.texts.get("nominal") or 1.0)))
+            scale = max(abs(at[i]), _nominal(state))
             coarse, fine = (_central(session, rates, at, i, h * scale) for h in (1e-5, 1e-6))
             sizes = np.abs(session.values(rates))
             noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
@@ -105,9 +105,9 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding]:
                 if surely:
                     raise
                 continue
-            scale = abs(float(known.texts.get("nominal") or 1.0))
+            scale = _nominal(known)
             for unknown, needs, slope in zip(unknowns, needed, told, strict=True):
-                own = abs(float(unknown.texts.get("nominal") or 1.0))
+                own = _nominal(unknown)
                 if known.reference not in needs and abs(slope) * scale > 1e-9 * own:
                     yield _wrong(
                         *("dependencies", unknown.name),
@@ -168,6 +168,10 @@ TRIALS: tuple[Trial, ...] = (
 
 def _wrong(rule: str, place: str, found: str, cure: str) -> Finding:
     return Finding(WRONG, rule, place, found, cure)
+
+
+def _nominal(variable: Described) -> float:
+    return abs(float(variable.texts.get("nominal", "1"))) or 1.0
 
 
 def _listed(names: list[str]) -> str:
