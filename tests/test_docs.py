@@ -46,7 +46,14 @@ WITH_PYTHON = [page for page in PAGES if page.exists() and blocks(page, "python"
 WITH_COMMANDS = [page for page in PAGES if page.exists() and commands(page)]
 
 
-@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
+SLOW = ("embedding", "fmu_casadi", "integrators", "drift")  # they compile large models
+BY_PAGE = [
+    pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in SLOW))
+    for page in WITH_PYTHON
+]
+
+
+@pytest.mark.parametrize("page", BY_PAGE)
 def test_python_of_a_page_runs_from_top_to_bottom(page, tmp_path):
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     exports = [words for words in commands(page) if words[0] == "export"]

@@ -131,8 +131,8 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const double *settings = c + NC, *times = settings + SETTINGS;
     const long long points = (long long)settings[0];
     const int given = arg[3] != NULL;
-    const Schedule schedule = {times, times + points, given ? arg[3] : none, points,
-                               (long long)settings[1], given ? (long long)settings[2] : 1};
+    const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
+                               points, (long long)settings[1], given ? (long long)settings[2] : 1};
     Problem problem = {
         .rhs = solver.rhs,
         .project = solver.project,

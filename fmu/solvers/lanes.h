@@ -98,6 +98,9 @@ TWO_BY_TWO(remainder)
 TWO_BY_TWO(atan2)
 TWO_BY_TWO(hypot)
 
+/* Equations as generated code has them: columns in, columns out. */
+typedef void LaneFunction(const V *const *in, V *const *out);
+
 /* Sine and cosine of a whole vector, where the machine's library has them. */
 typedef V Elementary(V);
 static Elementary *vector_sin = each_sin, *vector_cos = each_cos;

@@ -32,7 +32,6 @@ enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, 
 
 #define MOST_TRIALS 100000 /* per output interval */
 
-typedef void LaneFunction(const V *const *in, V *const *out);
 typedef void LaneSum(V (*k)[NX], V *sum);
 typedef void LaneRow(int row, V (*k)[NX], V *sum);
 

@@ -166,7 +166,7 @@ class Trajectory:
         wanted = tuple(_listed(names))
         own = self.names
         if wanted == own:
-            return self
+            return replace(self)
         places = {name: i for i, name in enumerate(own)}
         chosen = [places[name] if name in places else self._index(name) for name in wanted]
         columns = tuple(self.columns[i] for i in chosen)

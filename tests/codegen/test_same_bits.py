@@ -5,6 +5,7 @@ Compiled for processors by name, so that the test says the same on every x86-64.
 
 import platform
 from functools import cache
+from tempfile import TemporaryDirectory
 
 import pytest
 from helpers.instructions import fused, needs_objdump
@@ -40,7 +41,8 @@ def compiler_calls(name):
         raise _Seen
 
     dae = cosim.load(name)
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, TemporaryDirectory() as cold:
+        patch.setenv("COSIM_CACHE", cold)
         patch.setattr(compiling, "compile_library", see)
         for solver in ("idas" if dae.algebraics else "cvodes", "dop853"):
             with pytest.raises(_Seen):

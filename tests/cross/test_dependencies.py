@@ -30,6 +30,7 @@ class Importer:
         variables = self.description.variables
         self.states = [v.derivative_of for v in variables if v.derivative_of is not None]
         self.inputs = [i for i, v in enumerate(variables) if v.causality == "input"]
+        self.tunable = [i for i, v in enumerate(variables) if v.variability == "tunable"]
         self.given = [i for i, v in enumerate(variables) if v.initial == "exact"]
         self.nominal = np.array([float(v.texts.get("nominal", 1)) for v in variables])
 
@@ -119,7 +120,8 @@ def test_outputs_and_derivatives_depend_on_what_is_declared_and_on_nothing_else(
             importer.instance.enterContinuousTimeMode()
             nominal = importer.nominal[importer.states]
             x = importer.read(importer.states) + 0.05 * nominal * rng.standard_normal(len(nominal))
-            u = dict(zip(importer.inputs, importer.read(importer.inputs), strict=True))
+            free = [*importer.inputs, *importer.tunable]
+            u = dict(zip(free, importer.read(free), strict=True))
             importer.move_to(0.3, x, u)
             before = importer.read(influence.unknowns)
             importer.move_to(0.37, x, u)
@@ -129,6 +131,9 @@ def test_outputs_and_derivatives_depend_on_what_is_declared_and_on_nothing_else(
                 influence.note(state, before, importer.read(influence.unknowns))
             for i in importer.inputs:
                 importer.move_to(0.3, x, u | {i: u[i] + STEP * importer.nominal[i]})
+                influence.note(i, before, importer.read(influence.unknowns))
+            for i in importer.tunable:
+                importer.move_to(0.3, x, u | {i: importer.moved(i, u[i])})
                 influence.note(i, before, importer.read(influence.unknowns))
         assert influence.named(influence.strange) == []
         count = sum(map(len, influence.declared.values()))

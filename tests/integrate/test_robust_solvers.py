@@ -1,5 +1,6 @@
 """Solvers where their defaults gave up: long spans, tight tolerances of DAEs."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -70,3 +71,27 @@ def test_failure_of_a_dae_names_the_solvers_that_are_left():
     model.equation(x * z - 1)
     with pytest.raises(SolverError, match=r"or solver \(rosenbrock, dop853\)"):
         simulate(model.freeze(), solver="idas")
+
+
+def test_kink_that_stops_a_solver_is_named():
+    """Dry friction: the sign of a sliding speed, on a surface that steps cannot leave."""
+    model = Model("slide", stop_time=2.0)
+    x = model.state("x", "m", 1.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x - 5e4 * ca.sign(v + 0.3 * x))
+    with pytest.raises(SolverError) as caught:
+        simulate(model.freeze(), solver="dop853")
+    assert "sign switches where (" in str(caught.value)  # CasADi's order of a sum is not fixed
+    assert "(0.3*x)" in str(caught.value)
+    assert ") is 0, and it is 0.3 there" in str(caught.value)
+    assert "too many steps" in str(caught.value)
+
+
+def test_failure_of_a_smooth_model_names_no_kink():
+    model = Model("blow_up", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, x**2)
+    with pytest.raises(SolverError) as caught:
+        simulate(model.freeze(), solver="dop853")
+    assert "switches" not in str(caught.value)

@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.oscillators import bad_output, blow_up, emptying, oscillator
@@ -20,6 +21,7 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.integrate.ensemble import RunState
+from cosim.integrate.outputs import _lane_library
 from cosim.integrate.simulate_many import simulate_many
 
 ROLLS = np.linspace(0.3, 0.5, 37)
@@ -243,3 +245,15 @@ def test_an_ensemble_becomes_a_dataset(reference):
     np.testing.assert_array_equal(data["phi"], reference["phi"])
     assert data["phi"].attrs["units"] == "rad"
     np.testing.assert_array_equal(data.coords["phi_dot_start"], ROLLS)
+
+
+def test_an_output_that_lanes_cannot_compute_takes_the_scalar_road():
+    model = Model("inverse", stop_time=1.0)
+    x = model.state("x", "1", 0.1, "x")
+    model.derivative(x, 0.5)
+    model.output("y", "1", ca.erfinv(x), "inverse error function")
+    dae = model.freeze()
+    assert _lane_library(dae) is None
+    assert _lane_library(growth()) is not None
+    run = cosim.simulate(dae, compiled=False)  # C has no such function
+    assert run["y"][-1] == pytest.approx(0.5951160814, abs=1e-7)  # erf(0.5951160814) = 0.6

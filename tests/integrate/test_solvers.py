@@ -49,7 +49,7 @@ def test_default_is_cvodes_and_idas_for_algebraic_unknowns(ode, dae):
 
 @pytest.mark.parametrize(
     ("name", "hint"),
-    [("cvode", "cvodes"), ("ode45", "ode8"), ("IDAS", "idas"), ("bdf", "it has cvodes, cvodes_ad")],
+    [("cvode", "cvodes"), ("ode78", "ode8"), ("IDAS", "idas"), ("bdf", "it has cvodes, cvodes_ad")],
 )
 def test_unknown_solver_is_refused_with_near_names(ode, name, hint):
     with pytest.raises(UnknownName, match=f"cosim has no solver '{name}'; .*{hint}"):

@@ -83,7 +83,9 @@ def test_a_known_point_is_where_the_run_says(angle, tmp_path):
     r, g, b = np.moveaxis(shot, -1, 0)
     blue = np.argwhere((b > 1.4 * g) & (b > 2.5 * r) & (b > 60))  # the mark's #0072B2
     assert len(blue) > 30
-    assert np.linalg.norm(blue.mean(axis=0) - wanted) < 0.03 * rows
+    assert (
+        np.linalg.norm(blue.mean(axis=0) - wanted) < 0.05 * rows
+    )  # a part of the mark is hidden by the disk
 
 
 @pytest.mark.parametrize(

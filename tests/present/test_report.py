@@ -29,7 +29,7 @@ def test_report_holds_every_part(page):
         assert f"<h2>{part}" in page.replace("The book's", "The book&#x27;s")
     text = without_playback(page)
     for fact in ("Unit 7, Example 1", "seven welded slender bars", "phi, omega", "477.46483",
-                 "6.4994176", "fmpy ModelExchange", "crank_shaft/multipliers", "SHA-256",
+                 "6.4994176", "fmu-me", "crank_shaft/multipliers", "SHA-256",
                  "cosim report crank_shaft.toml"):  # fmt: skip
         assert fact in text
     assert text.count("<svg") == 1 + 3  # the pose and the scene's figures

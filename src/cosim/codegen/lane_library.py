@@ -82,6 +82,42 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
     return LaneLibrary(lanes, library)
 
 
+@kept_per_thread(16)
+def lane_outputs(dae: Dae, lanes: int) -> ctypes.CDLL:
+    """Compile `lanes_outputs`, or take it from the cache; see fmu/solvers/lanes_outputs.h.
+
+    Args:
+        dae: Without algebraic unknowns.
+        lanes: One of `SIZES`.
+
+    Raises:
+        UsageError: An output has an operation that lanes do not have.
+        MissingTool: There is no compiler, or it fails.
+    """
+    margins = (margin for margin, _ in dae.limits)
+    rows = ca.vertcat(ca.SX(0, 1), dae.outputs, *margins)
+    (every,), symbols, values = ca.extract_parametric([rows], dae.p)
+    c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
+    cse = {"cse": True}
+    constants = ca.Function("f", [dae.p], [ca.densify(ca.vertcat(dae.p, *values))], cse)
+    observe = ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every)], cse)
+    sizes = {"LANES": lanes, "NX": dae.x.numel(), "NU": dae.u.numel(), "NP": dae.p.numel()}
+    sizes |= {"NC": c.numel(), "NY": rows.numel()}
+    text = "\n".join(
+        (
+            *(f"#define {name} {size}" for name, size in sizes.items()),
+            solver_source("lanes_outputs.h"),
+            vector_text(constants, "constants"),
+            vector_text(observe, "observe"),
+            "static const LaneOutputs outputs = {constants, observe};\n",
+        )
+    )
+    key = "outputs " + hashlib.sha256(text.encode()).hexdigest()
+    library = ctypes.CDLL(str(cached_library(key, lambda: text)))
+    library.lanes_outputs.argtypes = [_LONG, *([_ARRAY] * 5), _LONG]
+    return library
+
+
 def _text(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     known = dict(zip((v.name for v in dae.states), ca.vertsplit(dae.x), strict=True))
     rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)

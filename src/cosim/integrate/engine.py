@@ -71,8 +71,8 @@ class Engine:
         kept: Which columns of the results are at the problem's output times; all when None.
         restart: Builds the engine for a start where this one fails although it is consistent, from
             dx/dt there, (nx,); None where there is none.
-        fallback: Builds the engine of settings that fail less, for a run that failed; None where
-            there are none.
+        fallback: Builds the engine of settings that fail less, for a run that failed with a reason;
+            None where there are none, or none for that reason.
     """
 
     function: ca.Function
@@ -83,7 +83,7 @@ class Engine:
     library: ctypes.CDLL | None = None
     kept: NDArray[np.intp] | None = None
     restart: "Callable[[Vector], Engine] | None" = None
-    fallback: "Callable[[], Engine] | None" = None
+    fallback: "Callable[[str], Engine | None] | None" = None
 
 
 def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], Counts]:

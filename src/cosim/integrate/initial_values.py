@@ -42,6 +42,8 @@ def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
     Raises:
         InitialConditionError: The equations are singular at this state.
     """
+    if not dae.algebraics:
+        return np.empty(0)
     guess = np.array([v.start or 0.0 for v in dae.algebraics])
     try:
         z = np.array(algebraic_function(dae)(t, x, guess, values.u, values.p)).ravel()

@@ -14,6 +14,7 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.explicit import Dop853
+from cosim.integrate.kinks import nearest_kink
 from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
 from cosim.integrate.run_stats import RunStats
 from cosim.integrate.solution import Solution, solve
@@ -22,7 +23,7 @@ from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
 from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import assign, listed, number, numbers_of
+from cosim.model.values import Values, assign, listed, number, numbers_of
 from cosim.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -135,9 +136,11 @@ def simulate(
     if first.reason:
         others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
         which = f" ({', '.join(others)})" if dae.algebraics else ""
+        kink = _kink(dae, time, solution.table, values)
         raise SolverError(
-            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}); look for a singularity "
-            f"near that state, or use another tolerance or step, formulation or solver{which}",
+            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "
+            "singularity near that state, or use another tolerance or step, formulation or "
+            f"solver{which}",
             run,
         )
     return run
@@ -188,6 +191,15 @@ def output_times(
         dae.experiment.output_interval if output_interval is None else output_interval,
         numbers=len(all_columns(dae)),
     )
+
+
+def _kink(dae: Dae, time: Vector, table: Vector, values: Values) -> str:
+    """Say what switches at the last good time."""
+    if not len(time):
+        return ""
+    x, z = np.split(table[-1, : len(dae.states) + len(dae.algebraics)], [len(dae.states)])
+    found = nearest_kink(dae, time[-1], x, z, values.u, values.p)
+    return f"; {found}" if found else ""
 
 
 def _stats(

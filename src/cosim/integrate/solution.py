@@ -64,8 +64,10 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
         ready = perf_counter()
         numbers = (x0, z0, values.p, values.u)
         reached = _reached(engine, numbers, dae, grid[0], replace(values, u=u[:, 0]))
-        if engine.fallback is not None and reached.reason not in ("", INTERRUPTED):
-            other = _reached(engine.fallback(), numbers, dae, grid[0], replace(values, u=u[:, 0]))
+        failed = reached.reason not in ("", INTERRUPTED)
+        lenient = engine.fallback(reached.reason) if failed and engine.fallback else None
+        if lenient is not None:
+            other = _reached(lenient, numbers, dae, grid[0], replace(values, u=u[:, 0]))
             if not other.reason:
                 note = f"without errors of algebraic unknowns, with which: {reached.reason}"
                 reached = other

@@ -74,7 +74,11 @@ class Idas(AdaptiveSolver):
             # IDACalcIC gives up on some starts that are consistent already
             return self._engine(problem, {"calc_ic": False, "init_xdot": slopes.tolist()})
 
-        def fallback() -> Engine:
+        def fallback(reason: str) -> Engine | None:
+            # corrections that fail at any step size are how a singularity looks: beyond it the
+            # run could go on along another branch
+            if reason.startswith("IDA_CONV_FAIL"):
+                return None
             return replace(self, suppress_algebraic=True).engine(problem)
 
         lenient = problem.dae.algebraics and not self.suppress_algebraic

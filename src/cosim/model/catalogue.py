@@ -22,6 +22,10 @@ def load(name: str) -> Dae:
     Raises:
         UnknownName: The catalogue has no such model, or the file no such function.
         UsageError: The file cannot be read, or its function fails or builds no Dae.
+
+    Example:
+        >>> load("crank_shaft").full_name
+        'crank_shaft/driven'
     """
     if not isinstance(name, str):
         raise UsageError.of_type("load", name, "the name of a model, e.g. 'bicycle'")

@@ -83,19 +83,16 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
     table = {id(rows): np.tile(rows, (runs, 1)) for rows in (base.x, base.p, base.u)}
     bad = np.zeros(runs, dtype=bool)
     known = settable(dae)
+    kinds = ((dae.states, base.x), (dae.parameters, base.p), (dae.inputs, base.u))
+    places = {v.name: (rows, i) for group, rows in kinds for i, v in enumerate(group)}
     for name, column in given.items():
         if name not in known or known[name].start_kind is Start.CALCULATED:
             assign(dae, {name: 0.0})  # says what is wrong
         variable = known[name]
         bad |= ~((column >= variable.minimum) & (column <= variable.maximum))
         bad |= ~np.isfinite(column)
-        for variables, rows in (
-            (dae.states, base.x),
-            (dae.parameters, base.p),
-            (dae.inputs, base.u),
-        ):
-            if variable in variables:
-                table[id(rows)][:, variables.index(variable)] = column
+        rows, place = places[name]
+        table[id(rows)][:, place] = column
     x, p, u = (table[id(rows)] for rows in (base.x, base.p, base.u))
     bad |= _unphysical(dae, given, p)
     refused = {int(i): _reason(dae, given, int(i)) for i in np.flatnonzero(bad)}

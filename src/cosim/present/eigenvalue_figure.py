@@ -26,10 +26,11 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
         kind = "oscillates" if crossing.frequency else "real"
         axis.annotate(
             f"{crossing.value:.6g}, {kind}",
-            (crossing.value, axis.get_ylim()[1]),
+            (crossing.value, 0.02),
+            xycoords=("data", "axes fraction"),
             rotation=90,
             ha="right",
-            va="top",
+            va="bottom",
             fontsize=7,
             color="0.3",
         )

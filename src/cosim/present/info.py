@@ -89,8 +89,8 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
 
     Example:
         >>> facts = info("bicycle").to_dict()
-        >>> round([row["start"] for row in facts["states"] if row["name"] == "theta"][0], 6)
-        0.0
+        >>> {row["name"]: row["start"] for row in facts["states"]}["phi_dot"]
+        0.5
     """
     if isinstance(source, Dae):
         return _of_model(source)

@@ -14,6 +14,8 @@ def draw_sensitivity(found: Sensitivity) -> Figure:
     figure = Figure(figsize=(7.5, 1.0 + 1.9 * len(names)), layout="constrained")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False).ravel()
     scaled = found.scaled
+    heaviest = np.argsort(-np.abs(scaled).max(axis=(0, 1)), kind="stable")
+    colours = {int(j): f"C{place % 10}" for place, j in enumerate(heaviest)}  # in every panel
     for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
         weights = np.abs(scaled[:, i, :]).max(axis=0)
         order = np.argsort(-weights, kind="stable")
@@ -22,7 +24,7 @@ def draw_sensitivity(found: Sensitivity) -> Figure:
             axis.plot(
                 found.run.time,
                 scaled[:, i, j],
-                color=f"C{rank}" if named else "0.85",
+                color=colours[int(j)] if named else "0.85",
                 linewidth=1.1 if named else 0.6,
                 label=found.targets[j].name if named else None,
                 zorder=3 if named else 1,

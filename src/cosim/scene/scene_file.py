@@ -39,6 +39,10 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
             does not compute an output; one that does is named.
         ParameterError: A number is not finite or out of bounds, or its unit does not fit.
         InitialConditionError: A start value is given that follows from others.
+
+    Example:
+        >>> read_scene("crank_torque.toml").outputs
+        ('T',)
     """
     file = read_toml(find_scene(path))
     file.refuse_unknown((), file.data, _KEYS)

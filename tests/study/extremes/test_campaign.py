@@ -104,7 +104,7 @@ def test_unknown_model_is_refused():
 
 def test_verb_writes_table_file_and_map_and_ends_with_0(tmp_path, monkeypatch, capsys):
     chosen = [c for c in CASES if c.family == "crank: mass"][:3]
-    monkeypatch.setattr("cosim.cli.extremes.select_cases", lambda *_, **__: chosen)
+    monkeypatch.setattr("cosim.study.extremes.campaign.select_cases", lambda *_, **__: chosen)
     table, figure = tmp_path / "cases.csv", tmp_path / "map.png"
     code = main(["extremes", "-q", "--output-file", str(table), "--figure", str(figure)])
     assert code == 0
@@ -115,7 +115,7 @@ def test_verb_writes_table_file_and_map_and_ends_with_0(tmp_path, monkeypatch, c
 
 def test_verb_ends_with_4_when_a_case_is_silent(monkeypatch, capsys):
     wrong = replace(find("crank: spin", "omega = 1e0 rad/s", "crank_shaft/driven"), bound=-1.0)
-    monkeypatch.setattr("cosim.cli.extremes.select_cases", lambda *_, **__: [wrong])
+    monkeypatch.setattr("cosim.study.extremes.campaign.select_cases", lambda *_, **__: [wrong])
     assert main(["extremes", "-q"]) == 4
 
 

@@ -18,7 +18,7 @@ UPRIGHT = {"phi_dot": 0.0}
 
 def test_bar_across_the_arm_is_unstable_by_the_closed_form():
     dae = cosim.load("bar_on_frame/reduced")
-    linear = linearize(dae, at="equilibrium", start={"Omega_dot": 0.0})
+    linear = linearize(dae, at="equilibrium", start_values={"Omega_dot": 0.0})
     assert linear.x[0] == pytest.approx(np.pi / 2, abs=1e-9)
     assert "equilibrium" in linear.point
     assert linear.steadiness == "steady, phi going on"
@@ -34,7 +34,7 @@ def test_bar_across_the_arm_is_unstable_by_the_closed_form():
 def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
     dae = cosim.load(f"bicycle/{formulation}")
     values = np.linspace(-10, -24, 8)
-    sweep = linearize_sweep(dae, "thetaR_dot", values, start=UPRIGHT, outputs=["speed"])
+    sweep = linearize_sweep(dae, "thetaR_dot", values, start_values=UPRIGHT, outputs=["speed"])
     capsize, weave = sweep.crossings
     assert capsize.outputs["speed"] == pytest.approx(CAPSIZE_SPEED, abs=1e-9)  # 1.4e-11
     assert weave.outputs["speed"] == pytest.approx(WEAVE_SPEED, abs=1e-9)  # 1.7e-12
@@ -47,8 +47,8 @@ def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
 def test_fmu_has_the_eigenvalues_of_the_graph(tmp_path, model, fmi):
     dae = cosim.load(model)
     path = cosim.export_fmu(dae, tmp_path / "bicycle.fmu", fmi=fmi)
-    bare = linearize(path, start=UPRIGHT)
-    graph = linearize(dae, start=UPRIGHT, outputs=bare.outputs)
+    bare = linearize(path, start_values=UPRIGHT)
+    graph = linearize(dae, start_values=UPRIGHT, outputs=bare.outputs)
     assert bare.states == graph.states
     assert bare.inputs == graph.inputs
     for name in "ABCD":
@@ -120,7 +120,7 @@ def test_motion_that_cannot_rest_is_refused_with_its_state():
     [
         ({"at": "equilibrum"}, UnknownName, "did you mean equilibrium"),
         ({"outputs": ["phii"]}, UnknownName, "did you mean phi"),
-        ({"start": {"alphaa": 1.0}}, UnknownName, "did you mean alpha"),
+        ({"start_values": {"alphaa": 1.0}}, UnknownName, "did you mean alpha"),
     ],
 )
 def test_names_that_do_not_exist_are_refused(options, error, text):
@@ -138,7 +138,15 @@ def test_fmu_has_its_start_only(tmp_path):
     with pytest.raises(UsageError, match="linearized at its start"):
         linearize(path, at=1.0)
     with pytest.raises(UnknownName, match="did you mean alpha"):
-        linearize(path, start={"alphaa": 1.0})
+        linearize(path, start_values={"alphaa": 1.0})
+
+
+def test_command_runs_no_fmu_that_is_not_trusted(tmp_path, monkeypatch):
+    path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
+    monkeypatch.setenv("COSIM_TRUST", "known")
+    monkeypatch.setattr("cosim.fmi.trust.is_trusted", lambda _: False)
+    assert main(["linearize", str(path)]) == 1
+    assert main(["linearize", str(path), "--trust", "--outputs", "T"]) == 0
 
 
 def test_command_shows_modes_and_crossings(tmp_path, capsys):

@@ -10,6 +10,7 @@ from cosim.cli.options import (
     add_picture,
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -29,6 +30,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
     add_solver(parser)
     add_timeout(parser)
+    add_trust(parser)
     parser.add_argument(
         "-o",
         "--output-file",
@@ -72,8 +74,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"the result is drawn as {args.shown_model}", file=sys.stderr)
     runs, _, code = runs_of(args, everything=args.outputs is None)
     model, values = args.shown_model, None
-    if any(run.drawing is None for run in runs) and model is not None:
-        values = start_numbers(args, load(model))
+    if any(run.drawing is None for run in runs):  # parameters that an FMU or a result was run with
+        values = start_numbers(args, None if model is None else load(model))
     path = animate(
         runs,
         args.output_file,

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, common
+from cosim.cli.options import add_output_file, add_trust, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -43,6 +43,7 @@ def add_parser(verbs: Verbs) -> None:
         metavar="NAME=A:B:N",
         help="eigenvalues for N values from A to B, and where they cross the imaginary axis",
     )
+    add_trust(parser)
     add_output_file(parser, "FILE", "the matrices, or the eigenvalues of a sweep, as CSV")
     parser.add_argument("--figure", metavar="FILE", help="of a sweep: PNG, SVG or PDF")
 
@@ -61,6 +62,9 @@ def run(args: argparse.Namespace) -> int:
         picture_format(args.figure)  # refuses before anything has been computed
     model: Any = args.model
     if args.model.endswith(".fmu"):
+        from cosim.fmi.trust import require_trust
+
+        require_trust(args.model, trusted=args.trust)
         start = start_numbers(args, None)
         outputs = names_in(args.outputs) if args.outputs else None
     else:
@@ -73,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         if len(points) > 1:
             raise UsageError("--sweep takes one point: --at start, --at equilibrium or one time")
         return _sweep(args, model, points[0], start, outputs)
-    found = [linearize(model, at=point, start=start, outputs=outputs) for point in points]
+    found = [linearize(model, at=point, start_values=start, outputs=outputs) for point in points]
     if args.output_file:
         if len(found) > 1:
             raise UsageError("-o takes the matrices of one point; give one time")
@@ -99,7 +103,7 @@ def _sweep(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
         raise UsageError(f"--sweep {args.sweep}: write NAME=FROM:TO:HOW_MANY")
     first, last = _numbers("--sweep", parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
-    found = linearize_sweep(model, name, values, at=at, start=start, outputs=outputs)
+    found = linearize_sweep(model, name, values, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, _csv(found))
     if args.figure:

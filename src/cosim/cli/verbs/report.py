@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from cosim.cli.options import (
     add_solver,
     add_timeout,
+    add_trust,
     common,
     run_options,
     value_options,
@@ -30,6 +31,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
     add_solver(parser)
     add_timeout(parser)
+    add_trust(parser)
     parser.add_argument(
         "-o", "--output-file", required=True, metavar="FILE.html", help="one HTML file"
     )

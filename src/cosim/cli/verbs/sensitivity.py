@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         scene.dae,
         of=scene.outputs or None,
         with_respect_to=names_in(args.by) if args.by else None,
-        start=scene.values,
+        start_values=scene.values,
         inputs=scene.inputs,
         solver=solver,
         relative_tolerance=TOLERANCE if tolerance is None else tolerance,

@@ -14,5 +14,7 @@ def build_description(identity: Identity) -> bytes:
     files = ET.SubElement(configuration, "SourceFileSet", language="C11")
     for name in identity.sources:
         ET.SubElement(files, "SourceFile", name=name)
+    # in the shared library that is compiled from this file, functions have FMI's own names
+    ET.SubElement(files, "PreprocessorDefinition", name="FMI3_OVERRIDE_FUNCTION_PREFIX", value="1")
     ET.SubElement(configuration, "Library", name="m", external="true")
     return to_bytes(root)

@@ -49,7 +49,7 @@ def fmu_linear(
     path: str | os.PathLike[str],
     *,
     time: float = 0.0,
-    start: Mapping[str, float] | None = None,
+    start_values: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
 ) -> FmuLinear:
     """Initialize an FMU for model exchange and ask for its directional derivatives.
@@ -57,7 +57,7 @@ def fmu_linear(
     Args:
         path: The FMU. Its binary runs in this process: only run FMUs you trust.
         time: s.
-        start: Start values, parameters and inputs by name, in the FMU's units.
+        start_values: Start values, parameters and inputs by name, in the FMU's units.
         outputs: Names; the FMU's outputs when None.
 
     Raises:
@@ -72,7 +72,7 @@ def fmu_linear(
         if second and not abilities.providesDirectionalDerivative:
             raise FmuError(f"{path} has no directional derivatives; linearize the model itself")
         variables = by_name(description)
-        values = {n: number(str(path), n, v) for n, v in (start or {}).items()}
+        values = {n: number(str(path), n, v) for n, v in (start_values or {}).items()}
         settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
         for name in values:
             if name not in variables:

@@ -12,7 +12,8 @@ from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, UnknownName, UsageError
 from cosim.fmi.run.linear import fmu_linear
-from cosim.integrate.initial_values import algebraic_values, start_values
+from cosim.integrate.initial_values import algebraic_values
+from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.simulate import simulate
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load, no_such_output, observable
@@ -28,7 +29,7 @@ def linearize(
     model: Dae | str | os.PathLike[str],
     *,
     at: str | float = START,
-    start: Mapping[str, float] | None = None,
+    start_values: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
     solver: str | None = None,
     relative_tolerance: float | None = None,
@@ -40,7 +41,7 @@ def linearize(
             taken.
         at: "start"; "equilibrium", which Newton's method looks for from the start on, states that
             influence nothing else may go on; or a time, s, of a run.
-        start: Values by name that replace starts of states, parameters, or inputs.
+        start_values: Values by name that replace starts of states, parameters, or inputs.
         outputs: Names of y; all outputs of the model when None.
         solver, relative_tolerance: Of the run that leads to a time; see `simulate`.
 
@@ -62,14 +63,14 @@ def linearize(
             raise UsageError(
                 f"{model}: an FMU is linearized at its start; give start values, or the model"
             )
-        return _of_fmu(model, start, outputs)
-    dae, values = model, assign(model, start)
+        return _of_fmu(model, start_values, outputs)
+    dae, values = model, assign(model, start_values)
     names = _output_names(dae, outputs)
     if isinstance(at, float):
         states = [v.name for v in dae.states]
         run = simulate(
             dae,
-            start=start,
+            start_values=start_values,
             stop_time=at,
             output_interval=abs(at) or 1.0,
             solver=solver,
@@ -77,7 +78,7 @@ def linearize(
             outputs=states,
         )
         return _of_dae(dae, names, run.values[-1], values, at, f"{at:g} s of a run")
-    x, point = start_values(dae, values), "its start"
+    x, point = consistent_start(dae, values), "its start"
     if at == EQUILIBRIUM:
         x, point = _equilibrium(dae, x, values)
     return _of_dae(dae, names, x, values, 0.0, point)
@@ -113,7 +114,7 @@ def _of_fmu(
     start: Mapping[str, float] | None,
     outputs: Sequence[str] | None,
 ) -> Linearization:
-    found = fmu_linear(path, start=start, outputs=outputs)
+    found = fmu_linear(path, start_values=start, outputs=outputs)
     n, m = len(found.states), len(found.outputs)
     J = found.jacobian
     A, B = J[:n, :n], J[:n, n:]

@@ -80,7 +80,7 @@ def linearize_sweep(
     values: Sequence[float],
     *,
     at: str | float = START,
-    start: Mapping[str, float] | None = None,
+    start_values: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
 ) -> EigenvalueSweep:
     """Linearize a model for each value of a parameter, a start or an input; find the crossings.
@@ -89,7 +89,7 @@ def linearize_sweep(
     zeros of motions that nothing brings back disturb no other eigenvalue.
 
     Args:
-        model, at, start, outputs: See `linearize`.
+        model, at, start_values, outputs: See `linearize`.
         name: What varies.
         values: Increasing or decreasing, two or more.
 
@@ -103,7 +103,8 @@ def linearize_sweep(
         raise ParameterError(f"{name}: give two increasing or decreasing values or more")
 
     def point(value: float) -> Linearization:
-        return linearize(model, at=at, start={**(start or {}), name: value}, outputs=outputs)
+        given = {**(start_values or {}), name: value}
+        return linearize(model, at=at, start_values=given, outputs=outputs)
 
     points = tuple(map(point, grid))
     pattern = np.any([linear.pattern for linear in points], axis=0)

@@ -38,7 +38,7 @@ def sensitivity(
     *,
     of: Sequence[str] | None = None,
     with_respect_to: Sequence[str] | None = None,
-    start: Mapping[str, float] | None = None,
+    start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     solver: str | None = None,
     relative_tolerance: float = TOLERANCE,
@@ -56,7 +56,7 @@ def sensitivity(
         of: Names of states, algebraic unknowns or outputs; the states when None.
         with_respect_to: Names of parameters, constant inputs, or states, by whose start value is
             differentiated; all parameters when None. Start values that are calculated follow.
-        start: Values by name that replace starts of states, parameters, or inputs.
+        start_values: Values by name that replace starts of states, parameters, or inputs.
         inputs: Time series of some inputs.
         solver: An adaptive one; dop853, or without a compiler erk or rosenbrock, when None.
         relative_tolerance: Error per step, of the derivatives, too.
@@ -74,7 +74,7 @@ def sensitivity(
         SolverError: A run failed, or the second method disagrees.
     """
     number("sensitivity", "bound", bound, positive=True)
-    values = assign(dae, start)
+    values = assign(dae, start_values)
     names = [v.name for v in dae.states] if of is None else listed("sensitivity: of", of)
     by = [v.name for v in dae.parameters]
     if with_respect_to is not None:
@@ -90,7 +90,7 @@ def sensitivity(
     task = _Task(
         small,
         names,
-        {name: value for name, value in (start or {}).items() if name in known},
+        {name: value for name, value in (start_values or {}).items() if name in known},
         {"solver": solver, "inputs": felt, **times},
     )
     targets = [own for name in by if (own := Target.of(small, name)) is not None]
@@ -155,7 +155,7 @@ class _Task:
         """Return the outputs and their derivatives, (n, ny, targets)."""
         if not targets:
             options = {**self.options, "relative_tolerance": tolerance}
-            run = simulate(self.dae, start=self.start, outputs=self.names, **options)
+            run = simulate(self.dae, start_values=self.start, outputs=self.names, **options)
             return run, np.zeros((len(run), len(self.names), 0))
         slopes = start_slopes(self.dae, assign(self.dae, self.start), targets)
         given: dict[str, Any] = dict(self.start)

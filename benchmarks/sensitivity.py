@@ -1,0 +1,95 @@
+"""Derivatives of the bicycle's final state by its 26 parameters: time over that of one run.
+
+    python benchmarks/sensitivity.py [SECONDS_OF_MOTION]
+
+Printed are ratios to one `dop853` run of the same span and tolerance, the smallest of interleaved
+rounds: our variational equations in lanes; the same with the second opinion; central differences
+through `dop853` in lanes; CasADi's forward mode through CVODES.
+"""
+
+import sys
+from collections.abc import Callable
+from time import perf_counter
+
+import casadi as ca
+import numpy as np
+
+import cosim
+from casadi_models.dae import Dae
+from cosim.integrate.simulate import simulate
+from cosim.integrate.simulate_many import simulate_many
+from cosim.study.sensitivity.sensitivity import sensitivity
+
+ROUNDS = 7
+STEP = 1e-4
+
+
+def main(span: float) -> None:
+    """Print the ratios and how far each method is from the tight one."""
+    dae = cosim.load("bicycle/independent")
+    tolerance = {"relative_tolerance": 1e-6}
+    times = {"stop_time": span, "output_interval": span}
+    names = [v.name for v in dae.parameters]
+    states = [v.name for v in dae.states]
+    sizes = np.array([abs(v.start or 0.0) or v.nominal for v in dae.parameters])
+
+    def central() -> np.ndarray:
+        values = {v.name: np.full(2 * len(names), v.start) for v in dae.parameters}
+        for i, name in enumerate(names):
+            values[name][2 * i] += STEP * sizes[i]
+            values[name][2 * i + 1] -= STEP * sizes[i]
+        last = simulate_many(dae, values, outputs=states, **times, relative_tolerance=1e-9).values
+        return ((last[::2, -1] - last[1::2, -1]) / (2 * STEP)).T
+
+    start = cosim.start_vectors(dae)
+    x, p = ca.MX.sym("x", dae.x.numel()), ca.MX.sym("p", dae.p.numel())
+    F = cosim.integrator(dae, [0.0, span], solver="cvodes", compiled=False, **tolerance)
+    end = F(x0=x, z0=start["z0"], p=p, u=start["u"])["xf"][:, -1]
+    seeds = ca.DM(np.diag(sizes))
+    directions = ca.Function("d", [x, p], [ca.jtimes(end, p, seeds)])
+    before = ca.Function("x0", [p], [start_of(dae, p)])
+    slopes = np.array(ca.Function("s", [p], [ca.jacobian(before(p), p)])(start["p"]))
+    by_start = ca.Function("b", [x, p], [ca.jtimes(end, x, ca.DM(slopes * sizes))])
+
+    def casadi_forward() -> np.ndarray:
+        arguments = (start["x0"], start["p"])
+        return np.array(directions(*arguments)) + np.array(by_start(*arguments))
+
+    def ours(check: bool) -> np.ndarray:
+        found = sensitivity(dae, of=states, check=check, **times, **tolerance)
+        return found.values[-1] * sizes
+
+    ways: dict[str, Callable[[], object]] = {
+        "one run": lambda: simulate(dae, solver="dop853", outputs=states, **times, **tolerance),
+        "sensitivity": lambda: ours(check=False),
+        "sensitivity, checked": lambda: ours(check=True),
+        "central differences": central,
+        "CasADi forward CVODES": casadi_forward,
+    }
+    truth = sensitivity(dae, of=states, check=False, **times, relative_tolerance=1e-12)
+    exact = truth.values[-1] * sizes
+    best = dict.fromkeys(ways, float("inf"))
+    results = {name: way() for name, way in ways.items()}  # compiled, and warm
+    for _ in range(ROUNDS):
+        for name, way in ways.items():
+            began = perf_counter()
+            way()
+            best[name] = min(best[name], perf_counter() - began)
+    print(f"{'':24}{'ratio':>8}{'error':>10}   (26 parameters, {span:g} s of motion)")
+    for name in ways:
+        apart = ""
+        if name != "one run":
+            off = np.abs(results[name] - exact) / (np.abs(exact) + 1)
+            apart = f"{off.max():10.1e}"
+        print(f"{name:24}{best[name] / best['one run']:8.1f}{apart}")
+
+
+def start_of(dae: Dae, p: ca.MX) -> ca.MX:
+    """Return the start of every state as an expression of the parameters."""
+    from cosim.codegen.initialization import start_function
+
+    return start_function(dae)(ca.DM(list(dae.x_start)), p)[0]
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 20.0)

@@ -1,0 +1,49 @@
+"""The examples in docstrings of what `import cosim` offers run and give what they print."""
+
+import doctest
+import inspect
+from importlib import import_module
+
+import pytest
+
+import cosim
+
+# Public names that have no example yet; it must only become shorter
+WITHOUT = {
+    *("Ensemble", "Info", "InputSeries", "Scene", "Settings", "FigureSpec", "SweepResult"),
+    *("Column", "Comparison", "CosimError", "Dae", "Model", "errors", "solvers", "extremes"),
+    *("check_fmu", "crosscheck", "draw_figures", "export_fmu", "from_casadi", "from_dae_builder"),
+    *("integrator", "read_inputs", "reduce", "reference", "simulate_fmu"),
+    *("simulate_many", "start_vectors", "sweep", "tradeoff", "write_ssp", "sensitivity"),
+    *("linearize", "linearize_fmu", "linearize_sweep", "animate", "report"),
+}
+
+
+def examples(value, name):
+    """Return the doctests of a value and of its own methods."""
+    module = inspect.getmodule(value)
+    found = doctest.DocTestFinder(recurse=True).find(value, name, module=module)
+    return [test for test in found if test.examples]
+
+
+@pytest.mark.parametrize("name", [n for n in cosim.__all__ if n not in ("errors", "solvers")])
+def test_examples_of_a_public_name_hold(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = examples(getattr(cosim, name), name)
+    assert found or name in WITHOUT, f"{name} needs an example in its docstring"
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+    for test in found:
+        runner.run(test)
+    assert runner.summarize(verbose=False).failed == 0
+
+
+@pytest.mark.parametrize("module", ["cosim", "cosim.model.quantities"])
+def test_examples_of_a_module_hold(module):
+    assert doctest.testmod(import_module(module)).failed == 0
+
+
+def test_public_names_are_the_only_ones():
+    assert {*dir(cosim)} == {*cosim.__all__, "__version__"}
+    assert all(getattr(cosim, name) is not None for name in dir(cosim))
+    with pytest.raises(AttributeError, match="did you mean simulate"):
+        _ = cosim.similate
