@@ -137,7 +137,7 @@ def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
                 )
 
 
-def sixtieths(bench: Bench, kind: str) -> Iterator[Finding]:
+def steps(bench: Bench, kind: str) -> Iterator[Finding]:
     """Steps of 1/60 s, whose times are sums, go on to the default stop time."""
     if kind != "CoSimulation":
         raise Skipped("it is a trial of co-simulation")
@@ -162,7 +162,7 @@ def sixtieths(bench: Bench, kind: str) -> Iterator[Finding]:
 
 
 TRIALS: tuple[Trial, ...] = (
-    *(start, reset, instances, derivatives, dependencies, fixed, sixtieths),
+    *(start, reset, instances, derivatives, dependencies, fixed, steps),
 )
 
 
