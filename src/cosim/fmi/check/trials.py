@@ -161,9 +161,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding]:
             yield _wrong("steps", kind, told, "accept times with rounding errors")
 
 
-TRIALS: tuple[Trial, ...] = (
-    *(start, reset, instances, derivatives, dependencies, fixed, steps),
-)
+TRIALS: tuple[Trial, ...] = (start, reset, instances, derivatives, dependencies, fixed, steps)
 
 
 def _wrong(rule: str, place: str, found: str, cure: str) -> Finding:
