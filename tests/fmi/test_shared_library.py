@@ -1,6 +1,7 @@
 """Shared libraries read as files, against what the compiler and the loader say of them."""
 
 import ctypes
+import re
 import shutil
 import struct
 import subprocess
@@ -8,7 +9,7 @@ import sys
 
 import pytest
 
-from cosim.codegen.compiler import compile_library
+from cosim.codegen.compiler import compile_library, find_compiler
 from cosim.fmi.shared_library import fat_library, read_libraries
 
 CODE = """
@@ -97,3 +98,18 @@ def test_endless_command_in_a_mach_library_is_told():
     content = struct.pack("<8I", 0xFEEDFACF, ARM, 0, 6, 2**32 - 1, 24, 0, 0) + bytes(64)
     with pytest.raises(ValueError, match="damaged"):
         read_libraries(content)
+
+
+@native
+@pytest.mark.skipif(shutil.which("readelf") is None, reason="needs readelf of the binutils")
+def test_imports_versions_and_run_paths_are_what_readelf_prints(tmp_path):
+    (tmp_path / "code.c").write_text("#include <math.h>\ndouble f(double x) { return pow(x, x); }")
+    target = tmp_path / "code.so"
+    options = ["-shared", "-fPIC", "-Wl,-rpath,/opt/own:$ORIGIN/a", "-o", str(target)]
+    subprocess.run([*find_compiler(), str(tmp_path / "code.c"), *options, "-lm"], check=True)
+    (read,) = read_libraries(target.read_bytes())
+    command = ["readelf", "-dVW", str(target)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert read.needs == set(re.findall(r"Shared library: \[(.*?)\]", printed))
+    assert read.versions == set(re.findall(r"Name: (\S+)", printed))
+    assert read.run_paths == ("/opt/own", "$ORIGIN/a")

@@ -9,7 +9,7 @@ from cosim.cli.options import Parser
 
 # A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
 VERBS = (
-    *("list", "info", "simulate", "export", "crosscheck", "tradeoff", "extremes", "plot"),
+    *("list", "info", "simulate", "export", "check", "crosscheck", "tradeoff", "extremes", "plot"),
     *("animate", "report", "sweep", "sensitivity", "linearize", "scene", "new", "cache"),
 )
 

@@ -15,6 +15,8 @@ _PE_PROCESSORS = {0x8664: "x86_64", 0xAA64: "aarch64", 0x14C: "x86"}
 _MACH_PROCESSORS = {0x01000007: "x86_64", 0x0100000C: "aarch64"}
 _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _DYNAMIC_SYMBOLS = 11  # SHT_DYNSYM
+_DYNAMIC, _VERSIONS = 6, 0x6FFFFFFE  # SHT_DYNAMIC, SHT_GNU_verneed
+_NEEDED, _RPATH, _RUNPATH = 1, 15, 29  # DT_*
 _SYMBOL_TABLE = 2  # LC_SYMTAB
 
 
@@ -26,11 +28,17 @@ class Library:
         system: "linux", "windows" or "darwin".
         processor: "x86_64", "aarch64" or "x86".
         exports: Names of the functions and data that a program may look up.
+        needs: Libraries that are loaded with it; of Linux only, like what follows.
+        versions: Of what it takes from them, e.g. "GLIBC_2.17".
+        run_paths: Folders where the loader looks for them first.
     """
 
     system: str
     processor: str
     exports: frozenset[str]
+    needs: frozenset[str] = frozenset()
+    versions: frozenset[str] = frozenset()
+    run_paths: tuple[str, ...] = ()
 
 
 def read_libraries(content: bytes) -> tuple[Library, ...]:
@@ -100,7 +108,34 @@ def _elf(content: bytes) -> Library:
             if section and info >> 4:  # defined here, not local
                 yield _text(content, names + name)
 
-    return Library("linux", _ELF_PROCESSORS[machine], frozenset(exports()))
+    def entries() -> Iterator[tuple[int, str]]:
+        for section in (s for s in sections if s[1] == _DYNAMIC):
+            for place in range(section[4], section[4] + section[5], 16):
+                tag, value = struct.unpack_from("<QQ", content, place)
+                if tag in (_NEEDED, _RPATH, _RUNPATH):
+                    yield tag, _text(content, sections[section[6]][4] + value)
+
+    def versions() -> Iterator[str]:
+        for section in (s for s in sections if s[1] == _VERSIONS):
+            place = section[4]
+            for _ in range(section[7]):  # as many libraries
+                _, count, _, first, following = struct.unpack_from("<HHIII", content, place)
+                inner = place + first
+                for _ in range(count):
+                    _, _, _, name, step = struct.unpack_from("<IHHII", content, inner)
+                    yield _text(content, sections[section[6]][4] + name)
+                    inner += step
+                place += following
+
+    dynamic = tuple(entries())
+    return Library(
+        "linux",
+        _ELF_PROCESSORS[machine],
+        frozenset(exports()),
+        frozenset(name for tag, name in dynamic if tag == _NEEDED),
+        frozenset(versions()),
+        tuple(p for tag, text in dynamic if tag != _NEEDED for p in text.split(":") if p),
+    )
 
 
 def _pe(content: bytes) -> Library:

@@ -14,6 +14,13 @@ from cosim.fmi.export.build import fmi_headers
 from cosim.fmi.platforms import PLATFORMS, Target
 from cosim.fmi.shared_library import read_libraries
 
+_ONLY = {
+    "ModelExchange": r"NewDiscreteStates|EnterContinuousTimeMode|CompletedIntegratorStep|SetTime|"
+    r"\w*ContinuousState\w*|GetDerivatives|GetEventIndicators|GetNumberOfEventIndicators|(?<=2)EnterEventMode",
+    "CoSimulation": r"\w*RealInputDerivatives|Get\w*OutputDerivatives|DoStep|CancelStep|"
+    r"Get\w*Status|EnterStepMode",
+    "ScheduledExecution": r"\w*ScheduledExecution|ActivateModelPartition",
+}
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # all that FMI allows
 
 
@@ -29,10 +36,11 @@ def check_fmu(source: Source) -> list[str]:
         FmuError, SecurityError: The file is no FMU or dangerous, see `cosim.fmi.archive`.
     """
     with opened(source) as archive:
-        return list(_problems(archive))
+        return list(problems_of(archive))
 
 
-def _problems(archive: zipfile.ZipFile) -> Iterator[str]:
+def problems_of(archive: zipfile.ZipFile) -> Iterator[str]:
+    """Tell the problems of an opened FMU, one sentence each."""
     yield from _archive(archive)
     try:
         described = parse(content_of(archive, DESCRIPTION))
@@ -87,10 +95,11 @@ def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[str]
             content = content_of(archive, name)
             if described.token.encode() not in content:
                 yield f"{name} was compiled for another GUID or instantiation token"
-            yield from (f"{name}: {p}" for p in _library(content, target, described.version))
+            yield from (f"{name}: {p}" for p in _library(content, target, described))
 
 
-def _library(content: bytes, target: Target, version: str) -> Iterator[str]:
+def _library(content: bytes, target: Target, described: Description) -> Iterator[str]:
+    version = described.version
     try:
         libraries = read_libraries(content)
     except ValueError as error:
@@ -101,9 +110,17 @@ def _library(content: bytes, target: Target, version: str) -> Iterator[str]:
         processors = ("x86_64", "aarch64") if version == "2" else (target.processor,)
         if library.system != target.system or library.processor not in processors:
             yield f"it is for {library.processor}-{library.system}"
-        missing = sorted(required_functions(version) - library.exports)
+        missing = sorted(_needed_functions(described) - library.exports)
         if missing:
             yield f"{library.processor} lacks {', '.join(missing)}"
+
+
+def _needed_functions(described: Description) -> frozenset[str]:
+    """Return what importers may call: the functions of interfaces not offered may be missing."""
+    spare = [name for name in _ONLY if name not in described.interfaces]
+    only = [re.compile(rf"fmi\d({_ONLY[name]})") for name in spare]
+    every = required_functions(described.version)
+    return frozenset(f for f in every if not any(one.fullmatch(f) for one in only))
 
 
 @cache

@@ -39,7 +39,7 @@ def _head(described: Description) -> Iterator[str]:
     root = described.root
     if not described.token.strip():
         yield "the GUID or instantiation token is missing"
-    if not described.interfaces:
+    if not described.interfaces and root.find("ScheduledExecution") is None:
         yield "there is neither model exchange nor co-simulation"
     for name, attributes in described.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")
@@ -95,11 +95,12 @@ def _variable(described: Description, variable: Described) -> Iterator[str]:
     if variable.variability == "continuous" and variable.kind not in REAL:
         yield f"a {variable.kind} cannot be continuous"
     wanted = variable.initial in ("exact", "approx") or variable.causality == "input"
-    if wanted != ("start" in texts):
+    if wanted != ("start" in texts) and variable.kind not in ("Clock", "Binary"):
         yield "the start value is missing" if wanted else "a start value is given, but calculated"
     if variable.kind not in REAL:
         return
-    number = {k: _number(texts[k]) for k in ("min", "max", "nominal", "start") if k in texts}
+    numbers = ("min", "max", "nominal", "start")
+    number = {k: _number(texts[k]) for k in numbers if k in texts and " " not in texts[k].strip()}
     for name, value in number.items():
         if value is None:
             yield f"{name} = {texts[name]} is no finite number"

@@ -105,15 +105,22 @@ def parse(content: bytes) -> Description:
     def described(element: ET.Element) -> Described:
         facts = element if major == "3" else next(iter(element), ET.Element("nothing"))
         kind, state = facts.tag, facts.get("derivative")
+        causality = element.get("causality", "local")
+        fixed = major == "3" and causality.endswith("arameter")
+        usual = "fixed" if fixed else "continuous" if kind in REAL else "discrete"
+        variability = element.get("variability", usual)
+        texts = dict(facts.attrib)
+        if (start := facts.find("Start")) is not None:  # texts and binary values in FMI 3
+            texts["start"] = start.get("value", "")
         return Described(
             element.get("name", ""),
             kind,
-            element.get("causality", "local"),
-            element.get("variability", "continuous" if kind in REAL else "discrete"),
-            element.get("initial"),
+            causality,
+            variability,
+            element.get("initial") or _usual_initial(causality, variability),
             element.get("valueReference", ""),
             None if state is None else position(state),
-            dict(facts.attrib),
+            texts,
         )
 
     structure = root.find("ModelStructure")
@@ -130,3 +137,11 @@ def parse(content: bytes) -> Description:
         tuple(described(element) for element in listed),
         tables,
     )
+
+
+def _usual_initial(causality: str, variability: str) -> str | None:
+    """Return what holds where a file does not say: FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7.5."""
+    if causality in ("input", "independent"):
+        return None
+    exact = causality in ("parameter", "structuralParameter") or variability == "constant"
+    return "exact" if exact else "calculated"

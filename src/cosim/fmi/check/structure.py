@@ -54,6 +54,8 @@ def _initial_unknowns(described: Description) -> list[int]:
     states = [place for i in derivatives if (place := variables[i].derivative_of) is not None]
     members = {*_outputs(described), *derivatives, *states} - {-1}
     members |= {i for i, v in enumerate(variables) if v.causality == "calculatedParameter"}
+    clocked = {i for i in members if variables[i].kind == "Clock" or "clocks" in variables[i].texts}
+    members -= clocked  # which initialization does not compute
     return [i for i in sorted(members) if variables[i].initial in ("approx", "calculated")]
 
 
