@@ -26,9 +26,9 @@ FOLDERS = {
 TABLE = """
 cosim._fmu
 casadi_models
-cosim.escaping
+cosim.text
 cosim.errors | cosim.memo | cosim.arrays
-cosim.tables | cosim.files | cosim.plotting | cosim.series | cosim.temporary | cosim.processes
+cosim.files | cosim.plotting | cosim.series | cosim.host
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import Any, Protocol
 
 from casadi_models import CATALOG
-from cosim.escaping import visible
+from cosim.text.escaping import visible
 
 
 class PartialRun(Protocol):

@@ -21,7 +21,7 @@ from cosim.errors import MissingTool, UnknownName, UsageError
 from cosim.series.column import Column, summary_rows
 from cosim.series.csv_file import in_si, read_samples, repr_17, write_csv
 from cosim.series.interpolation import resample, times_within
-from cosim.tables import MOST_LINES, Table, html_table, text_table
+from cosim.text.tables import MOST_LINES, Table, html_table, text_table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,7 +12,7 @@ import pytest
 from cosim.codegen import cache, compiler
 from cosim.codegen.compiler import cached_library
 from cosim.errors import CacheError, MissingTool
-from cosim.temporary import remove_leftovers, temporary_folder
+from cosim.host.temporary import remove_leftovers, temporary_folder
 
 CODE = "int answer(void) { return 42; }\n"
 posix = pytest.mark.skipif(os.name == "nt", reason="owners and permissions of POSIX")
@@ -228,7 +228,7 @@ def test_clear_removes_what_the_cache_made_and_nothing_else(folder):
 KILLED = """
 import os, signal
 from pathlib import Path
-from cosim.temporary import temporary_folder
+from cosim.host.temporary import temporary_folder
 with temporary_folder(Path({place!r})) as folder:
     (folder / "half").write_text("made")
     os.kill(os.getpid(), signal.SIGKILL)

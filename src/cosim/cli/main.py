@@ -17,7 +17,7 @@ from cosim.cli.parser import command_line
 from cosim.cli.streams import NO_ROOM, mend_streams, settled
 from cosim.cli.supervised import can_supervise, supervised
 from cosim.errors import CosimError
-from cosim.escaping import sentence, visible
+from cosim.text.escaping import sentence, visible
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

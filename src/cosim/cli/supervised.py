@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from cosim.temporary import remove_leftovers
+from cosim.host.temporary import remove_leftovers
 
 GRACE = 5.0  # s, that a child has to end after Ctrl-C
 _DIE_WITH_PARENT, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of Linux

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.files import write_atomically
-from cosim.tables import text_table
+from cosim.text.tables import text_table
 
 _COLOURS = {"ok": "32", "DIFFERS": "31", "FAILED": "31"}
 _VERDICT = re.compile(rf"(?<= )({'|'.join(_COLOURS)})(?=  |$)", re.MULTILINE)

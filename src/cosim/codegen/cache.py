@@ -17,7 +17,7 @@ from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.errors import CacheError
-from cosim.temporary import remove_leftovers
+from cosim.host.temporary import remove_leftovers
 
 MOST_BYTES = 2 * 10**9  # unless $COSIM_CACHE_SIZE says otherwise, in bytes
 MOST_ENTRY = 2**30  # bytes

@@ -21,7 +21,7 @@ from pathlib import Path
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
 from cosim.errors import MissingTool
-from cosim.temporary import temporary_folder
+from cosim.host.temporary import temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")

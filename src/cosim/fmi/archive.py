@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 from cosim.errors import FmuError, SecurityError, UsageError
 from cosim.files import opened_plain
-from cosim.temporary import temporary_folder
+from cosim.host.temporary import temporary_folder
 
 MOST_BYTES = 2**30  # of an unpacked FMU
 MOST_ENTRIES = 10_000

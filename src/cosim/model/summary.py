@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from casadi_models import CATALOG
-from cosim.tables import Table
+from cosim.text.tables import Table
 
 FILE = Path(__file__).with_name("catalogue.json")
 

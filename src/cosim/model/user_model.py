@@ -10,10 +10,10 @@ import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
-from cosim.escaping import sentence
 from cosim.model.foreign.dae_builder import from_dae_builder
 from cosim.model.foreign.from_casadi import from_user, is_system
 from cosim.model.foreign.named_symbols import identifier
+from cosim.text.escaping import sentence
 
 
 def load_user_model(path: str, function: str) -> Dae:

@@ -18,7 +18,7 @@ from cosim.model.catalogue import load
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
-from cosim.tables import MOST_LINES, html_table, text_table
+from cosim.text.tables import MOST_LINES, html_table, text_table
 
 _TITLES = {
     "conditions": "conditions: calculated where --outputs names them",

@@ -24,7 +24,7 @@ from cosim.present.playback.html import html as playback_page
 from cosim.present.playback.playback import playback
 from cosim.present.playback.render import draw_pose
 from cosim.scene.scene import Scene
-from cosim.tables import html_table
+from cosim.text.tables import html_table
 from cosim.trajectory import Trajectory
 
 _CSS = """

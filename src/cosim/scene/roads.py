@@ -9,12 +9,12 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.simulate import simulate_fmu
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import solver_class
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
 from cosim.scene.scene import Scene
-from cosim.temporary import temporary_folder
 from cosim.trajectory import Trajectory
 
 

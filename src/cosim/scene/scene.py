@@ -8,7 +8,7 @@ from cosim.errors import ParameterError
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign, number
 from cosim.scene.goals import OVERRULED, refuse_contradiction
-from cosim.tables import html_table, text_table
+from cosim.text.tables import html_table, text_table
 
 WIDTH = 100  # letters of a line at a prompt
 

@@ -13,7 +13,7 @@ import numpy as np
 from casadi_models.units import UNITS
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UsageError
-from cosim.escaping import csv_cell
+from cosim.text.escaping import csv_cell
 
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIMES = ("time", "t", "zeit", "temps")

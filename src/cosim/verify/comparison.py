@@ -9,7 +9,7 @@ import numpy as np
 from cosim.errors import UsageError
 from cosim.model.values import number
 from cosim.series.interpolation import resample as interpolated
-from cosim.tables import MOST_LINES, html_table, text_table
+from cosim.text.tables import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 
 

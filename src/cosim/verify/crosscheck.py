@@ -15,13 +15,13 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.fmi.export.package import export_fmu
+from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
 from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.variants import fitting_formulations
-from cosim.tables import MOST_LINES, html_table, text_table
-from cosim.temporary import temporary_folder
+from cosim.text.tables import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 from cosim.verify.check import Check, Verdict
 from cosim.verify.comparison import compare

@@ -22,7 +22,6 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
-from cosim.escaping import sentence
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.archive import DESCRIPTION, content_of, opened
 from cosim.fmi.export.package import export_fmu, zipped
@@ -32,9 +31,10 @@ from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.simulate import simulate
 from cosim.scene.roads import FMU_ROADS
-from cosim.temporary import temporary_folder
+from cosim.text.escaping import sentence
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.check import Check, Verdict
 from cosim.verify.comparison import compare

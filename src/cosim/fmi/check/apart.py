@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.errors import FmuError
-from cosim.escaping import sentence
 from cosim.fmi.archive import unpacked
 from cosim.fmi.check.bench import Bench, Skipped
 from cosim.fmi.check.finding import WRONG, Finding
@@ -27,8 +26,9 @@ from cosim.fmi.run.isolated import (
     _own_folder,
 )
 from cosim.fmi.run.limits import Limits
+from cosim.host.processes import MARK, end_all
 from cosim.model.values import number
-from cosim.processes import MARK, end_all
+from cosim.text.escaping import sentence
 
 _ANSWER = "answer.jsonl"
 

@@ -14,7 +14,7 @@ from cosim.codegen.compiler import FLAGS, compile_library, find_compiler
 from cosim.errors import CacheError, ExportError
 from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
-from cosim.temporary import temporary_folder
+from cosim.host.temporary import temporary_folder
 
 
 def binaries(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import FmuError, SecurityError, UnknownName
-from cosim.escaping import sentence
+from cosim.text.escaping import sentence
 
 INTERFACES = ("ModelExchange", "CoSimulation")
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")

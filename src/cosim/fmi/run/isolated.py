@@ -19,11 +19,11 @@ from typing import IO, Any
 
 from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
-from cosim.escaping import sentence, visible
 from cosim.fmi.run.limits import VARIABLE, Limits
+from cosim.host.processes import MARK, end_all
+from cosim.host.temporary import temporary_folder
 from cosim.model.values import number
-from cosim.processes import MARK, end_all
-from cosim.temporary import temporary_folder
+from cosim.text.escaping import sentence, visible
 from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.json", "answer.json", "values.npz"

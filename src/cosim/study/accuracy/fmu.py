@@ -18,9 +18,9 @@ from cosim.fmi.export.package import export_fmu
 from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.instance import INTERFACES
 from cosim.fmi.run.simulate import simulate_fmu
+from cosim.host.temporary import temporary_folder
 from cosim.study.accuracy.front import TOLERANCES
 from cosim.study.accuracy.solver_selection import SAFETY
-from cosim.temporary import temporary_folder
 from cosim.verify.comparison import Difference, compare
 from cosim.verify.reference import Reference, reference
 from cosim.verify.reference_result import export_with_proof

@@ -20,7 +20,7 @@ from cosim.model.catalogue import formulations
 from cosim.model.values import number
 from cosim.study.extremes.cases import Case, Reference, catalogue
 from cosim.study.extremes.oracles import OUTCOMES, Runner, Verdict, judge, run_case
-from cosim.tables import Table
+from cosim.text.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
 LONGER = 10  # times the limit of other cases, for those that simulate an hour

@@ -20,7 +20,7 @@ from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.convergence import Order
 from cosim.study.tradeoff.measurement import COSTS, Measurement
 from cosim.study.tradeoff.stability import StabilityLimit
-from cosim.tables import MOST_LINES, html_table, text_table
+from cosim.text.tables import MOST_LINES, html_table, text_table
 from cosim.verify.reference import Reference
 
 

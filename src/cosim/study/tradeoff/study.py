@@ -7,6 +7,7 @@ from time import perf_counter
 from cosim.codegen.cache import private_folder
 from cosim.codegen.compiler import find_compiler, has_compiler
 from cosim.errors import CosimError, UsageError
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
 from cosim.scene.roads import Road
@@ -19,7 +20,6 @@ from cosim.study.tradeoff.result import Tradeoff, provenance
 from cosim.study.tradeoff.rounds import Tell, measure
 from cosim.study.tradeoff.stability import stability_limit
 from cosim.study.tradeoff.variants import Workshop, kept_outputs, members, span
-from cosim.temporary import temporary_folder
 from cosim.verify.reference import Reference, reference
 
 REPEATS = 5

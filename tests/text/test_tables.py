@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.tables import html_table, text_table
+from cosim.text.tables import html_table, text_table
 
 ROWS = [
     {"name": "phi", "value": 0.123456, "meaning": "roll angle " * 9},

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from cosim.escaping import visible
+from cosim.text.escaping import visible
 
 MOST_LINES = 15  # of what a value says of itself at a prompt
 GAP = "  "

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import FmuError
-from cosim.escaping import MOST, csv_cell, sentence, visible
+from cosim.text.escaping import MOST, csv_cell, sentence, visible
 from cosim.trajectory import Column, Trajectory
 
 

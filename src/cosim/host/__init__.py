@@ -1,0 +1,1 @@
+"""The machine below: temporary folders, processes that are gone."""

@@ -1,0 +1,1 @@
+"""What people read: foreign text made harmless, rows as tables."""
