@@ -73,3 +73,13 @@ def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
     code = animate("crank_shaft", "--stop-time", "0.1", "-o", tmp_path / "x.html")
     assert code == 5
     assert "pip install 'cosim-rigid[animate]'" in capsys.readouterr().err
+
+
+def test_times_of_the_poses_are_not_those_of_the_run(monkeypatch, tmp_path):
+    """A trace is the whole path, not straight lines from pose to pose."""
+    shown = []
+    target = "cosim.present.playback.animate.animate"
+    monkeypatch.setattr(target, lambda runs, *_, **__: shown.extend(runs) or tmp_path / "x")
+    options = ("--stop-time", "0.2", "--at", "0,0.1", "-o", str(tmp_path / "x.png"))
+    assert main(["animate", "crank_shaft/driven", *options]) == 0
+    assert len(shown[0].time) == 21

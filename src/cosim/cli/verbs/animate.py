@@ -41,7 +41,9 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--compare", metavar="A,B", help="more runs as ghosts: fmu-me, fmu-cs, solver, formulation"
     )
-    parser.add_argument("--at", metavar="T1,T2", help="times of the poses of a picture, s")
+    parser.add_argument(
+        "--at", dest="poses", metavar="T1,T2", help="times of the poses of a picture, s"
+    )
     parser.add_argument("--labels", metavar="A,B", help="variables to write beside the bodies")
     parser.add_argument("--view", default="iso", metavar="NAME", help="iso, front, side or top")
     parser.add_argument(
@@ -65,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.present.playback.animate import animate, animation_format, guessed_model
 
     animation_format(args.output_file)  # refuses before anything has been computed
-    at = None if args.at is None else [number_in("--at", text) for text in names_in(args.at)]
+    at = None if args.poses is None else [number_in("--at", text) for text in names_in(args.poses)]
     size = size_of(args)
     tables = [name for name in args.sources if name.endswith(".csv")]
     if args.shown_model is None and tables:
