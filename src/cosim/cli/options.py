@@ -77,11 +77,8 @@ def run_options() -> Parser:
     return parser
 
 
-def value_options() -> Parser:
-    """Return the options that set a model's numbers and choose its outputs."""
-    parser = Parser(add_help=False)
-    parser.add_argument("--start-time", type=seconds, metavar="S", help="s; 0 by default")
-    parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
+def add_numbers(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that set a model's numbers."""
     parser.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
     )
@@ -93,6 +90,14 @@ def value_options() -> Parser:
         metavar="NAME=VALUE[UNIT]",
         help="parameter, start value or constant input",
     )
+
+
+def value_options() -> Parser:
+    """Return the options that set a model's numbers and choose its outputs."""
+    parser = Parser(add_help=False)
+    parser.add_argument("--start-time", type=seconds, metavar="S", help="s; 0 by default")
+    parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
+    add_numbers(parser)
     return parser
 
 

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, add_trust, common
+from cosim.cli.options import add_numbers, add_output_file, add_trust, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
@@ -27,17 +27,7 @@ def add_parser(verbs: Verbs) -> None:
         "--at", default="start", metavar="start|equilibrium|T1,T2", help="start by default; s"
     )
     parser.add_argument("--outputs", metavar="A,B", help="of y; all outputs by default")
-    parser.add_argument(
-        "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
-    )
-    parser.add_argument(
-        "-p",
-        dest="values",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE[UNIT]",
-        help="parameter, start value or constant input",
-    )
+    add_numbers(parser)
     parser.add_argument(
         "--sweep",
         metavar="NAME=A:B:N",
