@@ -26,10 +26,8 @@ typedef struct {
 static const LaneOutputs outputs;
 
 /* Writes a row of `stride` numbers per time; x and u have a row per time, too. */
-LANES_SHARED void lanes_outputs(
-    long long points, const double *t, const double *x, const double *u, const double *p,
-    double *rows, long long stride
-) {
+LANES_SHARED void lanes_outputs(long long points, const double *t, const double *x, const double *u,
+                                const double *p, double *rows, long long stride) {
     V time, c[NC + 1], now[NU + 1], numbers[NP + 1], state[NX], y[NY + 1];
     for (int i = 0; i < NP; ++i) numbers[i] = every(p[i]);
     const V *given[] = {numbers}, *in[] = {&time, state, now, c};
