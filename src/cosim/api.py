@@ -250,10 +250,12 @@ def run_scene(
         >>> run_scene(cosim.read_scene("crank_torque.toml")).names
         ('T',)
     """
-    goals = {name: getattr(scene.settings, name) for name in GOALS} if _is(scene) else {}
+    if not isinstance(scene, Scene):
+        return roads.run_scene(scene, road, **options)  # which refuses it
+    goals = {name: getattr(scene.settings, name) for name in GOALS}
     goal = any(value is not None for value in goals.values())
     asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
-    if not goal and (not _is(scene) or all(value is None for value in asked.values())):
+    if not goal and all(value is None for value in asked.values()):
         return roads.run_scene(scene, road, **options)
     if not _way(road).native:
         words = "accuracy and budget are" if goal else "stop_when and output_times are"
@@ -279,7 +281,3 @@ def _way(road: Road | str | None) -> Road:
 
 def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
     return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options
-
-
-def _is(scene: object) -> bool:
-    return isinstance(scene, Scene)

@@ -19,11 +19,11 @@ from cosim.fmi.check.finding import WRONG, Finding
 from cosim.fmi.check.trials import TRIALS, Trial
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import (
-    _ENVIRONMENT,
-    _end,
-    _end_with_parent,
-    _ended_by_signals,
-    _own_folder,
+    ENVIRONMENT,
+    end_with_parent,
+    ended_by_signals,
+    how_it_ended,
+    own_folder,
 )
 from cosim.fmi.run.limits import Limits
 from cosim.host.processes import MARK, end_all
@@ -60,7 +60,7 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
     """
     number(str(path), "timeout", timeout, positive=True)
     Limits.chosen()
-    with _ended_by_signals(), _own_folder() as folder, unpacked(path) as files:
+    with ended_by_signals(), own_folder() as folder, unpacked(path) as files:
         bench = Bench(files, str(path))
         try:
             offered = bench.described.interfaces
@@ -89,7 +89,7 @@ def _child(folder: Path, files: Path, name: str, kinds: list[str], timeout: floa
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         cwd=folder / "work",
-        env={word: os.environ[word] for word in _ENVIRONMENT if word in os.environ} | own,
+        env={word: os.environ[word] for word in ENVIRONMENT if word in os.environ} | own,
         start_new_session=True,
     ) as process:
         try:
@@ -116,7 +116,7 @@ def _verdict(lines: list[dict[str, object]], code: int | None, timeout: float) -
                 elif not found:
                     told["passed"].append(name)
     if open_trial:
-        how = f"did not end within {timeout:g} s" if code is None else _end(code)
+        how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
         findings.append(
             Finding(WRONG, "crash", open_trial, f"the FMU {how}", "mend it; do not use it")
         )
@@ -146,7 +146,7 @@ def _lines(bench: Bench, kinds: list[str]) -> Iterator[dict[str, object]]:
 
 
 def _main(answer: Path, files: Path, name: str, kinds: list[str]) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     Limits.chosen().apply()
     if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)

@@ -29,7 +29,7 @@ from cosim.trajectory import Trajectory
 _REQUEST, _ANSWER, _VALUES = "request.json", "answer.json", "values.npz"
 _SUNDIALS = "[ERROR][rank"  # how fmpy's solver begins what its error says, too
 MOST_OUTPUT = 10_000  # bytes of what an FMU prints
-_ENVIRONMENT = (
+ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
     *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", VARIABLE),
 )
@@ -55,7 +55,7 @@ def simulate_apart(
     if timeout is not None:
         number(str(path), "timeout", timeout, positive=True)
     Limits.chosen()  # refuses before anything has been started
-    with _ended_by_signals(), _own_folder() as folder:
+    with ended_by_signals(), own_folder() as folder:
         place = str(Path(path).absolute())
         (folder / _REQUEST).write_text(json.dumps({"path": place, "options": options}))
         code, printed = _child(folder, timeout)
@@ -66,11 +66,14 @@ def simulate_apart(
         try:
             return _answer(folder, place, str(path))
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-            raise FmuError(f"{path}: the FMU {_end(code)} while it ran; do not use it") from error
+            raise FmuError(
+                f"{path}: the FMU {how_it_ended(code)} while it ran; do not use it"
+            ) from error
 
 
 @contextmanager
-def _own_folder() -> Iterator[Path]:
+def own_folder() -> Iterator[Path]:
+    """Yield a folder of the child's own with `work` and `temporary` in it; gone afterwards."""
     try:
         made = temporary_folder()
         folder = made.__enter__()
@@ -101,7 +104,7 @@ def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         cwd=folder / "work",
-        env={name: os.environ[name] for name in _ENVIRONMENT if name in os.environ} | own,
+        env={name: os.environ[name] for name in ENVIRONMENT if name in os.environ} | own,
         start_new_session=True,
     ) as process:
         assert process.stdout is not None
@@ -120,7 +123,7 @@ def _child(folder: Path, timeout: float | None) -> tuple[int | None, str]:
 
 
 @contextmanager
-def _ended_by_signals() -> Iterator[None]:
+def ended_by_signals() -> Iterator[None]:
     """Remove folder and child before a signal ends this process, which it then does."""
     kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
     usual = threading.current_thread() is threading.main_thread()
@@ -161,7 +164,8 @@ def _answer(folder: Path, place: str, name: str) -> Trajectory:
         raise ValueError(str(error)) from error
 
 
-def _end(code: int) -> str:
+def how_it_ended(code: int) -> str:
+    """Say what an exit code means: a signal by its name."""
     if code >= 0:
         return f"ended the process with exit code {code}"
     with suppress(ValueError):
@@ -175,7 +179,7 @@ def _end(code: int) -> str:
 
 def _main(folder: Path) -> None:
     """Be the child: answer the request in a folder."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     Limits.chosen().apply()
     if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
@@ -202,7 +206,8 @@ def _main(folder: Path) -> None:
     os._exit(0)  # whatever threads and handlers the FMU has left
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """End this process when standard input does, which its parent holds open."""
     with suppress(OSError):
         while os.read(0, 1):  # nothing is ever sent
             pass
