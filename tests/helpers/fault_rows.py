@@ -275,7 +275,7 @@ def _misbehaving() -> Iterator[Row]:
 
 
 _OWN = """
-import ctypes, os, sys, threading, time
+import ctypes, os, subprocess, sys, threading, time
 from casadi_models.dae import Model
 def good():
     m = Model("good", description="d", source="s", stop_time=1.0)
@@ -308,7 +308,19 @@ def child():
         os.setsid()
         sleep()
     return good()
+def stranger():
+    known = {"TMPDIR": os.environ["TMPDIR"]}  # by which the test finds it
+    subprocess.Popen(["sleep", "1000"], env=known, start_new_session=True)
+    return good()
 """
+
+
+def _own_scene(name: str) -> Prepare:
+    def prepare(place: Path) -> None:
+        (place / "own.py").write_text(_OWN)
+        (place / "own.toml").write_text(f'title = "own"\nmodel = "own.py:{name}"\n')
+
+    return prepare
 
 
 def _own_code() -> Iterator[Row]:
@@ -333,7 +345,11 @@ def _own_code() -> Iterator[Row]:
     for name, (code, told) in ends.items():
         words = ("simulate", f"own.py:{name}", "--timeout", "4")
         yield Row(f"own.py:{name}", words, code, told, own, APART)
-    for name in ("thread", "child"):
+    for name in ("loop", "deaf", "segv", "hard"):
+        code, told = ends[name]
+        words = ("simulate", "own.toml", "--timeout", "4")
+        yield Row(f"scene of own.py:{name}", words, code, told, _own_scene(name), APART)
+    for name in ("thread", "child", "stranger"):
         words = ("simulate", f"own.py:{name}", "--interpreted", "--timeout", "60")
         yield Row(f"own.py:{name}", words, 0, "", own, APART, output=True)
 

@@ -10,13 +10,15 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
 from cosim.cli.streams import NO_ROOM, mend_streams, settled
-from cosim.cli.supervised import can_supervise, supervised
+from cosim.cli.supervised import names_own_code, supervised
 from cosim.errors import CosimError
+from cosim.host.processes import ending_orphans
 from cosim.text.escaping import sentence, visible
 
 
@@ -25,23 +27,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(_arguments(arguments))
     mend_streams()
+    words = sys.argv[1:]
     try:
-        args = _arguments(None)
-        own = next((w for w in _words(args) if ".py:" in w), None)
-        if own is None or not can_supervise():
+        args = _arguments(words)
+        if (own := next(filter(names_own_code, _words(args)), None)) is not None:
+            what = f"cosim {args.verb}: {own}"
+            return settled(supervised(words, what, getattr(args, "timeout", None)))
+        with ending_orphans() if _names_fmu(args) else nullcontext():
             code = _run(args)
-        else:
-            timeout = getattr(args, "timeout", None)
-            code = supervised(lambda: _run(args), f"cosim {args.verb}: {own}", timeout)
     except SystemExit as ended:  # of argparse
         code = ended.code if isinstance(ended.code, int) else 2
+    except KeyboardInterrupt:
+        code = _interrupted()
     return settled(code)
+
+
+def run_words(words: Sequence[str]) -> int:
+    """Run a command line in a process that is supervised; return its exit code."""
+    mend_streams()
+    return settled(_run(_arguments(words)))
 
 
 def _words(args: argparse.Namespace) -> Iterator[str]:
     """Yield what a command line names: models above all."""
     for value in vars(args).values():
         yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
+
+
+def _names_fmu(args: argparse.Namespace) -> bool:
+    return any(word.endswith(".fmu") for word in _words(args))
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -63,8 +77,7 @@ def _run(args: argparse.Namespace) -> int:
         print(f"{type(error).__name__}: {told}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+        return _interrupted()
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -77,6 +90,11 @@ def _run(args: argparse.Namespace) -> int:
         told = sentence(f"{type(error).__name__}: {error}")
         print(f"cosim {args.verb} failed with {told}; show where with: --debug", file=sys.stderr)
         return 1
+
+
+def _interrupted() -> int:
+    print("interrupted", file=sys.stderr)
+    return 130
 
 
 def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:

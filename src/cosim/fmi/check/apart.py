@@ -2,11 +2,7 @@
 
 import json
 import os
-import secrets
-import signal
-import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,15 +14,10 @@ from cosim.fmi.check.bench import Bench, Skipped
 from cosim.fmi.check.finding import WRONG, Finding
 from cosim.fmi.check.trials import TRIALS, Trial
 from cosim.fmi.run.instance import INTERFACES, choose_interface
-from cosim.fmi.run.isolated import (
-    ENVIRONMENT,
-    end_with_parent,
-    ended_by_signals,
-    how_it_ended,
-    own_folder,
-)
-from cosim.fmi.run.limits import Limits
-from cosim.host.processes import MARK, end_all
+from cosim.fmi.run.isolated import how_it_ended
+from cosim.host.child import own_folder, run_confined
+from cosim.host.inside import be_confined, leave
+from cosim.host.limits import Limits
 from cosim.model.values import number
 from cosim.text.escaping import sentence
 
@@ -60,7 +51,7 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
     """
     number(str(path), "timeout", timeout, positive=True)
     Limits.chosen()
-    with ended_by_signals(), own_folder() as folder, unpacked(path) as files:
+    with own_folder() as folder, unpacked(path) as files:
         bench = Bench(files, str(path))
         try:
             offered = bench.described.interfaces
@@ -71,33 +62,12 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
             raise FmuError(f"{path} has neither model exchange nor co-simulation; nothing can run")
         for kind in kinds:
             choose_interface(files, bench.fmpy, kind, path)
-        code = _child(folder, files, str(path), kinds, timeout)
+        words = [str(folder / _ANSWER), str(files), str(path), *kinds]
+        code, _ = run_confined(__name__, words, folder, timeout)
         with suppress(FileNotFoundError):
             lines = (folder / _ANSWER).read_text().splitlines()
             return _verdict([json.loads(line) for line in lines], code, timeout)
         raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
-
-
-def _child(folder: Path, files: Path, name: str, kinds: list[str], timeout: float) -> int | None:
-    """Run all trials; return the exit code, None after a timeout."""
-    mark = secrets.token_hex(16)
-    own = {word: str(folder / "temporary") for word in ("TMPDIR", "TEMP", "TMP")}
-    own |= {MARK: mark, "OPENBLAS_NUM_THREADS": "1"}
-    with subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__, str(folder / _ANSWER), str(files), name, *kinds],
-        stdin=subprocess.PIPE,  # its end tells the child that we are gone
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        cwd=folder / "work",
-        env={word: os.environ[word] for word in ENVIRONMENT if word in os.environ} | own,
-        start_new_session=True,
-    ) as process:
-        try:
-            return process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            return None
-        finally:
-            end_all(process.pid, mark)
 
 
 def _verdict(lines: list[dict[str, object]], code: int | None, timeout: float) -> Verdict:
@@ -146,15 +116,12 @@ def _lines(bench: Bench, kinds: list[str]) -> Iterator[dict[str, object]]:
 
 
 def _main(answer: Path, files: Path, name: str, kinds: list[str]) -> None:
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    Limits.chosen().apply()
-    if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
-        signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+    be_confined()
     with answer.open("w", encoding="utf-8") as stream:
         for line in _lines(Bench(files, name), kinds):
             stream.write(json.dumps(line) + "\n")
             stream.flush()
-    os._exit(0)  # whatever threads and handlers the FMU has left
+    leave()
 
 
 if __name__ == "__main__":
