@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from casadi_models.dae import Dae
 from cosim.codegen.c_sources import cache_folder, license_texts, runtime_sources, solver_sources
-from cosim.codegen.runge_kutta_c import dop853_coefficients
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
