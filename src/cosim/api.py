@@ -12,11 +12,11 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
-from cosim.integrate.asked_times import AskedTimes, again, for_many_grids
-from cosim.integrate.outputs import wanted_names, watching
+from cosim.integrate.run.asked_times import AskedTimes, again, for_many_grids
+from cosim.integrate.run.outputs import wanted_names, watching
+from cosim.integrate.run.stopping import run_until
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import SOLVERS
-from cosim.integrate.stopping import run_until
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load
 from cosim.model.driving import driven

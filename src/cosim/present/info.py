@@ -12,8 +12,8 @@ from cosim.arrays import Vector
 from cosim.errors import InitialConditionError
 from cosim.fmi.archive import content_of, opened
 from cosim.fmi.check.parsed import Described, parse
+from cosim.integrate.diagnosis.inspection import inspect_start
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.inspection import inspect_start
 from cosim.model.catalogue import load
 from cosim.model.values import assign
 from cosim.scene.scene import Scene

@@ -17,7 +17,7 @@ from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
-from cosim.integrate.outputs import all_columns, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, wanted_names, watching
 from cosim.model.catalogue import load
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign, listed, settable
