@@ -10,6 +10,7 @@ from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
+from cosim.model.start_outputs import overriding
 from cosim.scene.goals import GOALS, OVERRULED
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
@@ -50,7 +51,7 @@ def scene_from(args: argparse.Namespace) -> Scene:
     numbers = start_numbers(args, scene.dae) if "values" in args else {}
     varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
     inputs = scene.inputs and scene.inputs.only(varying)
-    return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+    return replace(scene, values=overriding(scene.dae, scene.values, numbers), inputs=inputs)
 
 
 def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
