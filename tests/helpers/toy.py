@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 from casadi import MX, SX
 
-from cosim.codegen.runge_kutta_c import dop853_coefficients
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 
 GUID = "{toy-guid}"
 
@@ -110,6 +110,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
         "#define HAS_ADJOINT 1",
         f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
         "#define LARGEST_STEP 0.5",
+        "#define MOST_TRIALS 20000",
         f"#define N_LIMITS {model.margins.numel()}",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
     ]
