@@ -10,7 +10,7 @@ from casadi_models.dae import Dae
 
 # Operations of one call. With subnormal numbers one takes 10 ns, in generated solvers, where
 # most of them are of the linear algebra, 1 ns.
-_OF_DOP853, _OF_GENERATED = 1e8, 4e8
+_OF_DOP853, _OF_GENERATED = 1e8, 5e8
 _DEAR = 10  # times as much for sin, exp, pow and the like
 _CHEAP = (
     *(ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_PARAMETER, ca.OP_ASSIGN),
