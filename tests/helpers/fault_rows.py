@@ -10,6 +10,7 @@ from pathlib import Path
 
 Prepare = Callable[[Path], object]
 HERE, APART = "here", "apart"  # in the process of the tests, or in one of its own
+WRONG, ANY = -1, -2  # exit codes: one of an error, or any that is documented
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Row:
     Attributes:
         name: Of the row.
         words: The command line.
-        code: The exit code.
+        code: The exit code, or `WRONG` or `ANY`.
         told: A regular expression that the sentence must hold; "" for silence.
         prepare: Makes the files that the command meets, in the folder where it runs.
         where: `HERE` or `APART`.
@@ -85,6 +86,9 @@ def _names() -> Iterator[Row]:
         target = ("-o", "p.png") if verb == "plot" else ()
         for name, code, told in names:
             yield Row(f"{verb} {ascii(name)[:20]}", (verb, name, *target), code, told)
+    yield Row(
+        "crosscheck of all", ("crosscheck", "--timeout", "5"), 2, "--timeout is for FMU files"
+    )
     for verb in ("list", "cache", "info", "simulate", "export", "plot", "extremes", "tradeoff"):
         yield Row(f"{verb} --frob", (verb, "--frob"), 2, "frob|required")
 

@@ -19,6 +19,7 @@ from cosim.cli.streams import NO_ROOM, mend_streams, settled
 from cosim.cli.supervised import names_own_code, supervised
 from cosim.errors import CosimError
 from cosim.host.processes import ending_orphans
+from cosim.host.processor_time import OutOfTime, limited_time
 from cosim.text.escaping import sentence, visible
 
 
@@ -27,25 +28,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run(_arguments(arguments))
     mend_streams()
-    words = sys.argv[1:]
+    with limited_time() as told:
+        code = _command(sys.argv[1:])
+    if told:
+        os._exit(settled(_out_of_time(told[0])))  # native code may run on
+    return settled(code)
+
+
+def _command(words: Sequence[str]) -> int:
+    """Run a command line, in a process of its own where a user's program belongs to it."""
     try:
         args = _arguments(words)
         if (own := next(filter(names_own_code, _words(args)), None)) is not None:
             what = f"cosim {args.verb}: {own}"
-            return settled(supervised(words, what, getattr(args, "timeout", None)))
+            return supervised(words, what, getattr(args, "timeout", None))
         with ending_orphans() if _names_fmu(args) else nullcontext():
-            code = _run(args)
+            return _run(args)
     except SystemExit as ended:  # of argparse
-        code = ended.code if isinstance(ended.code, int) else 2
-    except KeyboardInterrupt:
-        code = _interrupted()
-    return settled(code)
+        return ended.code if isinstance(ended.code, int) else 2
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
 
 
 def run_words(words: Sequence[str]) -> int:
     """Run a command line in a process that is supervised; return its exit code."""
     mend_streams()
-    return settled(_run(_arguments(words)))
+    with limited_time() as told:
+        code = _run(_arguments(words))
+    return settled(_out_of_time(told[0]) if told else code)
+
+
+def _out_of_time(told: str) -> int:
+    print(f"cosim: {told}", file=sys.stderr)
+    return 1
 
 
 def _words(args: argparse.Namespace) -> Iterator[str]:
@@ -76,8 +91,8 @@ def _run(args: argparse.Namespace) -> int:
         told = visible(str(error), lines=True)
         print(f"{type(error).__name__}: {told}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        return _interrupted()
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -92,8 +107,9 @@ def _run(args: argparse.Namespace) -> int:
         return 1
 
 
-def _interrupted() -> int:
-    print("interrupted", file=sys.stderr)
+def _interrupted(error: KeyboardInterrupt) -> int:
+    if not isinstance(error, OutOfTime):  # which is told in the end
+        print("interrupted", file=sys.stderr)
     return 130
 
 

@@ -26,7 +26,7 @@ def refuse_timeout(args: argparse.Namespace) -> None:
     Raises:
         UsageError: One is given.
     """
-    models = getattr(args, "models", None) or [args.model]
+    models = args.models if hasattr(args, "models") else [args.model]
     if args.timeout is not None and not any(map(names_own_code, models)):
         raise UsageError(
             "--timeout is for FMU files, PATH.py and scenes that name it; "
