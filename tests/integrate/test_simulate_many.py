@@ -12,7 +12,7 @@ from helpers.oscillators import bad_output, blow_up, emptying, oscillator
 
 import cosim
 from casadi_models.dae import Model
-from cosim.codegen.lane_library import processor_lanes
+from cosim.codegen.runge_kutta.lane_library import processor_lanes
 from cosim.errors import (
     InitialConditionError,
     Interrupted,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.lane_library import lane_library, processor_lanes
+from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import (
     InitialConditionError,
     Interrupted,

@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.lane_library import lane_library, processor_lanes
+from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
