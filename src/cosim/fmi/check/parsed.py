@@ -43,6 +43,11 @@ class Described:
     derivative_of: int | None
     texts: Mapping[str, str]
 
+    @property
+    def nominal(self) -> float:
+        """Nominal value, above 0; 1 where there is none."""
+        return abs(float(self.texts.get("nominal", "1"))) or 1.0
+
 
 @dataclass(frozen=True)
 class Unknown:
