@@ -72,6 +72,7 @@ def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
             yield ROLLBACK.at(kind, told)
         if bench.offers(kind, "canSerializeFMUstate", "canSerializeFMUState"):
             instance.setFMUState(state)
+            session.time = time
             copy = instance.deserializeFMUState(instance.serializeFMUState(state))
             few_numbers(session, started=True)
             instance.setFMUState(copy)
@@ -84,9 +85,7 @@ def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
         instance.freeFMUState(state)
 
 
-def few_numbers(
-    session: Session, other: Session | None = None, *, started: bool = False
-) -> Vector:
+def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:
     """Run a little and return all outputs; in model exchange, outputs and slopes of two states.
 
     The other instance is always ahead.

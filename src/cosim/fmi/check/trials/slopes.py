@@ -68,6 +68,7 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
             noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
             doubt = 20 * np.abs(coarse - fine) + bend + noise
             bad = np.abs(told - coarse) > 1e-3 * np.maximum(np.abs(told), np.abs(coarse)) + doubt
+            bad &= np.array([unknown.reference != known.variable.reference for unknown in unknowns])
             for k in np.flatnonzero(bad)[:MOST_NAMES]:
                 yield DERIVATIVES.at(
                     unknowns[k].name,
@@ -96,6 +97,8 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     for row, (unknown, needs) in enumerate(zip(unknowns, needed, strict=True)):
         for column, known in enumerate(knowns):
             slope, name = largest[row, column], known.variable.name
+            if known.variable.reference == unknown.reference:
+                continue  # a state as output: that it depends on itself goes without saying
             if known.variable.reference not in needs:
                 if abs(slope) > rounding:
                     told = slope * unknown.nominal / known.variable.nominal
@@ -174,11 +177,12 @@ def _vary_parameters(session: Session, rng: np.random.Generator) -> None:
     """Change parameters a little within their bounds, so that no factor is 0 by chance."""
     for variable in session.bench.described.variables:
         if variable.causality == "parameter" and session.bench.single(variable):
-            limits = [float(variable.texts.get(k, d)) for k, d in (("min", "-inf"), ("max", "inf"))]
+            least = float(variable.texts.get("min", "-inf"))
+            most = float(variable.texts.get("max", "inf"))
             value = float(variable.texts.get("start", "0"))
             moved = value + 0.02 * (1 + rng.random()) * (abs(value) or variable.nominal)
             with suppress(Exception):
-                session.put(variable, float(np.clip(moved, *limits)))
+                session.put(variable, min(max(moved, least), most))
 
 
 def _differences(

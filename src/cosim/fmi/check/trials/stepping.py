@@ -37,13 +37,14 @@ _FEW = 10
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
-    end, done, time = monotonic() + _SHARE * bench.timeout, 0, 0.0
+    end, done = monotonic() + _SHARE * bench.timeout, 0
     outputs = bench.outputs()
     stop = bench.experiment("stopTime")
     with bench.session(kind) as session:
         session.start()
         try:
-            for done, time in enumerate(session.steps(SIZE, MOST_STEPS), 1):
+            for time in session.steps(SIZE, MOST_STEPS):
+                done += 1
                 if not np.isfinite(session.values(outputs)).all():
                     yield NOT_FINITE.at(kind, f"not finite at {time:.6g} s")
                     return
@@ -55,9 +56,9 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 told = f"a step of 1/60 s fails at {session.time:.6g} s: {error}"
                 yield (FAILING if own else SUMS).at(kind, told)
                 return
-            yield Note(f"{done} steps, to {time:.6g} s, beyond its stop time; then: {error}")
+            yield Note(f"{done} steps of 1/60 s, beyond its stop time; then: {error}")
             return
-    yield Note(f"{done} steps of 1/60 s, to {time:.6g} s")
+        yield Note(f"{done} steps of 1/60 s, to {session.time:.6g} s")
 
 
 def stop(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -75,7 +76,9 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
         except Exception as error:
             if session.time < ends - 1.5 * size or _own_steps_fail(bench, kind, float(ends)):
                 raise
-            told = f"the last step ends {ends - limit:.1g} s beyond the stop time and fails: {error}"
+            told = (
+                f"the last step ends {ends - limit:.1g} s beyond the stop time and fails: {error}"
+            )
             yield REFUSED_END.at(kind, told)
             return
         if done < _FEW:
