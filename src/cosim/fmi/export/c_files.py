@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from casadi_models.dae import Dae
+from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
 from cosim.fmi.export.equations import equations_code
 from cosim.fmi.export.folding import folded
@@ -90,7 +91,7 @@ def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code = _SMALL.sub(r"\1SMALL ", folded(code))
+    code = _SMALL.sub(r"\1SMALL ", folded(in_pieces(code)))
     if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "

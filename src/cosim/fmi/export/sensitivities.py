@@ -7,6 +7,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
+from cosim.codegen.directional_jacobian import directional_jacobian, is_long
 from cosim.memo import kept_per_thread
 
 
@@ -51,14 +52,28 @@ def directional_function(dae: Dae) -> ca.Function:
 
 
 @kept_per_thread(4)
-def jacobian_function(dae: Dae) -> ca.Function:
-    """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense."""
-    call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
-    blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
+    """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense.
+
+    Args:
+        dae: The model.
+        in_a_loop: Whether it is a loop over directional derivatives instead of formulas; where
+            these are too long when None.
+    """
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    known = ca.vertcat(dae.x, dae.u)
+    laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
+    looped = is_long(call, laws, unknowns) if in_a_loop is None else in_a_loop
     arguments = [_like(symbol) for symbol in call]
-    ode_known, ode_z, alg_known, alg_z = ca.Function("blocks", call, blocks, {"cse": True})(
-        *arguments
-    )
+    if looped:
+        whole = directional_jacobian("blocks", call, laws, unknowns)(*arguments)
+        nx, n = dae.ode.numel(), known.numel()
+        ode_known, ode_z = whole[:nx, :n], whole[:nx, n:]
+        alg_known, alg_z = whole[nx:, :n], whole[nx:, n:]
+    else:
+        blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+        written_out = ca.Function("blocks", call, blocks, {"cse": True})
+        ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
     if not dae.algebraics:
         return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
     z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
