@@ -157,7 +157,7 @@ def test_only_one_module_knows_where_the_c_sources_are():
         pytest.param("cosim.errors", "def f():\n    import cosim.cli.main", id="in a function"),
         pytest.param("cosim.errors", "from importlib import import_module as m, import_module\n"
                      "import_module('cosim.cli.main')", id="by name"),
-        pytest.param("cosim.integrate.call", "import cosim.fmi.ssp", id="roads"),
+        pytest.param("cosim.integrate.run.call", "import cosim.fmi.ssp", id="roads"),
         pytest.param("cosim.fmi.ssp", "import cosim.integrate.solvers", id="roads, back"),
         pytest.param("cosim.codegen.compiler", "import cosim.model.values", id="same layer"),
         pytest.param("cosim.fmi.ssp", "from . import archive", id="relative"),

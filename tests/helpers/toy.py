@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 from casadi import MX, SX
 
-from cosim.codegen.runge_kutta_c import dop853_coefficients
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 
 GUID = "{toy-guid}"
 

@@ -9,7 +9,7 @@ from helpers.extended import Long, final_state, has_extended_precision, right_ha
 from helpers.oscillators import oscillator
 
 from casadi_models.dae import Model
-from cosim.codegen.tableau import ODE8, RK4, Tableau
+from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau
 from cosim.errors import SolverError
 from cosim.integrate.families.fixed_step import Rk4
 from cosim.integrate.integrator import start_vectors

@@ -11,8 +11,8 @@ from casadi import MX, SX
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
 from cosim.codegen.initialization import algebraic_function, start_function
-from cosim.fmi.export.sensitivities import sensitivity_functions
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
+from cosim.fmi.export.sources.sensitivities import sensitivity_functions
 
 _CALL = ["t", "x", "z", "u", "p"]
 

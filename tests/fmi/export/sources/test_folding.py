@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.codegen.compiler import compile_library
-from cosim.fmi.export.folding import folded
+from cosim.fmi.export.sources.folding import folded
 
 OPTIONS = ("-std=c11", "-O1", "-ffp-contract=off")
 

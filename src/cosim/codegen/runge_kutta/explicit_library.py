@@ -14,8 +14,8 @@ import casadi as ca
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.runge_kutta_c import dop853_coefficients, numbers, sums
-from cosim.codegen.tableau import Tableau
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients, numbers, sums
+from cosim.codegen.runge_kutta.tableau import Tableau
 
 _sizing = Lock()
 

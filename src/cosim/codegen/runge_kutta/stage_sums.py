@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from cosim.codegen import dop853
+from cosim.codegen.runge_kutta import dop853
 
 
 def dop853_coefficients() -> str:

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
 from cosim.fmi.export.dependencies import Dependencies
-from cosim.fmi.export.quantities import QUANTITIES
+from cosim.fmi.export.description.quantities import QUANTITIES
 from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
 from cosim.model.reduction.structure import Pattern
 

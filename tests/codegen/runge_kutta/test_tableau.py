@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.order_conditions import density, stage_weights, trees
 
-from cosim.codegen.tableau import ODE8, RK4, Tableau, step_function
+from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau, step_function
 
 METHODS = {"rk4": RK4, "ode8": ODE8}
 

@@ -9,14 +9,14 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.call import INTERRUPTED, Reached, call
+from cosim.integrate.diagnosis.validity import Breach, breaches, too_coarse
 from cosim.integrate.engine import Counts, Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.outputs import all_columns, observe
+from cosim.integrate.run.call import INTERRUPTED, Reached, call
+from cosim.integrate.run.outputs import all_columns, observe
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import engine_of
-from cosim.integrate.validity import Breach, breaches, too_coarse
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
 

@@ -9,8 +9,8 @@ from casadi import SX
 
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.lane_library import processor_lanes
-from cosim.codegen.lanes import vector_text
+from cosim.codegen.runge_kutta.lane_library import processor_lanes
+from cosim.codegen.runge_kutta.lanes import vector_text
 from cosim.errors import UsageError
 
 x, y = SX.sym("x"), SX.sym("y")

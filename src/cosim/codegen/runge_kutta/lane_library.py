@@ -10,12 +10,12 @@ from functools import cache
 import casadi as ca
 
 from casadi_models.dae import Dae
-from cosim.codegen import dop853
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.compiler import cached_library, processor_abilities
 from cosim.codegen.initialization import start_function
-from cosim.codegen.lanes import vector_sum, vector_sums, vector_text
-from cosim.codegen.runge_kutta_c import numbers
+from cosim.codegen.runge_kutta import dop853
+from cosim.codegen.runge_kutta.lanes import vector_sum, vector_sums, vector_text
+from cosim.codegen.runge_kutta.stage_sums import numbers
 from cosim.errors import UsageError
 from cosim.memo import kept_per_thread
 

@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.export.description import Dialect, Identity, Structure
+from cosim.fmi.export.description.model_description import Dialect, Identity, Structure
 
 
 def _root(identity: Identity) -> dict[str, str]:

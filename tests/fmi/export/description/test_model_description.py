@@ -187,7 +187,7 @@ def test_author_license_and_date_are_told_when_given(fmi):
 
 def test_licenses_lie_beside_the_documentation():
     files = source_files(rich(), "rich", 1e-9, 2)
-    own = Path(__file__).parents[3] / "LICENSE"
+    own = Path(__file__).parents[4] / "LICENSE"
     assert files["documentation/licenses/LICENSE.txt"] == own.read_bytes()
     assert b"free of copyright" in files["documentation/licenses/GENERATED.txt"]
 

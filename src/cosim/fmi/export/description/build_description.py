@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.export.description import Identity, to_bytes
+from cosim.fmi.export.description.model_description import Identity, to_bytes
 
 
 def build_description(identity: Identity) -> bytes:

@@ -8,9 +8,9 @@ import casadi as ca
 from casadi_models.dae import Dae
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
-from cosim.fmi.export.equations import equations_code
-from cosim.fmi.export.folding import folded
 from cosim.fmi.export.solver_choice import uses_dop853
+from cosim.fmi.export.sources.equations import equations_code
+from cosim.fmi.export.sources.folding import folded
 from cosim.fmi.export.variables import FmuVariable
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event

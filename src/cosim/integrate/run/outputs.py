@@ -10,9 +10,9 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.initialization import algebraic_function
-from cosim.codegen.lane_library import lane_outputs, processor_lanes
+from cosim.codegen.runge_kutta.lane_library import lane_outputs, processor_lanes
 from cosim.errors import UsageError
-from cosim.integrate.call import call_on_arrays
+from cosim.integrate.run.call import call_on_arrays
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import no_such_output
 from cosim.trajectory import Column

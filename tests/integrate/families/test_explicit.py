@@ -12,9 +12,13 @@ from helpers.engines import build
 from helpers.order_conditions import density, trees
 from helpers.oscillators import oscillator
 
-from cosim.codegen import dop853
 from cosim.codegen.compiler import find_compiler
-from cosim.codegen.explicit_library import _solver_text, dop853_method, fixed_step_method
+from cosim.codegen.runge_kutta import dop853
+from cosim.codegen.runge_kutta.explicit_library import (
+    _solver_text,
+    dop853_method,
+    fixed_step_method,
+)
 from cosim.errors import MissingTool, UsageError
 from cosim.integrate.families.fixed_step import tableau_of
 from cosim.integrate.simulate import simulate
