@@ -7,7 +7,7 @@ results are the same bits.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 LONGEST = 20_000  # lines that stay one function
 MOST_BRANCHES = 1000  # within one; each argument and result that is looked at has one
@@ -71,35 +71,59 @@ def _divided(heading: str, head: str, body: Sequence[str], size: int) -> Iterato
     """Yield the functions of the pieces, and the function that calls them up to its brace."""
     steps = [line for line in body if not _DECLARATION.fullmatch(line) and "return 0;" not in line]
     pieces = [steps[i : i + size] for i in range(0, len(steps), size)]
-    crossing = _crossing(pieces)
-    slots = {name: f"kept[{i}]" for i, name in enumerate(sorted(set().union(*crossing)))}
+    taken, left = _crossing(pieces)
+    places = {name: f"kept[{i}]" for i, name in enumerate(sorted(set().union(*left)))}
     begin = _BEGIN.fullmatch(head)
     assert begin is not None
     arguments = "const casadi_real** arg, casadi_real** res, casadi_real* kept"
     about = _HEADING.fullmatch(heading)
-    for n, (part, shared) in enumerate(zip(pieces, crossing, strict=True), start=1):
-        own = sorted({name for line in part for name in _VARIABLE.findall(line)} - shared)
-        yield f"/* {about[1] if about else begin[1]}: part {n} of {len(pieces)} */"
-        yield f"static int APART {begin[1]}_{n}({arguments}) {{"
+    for n, part in enumerate(pieces):
+        lines = list(_with_kept(part, taken[n], left[n], places))
+        own = sorted({name for line in lines for name in _VARIABLE.findall(line)})
+        yield f"/* {about[1] if about else begin[1]}: part {n + 1} of {len(pieces)} */"
+        yield f"static int APART {begin[1]}_{n + 1}({arguments}) {{"
         for i in range(0, len(own), 12):
-            yield f"  casadi_real {', '.join(own[i : i + 12])};"
-        places = {name: slots[name] for name in shared}
-        for line in part:
-            yield _VARIABLE.sub(lambda found, of=places: of.get(found[0], found[0]), line)
-        yield "  return 0;"
+            yield f" casadi_real {', '.join(own[i : i + 12])};"
+        yield from lines
+        yield " return 0;"
         yield "}"
         yield ""
     yield from [heading] if heading else []
     yield head
-    yield f"  casadi_real kept[{len(slots) or 1}];"
+    yield f" casadi_real kept[{len(places) or 1}];"
     for n in range(1, len(pieces) + 1):
-        yield f"  if ({begin[1]}_{n}(arg, res, kept)) return 1;"
-    yield "  return 0;"
+        yield f" if ({begin[1]}_{n}(arg, res, kept)) return 1;"
+    yield " return 0;"
 
 
-def _crossing(pieces: Sequence[Sequence[str]]) -> list[set[str]]:
-    """Return for each piece which variables it takes from earlier pieces or leaves for later."""
-    needs, sets = list[set[str]](), list[set[str]]()
+def _with_kept(
+    part: Sequence[str], taken: set[str], left: set[str], places: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield the lines of a piece, values of other pieces and for them in their places.
+
+    CasADi uses a variable for one value after the other: what crosses is the first that a piece
+    reads without having set it, and the last that it sets.
+    """
+    last = {found[1]: i for i, line in enumerate(part) if (found := _ASSIGNMENT.fullmatch(line))}
+    outside = {name: places[name] for name in taken}
+    for i, line in enumerate(part):
+        assignment = _ASSIGNMENT.fullmatch(line)
+        text = assignment[2] if assignment else line
+        text = _VARIABLE.sub(lambda found: outside.get(found[0], found[0]), text)
+        if assignment is None:
+            yield text
+            continue
+        name = assignment[1]
+        if name in left and last[name] == i:
+            outside[name] = places[name]
+        else:
+            outside.pop(name, None)
+        yield f" {outside.get(name, name)}={text}"
+
+
+def _crossing(pieces: Sequence[Sequence[str]]) -> tuple[list[set[str]], list[set[str]]]:
+    """Return for each piece which values it takes from earlier ones and which it leaves."""
+    taken, sets = list[set[str]](), list[set[str]]()
     for part in pieces:
         before, here = set[str](), set[str]()
         for line in part:
@@ -108,10 +132,10 @@ def _crossing(pieces: Sequence[Sequence[str]]) -> list[set[str]]:
             before.update(name for name in _VARIABLE.findall(text) if name not in here)
             if assignment:
                 here.add(assignment[1])
-        needs.append(before)
+        taken.append(before)
         sets.append(here)
-    crossing, wanted = list[set[str]](), set[str]()
-    for before, here in zip(reversed(needs), reversed(sets), strict=True):
-        crossing.append(before | (here & wanted))
+    left, wanted = list[set[str]](), set[str]()
+    for before, here in zip(reversed(taken), reversed(sets), strict=True):
+        left.append(here & wanted)
         wanted = (wanted - here) | before
-    return crossing[::-1]
+    return taken, left[::-1]

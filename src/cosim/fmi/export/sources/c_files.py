@@ -91,7 +91,7 @@ def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code = _SMALL.sub(r"\1SMALL ", folded(in_pieces(code)))
+    code = _SMALL.sub(r"\1SMALL ", in_pieces(folded(code)))
     if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
