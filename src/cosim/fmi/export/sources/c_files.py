@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from casadi_models.dae import Dae
+from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
 from cosim.fmi.export.solver_choice import uses_dop853
 from cosim.fmi.export.sources.equations import equations_code
@@ -90,7 +91,7 @@ def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code = _SMALL.sub(r"\1SMALL ", folded(code))
+    code = _SMALL.sub(r"\1SMALL ", in_pieces(folded(code)))
     if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
