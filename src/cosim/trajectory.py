@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Vector
-from cosim.errors import MissingTool, UnknownName, UsageError
+from cosim.errors import UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.series.column import Column, summary_rows
 from cosim.series.csv_file import in_si, read_samples, repr_17, write_csv
 from cosim.series.interpolation import resample, times_within
@@ -356,7 +357,7 @@ class Trajectory:
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""
-        pandas = optional_package("pandas")
+        pandas = optional_module("pandas", "data")
         frame = pandas.DataFrame(self.values, columns=self.names, index=self.time)
         frame.index.name = "time"
         frame.attrs = {"model": self.model, "units": self.units, "status": self.status}
@@ -364,7 +365,7 @@ class Trajectory:
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset` over time; unit and meaning in each variable's `attrs`."""
-        xarray = optional_package("xarray")
+        xarray = optional_module("xarray", "data")
         variables = {
             column.name: (
                 "time",
@@ -445,19 +446,3 @@ def _is_settled(array: object) -> bool:
 
 def _listed(names: str | Sequence[str]) -> Sequence[str]:
     return (names,) if isinstance(names, str) else names
-
-
-def optional_package(package: str) -> Any:
-    """Return a package of the extra `data`.
-
-    Raises:
-        MissingTool: It is not installed.
-    """
-    from importlib import import_module
-
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise MissingTool(
-            f"{package} is not installed; bring it with: pip install 'cosim-rigid[data]'"
-        ) from error
