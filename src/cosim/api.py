@@ -21,7 +21,7 @@ from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load
 from cosim.model.driving import driven
 from cosim.model.quantities import quantity
-from cosim.model.values import A_DAE, assign, listed
+from cosim.model.values import A_DAE, assign, listed, plain_values
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
 from cosim.scene.roads import Road
@@ -271,7 +271,8 @@ def run_scene(
     if not goal:
         return simulate(dae, **asked, **settings, **options)
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
-    start = {name: value for name, value in scene.values.items() if name in known}
+    values = plain_values(scene.dae, scene.values)
+    start = {name: value for name, value in values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
 
 

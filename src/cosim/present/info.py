@@ -130,6 +130,11 @@ def _of_model(dae: Dae) -> Info:
         "equations": f"{len(dae.states)} differential, {len(dae.algebraics)} algebraic, "
         f"{dae.operations()} scalar operations",
     }
+    if dae.start_outputs:
+        pairs = ((w.variable.name, dae.states[w.state].name) for w in dae.start_outputs)
+        facts["starts"] = "; ".join(
+            f"{output} may be given, for {state}" for output, state in pairs
+        )
     start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
     groups["conditions"] = [

@@ -13,6 +13,7 @@ from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
 from cosim.integrate.run.outputs import all_columns, wanted_names, watching
 from cosim.model.inputs import InputSeries
+from cosim.model.start_outputs import overriding
 from cosim.model.values import assign, listed, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
@@ -66,7 +67,8 @@ class ModelSubject:
         starts = dict(zip((v.name for v in self._dae.states), known.x, strict=True))
         starts |= dict(zip((v.name for v in self._dae.parameters), known.p, strict=True))
         starts |= dict(zip((v.name for v in self._dae.inputs), known.u, strict=True))
-        assign(self._dae, {name: starts.get(name, 0.0) for name in names})
+        given = {way.variable.name for way in self._dae.start_outputs} & set(names)
+        assign(self._dae, {name: starts.get(name, 0.0) for name in names if name not in given})
         merged = {**self._settings, **settings}
         if runs_in_lanes(self._dae, merged, self._inputs):
             outputs = tuple(column.name for column in self.columns(settings.get("outputs")))
@@ -76,7 +78,8 @@ class ModelSubject:
 
     def run(self, rows: Rows, watch: Watch) -> Ensemble:
         """Run every row; `watch` is told which one begins, where they go one by one."""
-        base = {name: np.full(len(rows), value) for name, value in self._values.items()}
+        every = overriding(self._dae, self._values, dict.fromkeys(rows.given, 0.0))
+        base = {name: np.full(len(rows), value) for name, value in every.items()}
         merged = {**self._settings, **rows.settings, "outputs": rows.outputs}
         if "times" in merged:
             merged = {k: v for k, v in merged.items() if k not in ("stop_time", "output_interval")}
