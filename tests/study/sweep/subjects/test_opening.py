@@ -4,7 +4,7 @@ import pytest
 
 import cosim
 from cosim.errors import UnknownName, UsageError
-from cosim.study.sweep.subject import as_subject, opened
+from cosim.study.sweep.subjects.opening import as_subject, opened
 
 
 @pytest.mark.parametrize("name", ["bicycle/book", "bicycle/multipliers", "double_pendulum"])
