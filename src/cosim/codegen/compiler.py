@@ -7,8 +7,8 @@ import ctypes
 import hashlib
 import os
 import platform
-import shlex
 import re
+import shlex
 import shutil
 import subprocess
 import sys
