@@ -110,13 +110,13 @@ def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | N
 def _reached(engine: Engine, numbers: Numbers, dae: Dae, t: float, values: Values) -> Reached:
     """Call an engine, once more where it fails at a start that is consistent."""
     reached = call(engine, *numbers)
-    if engine.restart is not None and not _started(reached):
+    if engine.restart is not None and not _has_started(reached):
         x0, z0, *_ = numbers
         reached = call(engine.restart(_slopes(dae, t, x0, z0, values)), *numbers)
     return reached
 
 
-def _started(reached: Reached) -> bool:
+def _has_started(reached: Reached) -> bool:
     return reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
 
 
