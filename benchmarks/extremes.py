@@ -20,7 +20,7 @@ import numpy as np
 from cosim.errors import SolverError, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.integrate.integrator import start_vectors
-from cosim.integrate.outputs import all_columns
+from cosim.integrate.run.outputs import all_columns
 from cosim.model.catalogue import load
 from cosim.study.extremes.campaign import explore, select_cases, serve
 from cosim.study.extremes.cases import Case

@@ -12,16 +12,16 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
-from cosim.integrate.asked_times import AskedTimes, again, for_many_grids
-from cosim.integrate.outputs import wanted_names, watching
+from cosim.integrate.run.asked_times import AskedTimes, again, for_many_grids
+from cosim.integrate.run.outputs import wanted_names, watching
+from cosim.integrate.run.stopping import run_until
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import SOLVERS
-from cosim.integrate.stopping import run_until
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load
 from cosim.model.driving import driven
 from cosim.model.quantities import quantity
-from cosim.model.values import A_DAE, assign, listed
+from cosim.model.values import A_DAE, assign, listed, plain_values
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
 from cosim.scene.roads import Road
@@ -271,7 +271,8 @@ def run_scene(
     if not goal:
         return simulate(dae, **asked, **settings, **options)
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
-    start = {name: value for name, value in scene.values.items() if name in known}
+    values = plain_values(scene.dae, scene.values)
+    start = {name: value for name, value in values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
 
 

@@ -113,6 +113,14 @@ class MissingTool(CosimError):
     exit_code = 5
 
 
+class CompilerExhausted(MissingTool):
+    """A compiler that needs more memory than it may have, or more time."""
+
+
+class CompilerTimeout(CompilerExhausted):
+    """A compiler that needs more time than it may have."""
+
+
 class CacheError(MissingTool):
     """A folder for compiled code that cannot be used, or that others could write to."""
 

@@ -12,7 +12,7 @@ from helpers.oscillators import oscillator
 
 import cosim
 from cosim import solvers
-from cosim.codegen.tableau import Tableau
+from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate import simulate as native
 from cosim.integrate.families.fixed_step import FixedStep

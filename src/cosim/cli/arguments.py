@@ -10,6 +10,7 @@ from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
+from cosim.model.start_outputs import overriding
 from cosim.scene.goals import GOALS, OVERRULED
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
@@ -50,18 +51,12 @@ def scene_from(args: argparse.Namespace) -> Scene:
     numbers = start_numbers(args, scene.dae) if "values" in args else {}
     varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
     inputs = scene.inputs and scene.inputs.only(varying)
-    return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+    return replace(scene, values=overriding(scene.dae, scene.values, numbers), inputs=inputs)
 
 
 def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
     """Return a scene with the formulas and time series that a command line gives for inputs."""
-    laws = []
-    for item in getattr(args, "laws", ()):
-        name, equals, text = item.partition("=")
-        if not equals:
-            raise UsageError(f"--input {item}: write NAME=FORMULA")
-        laws.append((name.strip(), text.strip()))
-    if laws:
+    if laws := _laws(args):
         names = {name for name, _ in laws}
         dae = with_laws(scene.dae, tuple(laws))
         left = {variable.name for variable in dae.inputs}
@@ -73,6 +68,31 @@ def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
         values = {n: v for n, v in scene.values.items() if n not in series.names}
         scene = replace(scene, inputs=series, values=values)
     return scene
+
+
+def inputs_in(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what a command line says of an FMU's inputs: formulas of time, and time series.
+
+    Raises:
+        UsageError: One is not written like that, or is given twice.
+    """
+    inputs: dict[str, Any] = dict(_laws(args))
+    if args.input_file is not None:
+        series = read_inputs(args.input_file)
+        if twice := inputs.keys() & set(series.names):
+            raise UsageError(f"{min(twice)} has a formula and a column; give one of them")
+        inputs |= dict.fromkeys(series.names, series)
+    return inputs
+
+
+def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
+    laws = []
+    for item in getattr(args, "laws", ()):
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise UsageError(f"--input {item}: write NAME=FORMULA")
+        laws.append((name.strip(), text.strip()))
+    return laws
 
 
 def times_in(option: str, text: str) -> list[float]:

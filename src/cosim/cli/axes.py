@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.model.quantities import quantity
-from cosim.study.sweep.extra import extra
-from cosim.study.sweep.subject import Opened, as_subject, opened
+from cosim.study.sweep.subjects.opening import as_subject, opened
+from cosim.study.sweep.subjects.subject import Opened
 
 _CALL = re.compile(r"(\w+)\((.*)\)")
 _DISTRIBUTIONS = {  # arguments as people say them
@@ -71,7 +72,7 @@ def _distribution(thing: Opened, name: str, kind: str, words: Sequence[str]) -> 
     if len(words) != 2:
         raise UsageError(f"-p {name}: write {kind}({', '.join(_DISTRIBUTIONS[kind])})")
     first, second = (_quantity(thing, name, word) for word in words)
-    stats = extra("scipy.stats")
+    stats = optional_module("scipy.stats", "sweep")
     if kind == "normal":
         if second <= 0:
             raise ParameterError(f"-p {name}: the deviation {second:g} is not positive")

@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from cosim.api import run_scene
-from cosim.cli.arguments import names_in, scene_from, start_numbers, times_in
+from cosim.cli.arguments import inputs_in, names_in, scene_from, start_numbers, times_in
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.scene.goals import GOALS
 from cosim.scene.scene import Scene
@@ -78,13 +78,10 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         "drift_control",
         "interpreted",
         "stop_when",
-        "input_file",
     )
     for option in (*own, *GOALS):
         if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
-    if args.laws:
-        raise UsageError("--input is for models; an FMU takes constant inputs with -p")
     start = start_numbers(args, None)
     require_trust(args.model, trusted=args.trust)
     return simulate_apart(
@@ -96,5 +93,6 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         output_interval=args.output_interval,
         relative_tolerance=args.relative_tolerance,
         start=start,
+        inputs=inputs_in(args),
         outputs=None if args.outputs is None else names_in(args.outputs),
     )

@@ -11,7 +11,7 @@ from cosim.api import run_scene
 from cosim.cli.arguments import names_in
 from cosim.cli.running import run_or_partial, scene_or_none
 from cosim.errors import ParameterError, UsageError
-from cosim.integrate.outputs import all_columns
+from cosim.integrate.run.outputs import all_columns
 from cosim.model.catalogue import load
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene

@@ -12,7 +12,7 @@ import numpy as np
 from casadi import MX
 
 from casadi_models.dae import Dae
-from cosim.codegen.explicit_library import (
+from cosim.codegen.runge_kutta.explicit_library import (
     dop853_method,
     explicit_function,
     explicit_library,

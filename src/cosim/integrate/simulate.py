@@ -10,17 +10,17 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
-from cosim.integrate.call import INTERRUPTED
+from cosim.integrate.diagnosis.kinks import nearest_kink
+from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
-from cosim.integrate.kinks import nearest_kink
-from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
-from cosim.integrate.run_stats import RunStats
-from cosim.integrate.solution import Solution, solve
+from cosim.integrate.run.call import INTERRUPTED
+from cosim.integrate.run.outputs import all_columns, recorded, wanted_names, watching
+from cosim.integrate.run.run_stats import RunStats
+from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
-from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import Values, assign, listed, number, numbers_of

@@ -12,8 +12,8 @@ from cosim.arrays import Vector
 from cosim.errors import InitialConditionError
 from cosim.fmi.archive import content_of, opened
 from cosim.fmi.check.parsed import Described, parse
+from cosim.integrate.diagnosis.inspection import inspect_start
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.inspection import inspect_start
 from cosim.model.catalogue import load
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
@@ -130,6 +130,11 @@ def _of_model(dae: Dae) -> Info:
         "equations": f"{len(dae.states)} differential, {len(dae.algebraics)} algebraic, "
         f"{dae.operations()} scalar operations",
     }
+    if dae.start_outputs:
+        pairs = ((w.variable.name, dae.states[w.state].name) for w in dae.start_outputs)
+        facts["starts"] = "; ".join(
+            f"{output} may be given, for {state}" for output, state in pairs
+        )
     start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
     groups["conditions"] = [

@@ -18,6 +18,7 @@ from casadi_models.dae.printed import Printed
 from casadi_models.units import UNITS, convert
 from cosim.errors import MissingTool
 from cosim.model.reduction.size import size
+from cosim.model.values import plain_values
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
 from cosim.present.playback.html import html as playback_page
@@ -136,20 +137,21 @@ def _bodies(c: Contents) -> Iterable[str]:
 
 def _numbers(c: Contents) -> Iterable[str]:
     yield "<h2>Numbers</h2>"
+    given = plain_values(c.scene.dae, c.scene.values)
     for caption, variables in (
         ("Start values", c.dae.states),
         ("Parameters", c.dae.parameters),
         ("Inputs", c.dae.inputs),
     ):
-        rows = [_row(v, c) for v in variables]
+        rows = [_row(v, c, given) for v in variables]
         if rows:
             yield html_table(rows, caption)
     settings = {k: v for k, v in vars(c.scene.settings).items() if v is not None}
     yield _facts({key.replace("_", " "): value for key, value in settings.items()})
 
 
-def _row(variable: Variable, c: Contents) -> dict[str, Any]:
-    value = c.scene.values.get(variable.name, variable.start)
+def _row(variable: Variable, c: Contents, given: Mapping[str, float]) -> dict[str, Any]:
+    value = given.get(variable.name, variable.start)
     if variable.start_kind is Start.CALCULATED and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
     shown = variable.display_unit or variable.unit

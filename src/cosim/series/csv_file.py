@@ -12,9 +12,11 @@ import numpy as np
 
 from casadi_models.units import UNITS
 from cosim.arrays import Vector
-from cosim.errors import ParameterError, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.series.column import Column
 from cosim.text.escaping import csv_cell
 
+KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIMES = ("time", "t", "zeit", "temps")
 
@@ -51,6 +53,31 @@ def write_csv(
     if units is not None:
         writer.writerow(units)
     writer.writerows([repr_17(value) for value in row] for row in table.tolist())
+
+
+def write_columns(
+    stream: TextIO, columns: Sequence[Column], time: Vector, values: Vector, units: str
+) -> None:
+    """Write samples over time.
+
+    Args:
+        stream: An open text file.
+        columns: What is known of each.
+        time: s, (n,).
+        values: SI, (n, len(columns)).
+        units: One of `KINDS`; "book" is display units, and a second line that names them.
+
+    Raises:
+        UnknownName: There is no such kind of units.
+    """
+    if units not in KINDS:
+        raise UnknownName.among("to_csv", "kind of units", units, KINDS)
+    second = None
+    if units == "book":
+        second = ("s", *(column.shown_unit for column in columns))
+        shown = [column.shown(own) for column, own in zip(columns, values.T, strict=True)]
+        values = np.transpose(shown).reshape(values.shape)
+    write_csv(stream, ("time", *(c.name for c in columns)), second, np.column_stack((time, values)))
 
 
 def repr_17(value: float) -> str:

@@ -21,7 +21,7 @@ from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.initialization import start_function
 from cosim.errors import CacheError, SolverError, UsageError
-from cosim.integrate.outputs import all_columns
+from cosim.integrate.run.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.time_grid import time_grid

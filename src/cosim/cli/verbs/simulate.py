@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.cli.tables import show_table, write_text
     from cosim.errors import UnknownName
     from cosim.scene.roads import scene_dae
-    from cosim.trajectory import KINDS
+    from cosim.series.csv_file import KINDS
 
     scene = scene_or_none(args)
     run, code = run_or_partial(args, scene)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Truths, Vector
 from cosim.errors import UnknownName
-from cosim.trajectory import Column, Trajectory, optional_package
+from cosim.host.optional_packages import optional_module
+from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -110,7 +111,7 @@ class Ensemble:
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset` over run and time; what was given are coordinates of run."""
-        xarray = optional_package("xarray")
+        xarray = optional_module("xarray", "data")
         variables: dict[str, Any] = {
             column.name: (
                 ("run", "time"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import DEFECT_LIMIT
-from cosim.codegen.lane_library import REPORT, Batch, LaneLibrary
+from cosim.codegen.runge_kutta.lane_library import REPORT, Batch, LaneLibrary
 
 CAUSES = {  # the library's codes
     1: "too many steps",

@@ -8,15 +8,15 @@ from casadi import MX
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
-from cosim.codegen.explicit_library import (
+from cosim.codegen.functions import driven, equations, prepared, symbols_of
+from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.projection import projection_step
+from cosim.codegen.runge_kutta.explicit_library import (
     MethodText,
     dop853_method,
     explicit_function,
     explicit_library,
 )
-from cosim.codegen.functions import driven, equations, prepared, symbols_of
-from cosim.codegen.initialization import algebraic_function
-from cosim.codegen.projection import projection_step
 from cosim.integrate.engine import Engine, Problem, reported
 from cosim.integrate.solver import AdaptiveSolver
 

@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 from casadi import MX
 
-from cosim.codegen.explicit_library import fixed_step_method
 from cosim.codegen.functions import driven, prepared, symbols_of
-from cosim.codegen.tableau import ODE8, RK4, Tableau, step_function
+from cosim.codegen.runge_kutta.explicit_library import fixed_step_method
+from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau, step_function
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.engine import Counts, Engine, Problem
 from cosim.integrate.families.explicit import explicit_engine

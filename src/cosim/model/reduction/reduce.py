@@ -10,7 +10,7 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae import Dae, Invariant, StartRule, Variable
+from casadi_models.dae import Dae, Invariant, StartRule, StartThrough, Variable
 from cosim.errors import UsageError
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.reduction.freeze import frozen_at_start
@@ -70,6 +70,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         parameters=_pick(frozen.parameters, parameters),
         output_variables=_pick(frozen.output_variables, kept_y),
         start_rules=tuple(_renumbered(rule, states) for rule in rules),
+        start_outputs=(),
         inertias=_kept_inertias(frozen, parameters),
         observed=tuple(outputs),
         x_start=tuple(frozen.x_start[i] for i in states),
@@ -79,7 +80,8 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         closing=frozen.closing
         and replace(frozen.closing, residual=frozen.closing.residual[equations]),
     )
-    small = replace(small, limits=_kept_limits(small))
+    ways = tuple(_kept_ways(small, frozen, states))
+    small = replace(small, limits=_kept_limits(small), start_outputs=ways)
     return replace(small, report=tuple(report(dae, small, freeze)))
 
 
@@ -114,13 +116,22 @@ def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX],
 
 def _kept_limits(small: Dae) -> tuple[tuple[SX, str], ...]:
     """Return the limits that can still be evaluated: they keep no variable alive."""
+    return tuple(
+        (margin, meaning) for margin, meaning in small.limits if _computable(small, margin)
+    )
+
+
+def _kept_ways(small: Dae, full: Dae, states: Sequence[int]) -> Iterator[StartThrough]:
+    """Yield the outputs that still give a start; they keep no variable alive, either."""
+    for way in full.start_outputs:
+        if way.state in states and _computable(small, way.expression):
+            yield replace(way, state=states.index(way.state))
+
+
+def _computable(small: Dae, expression: SX) -> bool:
     symbols = ca.symvar(ca.vertcat(small.t, small.x, small.z, small.u, small.p))
     known = {symbol.element_hash() for symbol in symbols}
-    return tuple(
-        (margin, meaning)
-        for margin, meaning in small.limits
-        if all(symbol.element_hash() in known for symbol in ca.symvar(margin))
-    )
+    return all(symbol.element_hash() in known for symbol in ca.symvar(expression))
 
 
 def _kept_invariants(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.playback.extras import extra
+from cosim.host.optional_packages import optional_module
 from cosim.present.playback.meshes import Mesh, arrow, joined, mesh_of
 from cosim.present.playback.playback import Load, Playback
 from cosim.present.playback.turning import continuous, onto, to_matrices, to_quaternions
@@ -35,7 +35,7 @@ def glb(runs: Sequence[Playback], *, follow: str | None = None, speed: float = 1
     Raises:
         MissingTool: pygltflib is not installed.
     """
-    return _File(extra("pygltflib"), runs, follow, speed).content()
+    return _File(optional_module("pygltflib", "animate"), runs, follow, speed).content()
 
 
 class _File:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.playback.extras import extra
+from cosim.host.optional_packages import optional_module
 from cosim.present.playback.meshes import mesh_of
 from cosim.present.playback.playback import Load, Playback
 from cosim.present.scale import Scale, invalid_text, label_text, scale_of, view_from
@@ -41,7 +41,7 @@ def html(
     Raises:
         MissingTool: viser is not installed.
     """
-    viser = extra("viser")
+    viser = optional_module("viser", "animate")
     with _server(viser) as server:
         scene = _Scene(server.scene, runs, follow)
         eye, centre = view_from(runs[0].world, view, scene.scale)

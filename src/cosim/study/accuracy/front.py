@@ -21,7 +21,7 @@ from casadi_models.dae import Dae
 from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import CacheError, CosimError
-from cosim.integrate.outputs import all_columns
+from cosim.integrate.run.outputs import all_columns
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.tradeoff.configuration import Configuration, Selection

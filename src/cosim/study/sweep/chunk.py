@@ -16,7 +16,8 @@ from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.keep import Keep
 from cosim.study.sweep.statistics import node_of, sketch_of
 from cosim.study.sweep.store import STATES, Record, Store
-from cosim.study.sweep.subject import Subject, opened
+from cosim.study.sweep.subjects.opening import opened
+from cosim.study.sweep.subjects.subject import Rows, Subject
 from cosim.trajectory import Trajectory
 
 
@@ -67,7 +68,7 @@ def compute_chunk(job: Job, first: int, columns: Mapping[str, Vector]) -> Summar
         return summary_of(store.read(first, count))
     with store.watching(first, count) as watch:
         subject = opened(job.subject)
-        ensemble = subject.run(columns, job.outputs, job.settings, job.threads, watch)
+        ensemble = subject.run(Rows(columns, job.outputs, job.settings, job.threads), watch)
         if RunState.INTERRUPTED in ensemble.states:
             raise KeyboardInterrupt
         record = _record(job, first, ensemble, watch)

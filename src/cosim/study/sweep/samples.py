@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
+from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
-from cosim.study.sweep.extra import extra
 from cosim.trajectory import repr_17
 
 DESIGNS = {"sobol": "Sobol", "lhs": "LatinHypercube", "halton": "Halton", "random": ""}
@@ -143,7 +143,7 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
     if kind == "random":
         unit = np.random.default_rng(seed).random((runs, len(varied)))
     else:
-        qmc = extra("scipy.stats").qmc
+        qmc = optional_module("scipy.stats", "sweep").qmc
         sampler = getattr(qmc, DESIGNS[kind])(len(varied), rng=np.random.default_rng(seed))
         unit = sampler.random(runs)
     quantiles = dict(zip(varied, unit.T, strict=True))

@@ -16,19 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.errors import Interrupted, ParameterError, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.simulate_many import processors
 from cosim.integrate.solver import Solver
 from cosim.study.sweep.chunk import Job
 from cosim.study.sweep.engines.cluster import connected, run_cluster
 from cosim.study.sweep.engines.processes import run_here, run_processes
 from cosim.study.sweep.engines.schedule import Schedule, gaps
-from cosim.study.sweep.extra import extra
 from cosim.study.sweep.keep import keep_from
 from cosim.study.sweep.progress import Progress
 from cosim.study.sweep.result import SweepResult, collect
 from cosim.study.sweep.samples import Samples, as_samples, digest_of
 from cosim.study.sweep.store import Store
-from cosim.study.sweep.subject import as_subject, opened
+from cosim.study.sweep.subjects.opening import as_subject, opened
 from cosim.trajectory import Trajectory
 
 _FORMAT = 1  # of the store
@@ -96,7 +96,7 @@ def sweep(
     """
     thing = opened(as_subject(subject))
     if store is not None:
-        extra("xarray"), extra("zarr")
+        optional_module("xarray", "sweep"), optional_module("zarr", "sweep")
     if samples is None and (store is None or not resume):
         raise UsageError("sweep: give samples; they may be left out to resume a store")
     chosen = Store(store).samples() if samples is None and store else as_samples(samples)
@@ -244,12 +244,12 @@ def _named(function: Function | None) -> str | None:
 def _packed(function: Function, elsewhere: bool) -> bytes:
     """Return a function as bytes; other processes know nothing of a script's own ones."""
     if elsewhere:
-        found: bytes = extra("cloudpickle").dumps(function)
+        found: bytes = optional_module("cloudpickle", "sweep").dumps(function)
         return found
     try:
         return pickle.dumps(function)
     except (pickle.PicklingError, AttributeError, TypeError):
-        packed: bytes = extra("cloudpickle").dumps(function)
+        packed: bytes = optional_module("cloudpickle", "sweep").dumps(function)
         return packed
 
 

@@ -15,7 +15,7 @@ from numpy.polynomial import Polynomial
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.tableau import Tableau, step_function
+from cosim.codegen.runge_kutta.tableau import Tableau, step_function
 from cosim.integrate.families.fixed_step import tableau_of
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.values import assign
