@@ -73,10 +73,11 @@ def simulate(
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
         shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
-            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in SI
-            units, a hundredth of the relative one when None; `step_size`, largest step of `rk4`
-            and `ode8`, s, the output interval when None. And `start`, another name of
-            `start_values`.
+            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in the
+            nominal value of each unknown, which is 1 SI unit where the model says nothing; when
+            None, a hundredth of the relative one, in nominal values that are found from the start
+            and the run where the model says nothing; `step_size`, largest step of `rk4` and
+            `ode8`, s, the output interval when None. And `start`, another name of `start_values`.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
@@ -110,7 +111,7 @@ def simulate(
     if project and solver is None:
         solver = Dop853.name
     numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, **numbers)  # type: ignore[arg-type]  # all are numbers
+    chosen = chosen_solver(dae, solver, projected=project, **numbers)  # type: ignore[arg-type]
     if compiled is None:
         compiled = has_compiler()
     problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
@@ -136,6 +137,8 @@ def simulate(
     if first.reason:
         others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
         which = f" ({', '.join(others)})" if dae.algebraics else ""
+        if dae.algebraics and dae.invariants and not project:
+            which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
         kink = _kink(dae, time, solution.table, values)
         raise SolverError(
             f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "

@@ -20,7 +20,7 @@ class Settings:
     Attributes:
         start_time, stop_time, output_interval: s.
         solver: A name of `SOLVERS`.
-        relative_tolerance, absolute_tolerance: Error per step; the absolute one in SI units.
+        relative_tolerance, absolute_tolerance: Error per step; the absolute one in nominal values.
         step_size: Largest step of the fixed-step solvers, s.
         accuracy: Instead of these: largest global error of the outputs, in nominal values.
         budget: Instead of these: time that the solver may take, s.

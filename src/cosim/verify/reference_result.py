@@ -44,7 +44,9 @@ REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
 OWN = "reference"
 MOST_ROWS = 201
-NOISE = 1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
+CONSTANT_NOISE = (
+    1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
+)
 FINER_OUTPUTS = 10  # times of a check within each of the reference: fmpy's solver takes 500 steps
 LOOSER = 10.0  # tolerance of the run that tells how far the reference may be wrong
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
@@ -216,8 +218,8 @@ def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:
     """
     quiet = values.copy()
     for column, size in zip(quiet.T, nominal, strict=True):
-        if np.ptp(column) <= NOISE * size:
-            column[:] = 0.0 if abs(column[0]) <= NOISE * size else column[0]
+        if np.ptp(column) <= CONSTANT_NOISE * size:
+            column[:] = 0.0 if abs(column[0]) <= CONSTANT_NOISE * size else column[0]
     return quiet
 
 

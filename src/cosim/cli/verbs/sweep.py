@@ -38,7 +38,9 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--times", metavar="T1,T2", help="output times, s, not an interval")
     parser.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
     parser.add_argument("--solver", metavar="NAME", help="dop853 in lanes where that is possible")
-    parser.add_argument("--absolute-tolerance", type=float, metavar="A", help="error per step, SI")
+    parser.add_argument(
+        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
+    )
     parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
     parser.add_argument("--on-invalid", metavar="ACTION", help="warn, stop or ignore")
     parser.add_argument("--store", metavar="FOLDER", help="keeps everything, as it finishes")

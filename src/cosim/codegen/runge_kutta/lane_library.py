@@ -6,6 +6,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import log2
 
 import casadi as ca
 
@@ -154,13 +155,14 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             solver_source("lanes_dop853.h"),
             f"static const int model_needed[] = {{{places}}};",
             *(vector_text(function, name) for name, function in functions.items()),
+            numbers("model_nominal", [2.0 ** round(log2(v.nominal)) for v in dae.states]),
             numbers("model_node", dop853.NODES),
             vector_sums("stage_sum", dop853.A),
             vector_sums("dense_sum", dop853.DENSE),
             vector_sum("error_5", dop853.ERROR_5),
             vector_sum("error_3", dop853.ERROR_3),
             "static const LaneModel model = {",
-            "    constants, rhs, observe, model_needed, model_node,",
+            "    constants, rhs, observe, model_needed, model_nominal, model_node,",
             "    stage_sum, dense_sum, error_5, error_3",
             "};",
         )

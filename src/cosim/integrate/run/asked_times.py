@@ -77,5 +77,6 @@ def for_many_grids(dae: Dae, run: Mapping[str, Any]) -> dict[str, Any]:
 
     Interpreted, the solvers whose code is for one grid give the same numbers.
     """
-    code_per_grid = solver_class(dae, run.get("solver")).code_per_grid
+    projected = run.get("drift_control") == "projection"
+    code_per_grid = solver_class(dae, run.get("solver"), projected=projected).code_per_grid
     return {**run, "compiled": False} if code_per_grid else dict(run)
