@@ -16,7 +16,7 @@ from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.run.call import INTERRUPTED
-from cosim.integrate.run.outputs import all_columns, recorded, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_names, watching
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.solver import Solver
@@ -26,7 +26,7 @@ from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import Values, assign, listed, number, numbers_of
 from cosim.trajectory import Trajectory
 
-T = TypeVar("T")
+Given = TypeVar("Given")
 
 
 class Shorthand(TypedDict, total=False):
@@ -128,7 +128,7 @@ def simulate(
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
     drawing = dae.drawing.with_numbers(numbers_of(dae, values))
-    columns, places = recorded(dae, names)
+    columns, places = recorded_columns(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
     table = solution.table if everything else solution.table[:, places]
     run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
@@ -161,8 +161,8 @@ def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
 
 
 def one_of(
-    dae: Dae, start_values: Mapping[str, T] | None, start: Mapping[str, T] | None
-) -> Mapping[str, T] | None:
+    dae: Dae, start_values: Mapping[str, Given] | None, start: Mapping[str, Given] | None
+) -> Mapping[str, Given] | None:
     """Return the start values, given by one of their two names.
 
     Raises:
