@@ -12,7 +12,7 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
-from cosim.integrate.run.asked_times import AskedTimes, again, for_many_grids
+from cosim.integrate.run.asked_times import AskedTimes, again
 from cosim.integrate.run.outputs import wanted_names, watching
 from cosim.integrate.run.stopping import run_until
 from cosim.integrate.solver import Solver
@@ -177,7 +177,6 @@ def _until(
     """Run until a condition becomes true."""
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
-    run = for_many_grids(dae, run)
 
     def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
         return native.simulate(watched, output_interval=grid, outputs=names, **run)

@@ -94,6 +94,40 @@ def watched(code: str) -> str:
     )
 
 
+def run_time_grid(code: str, constants: int) -> str:
+    """Let the output times come with the parameters, see fmu/solvers/casadi_driver.h.
+
+    Args:
+        code: What CasADi generated with an integrator over 0, 1 whose inputs may change there.
+        constants: Number of its parameters; `arg[2]` goes on with the number of output times, of
+            those that are passed without a stop, and with the times themselves.
+
+    Raises:
+        UsageError: See `run_time_tolerances`.
+    """
+    first, last = "(j*passed)", "((j+1)*passed)"
+    code = _replace_each(
+        code,
+        {
+            r"  /\* Initial state, parameters \*/\n": (
+                "  /* Initial state, parameters */\n"
+                f"  const casadi_real *settings = arg[2] + {constants}, *times = settings + 2;\n"
+                "  const casadi_int points = (casadi_int) settings[0];\n"
+                "  const casadi_int passed = (casadi_int) settings[1];\n"
+            ),
+            r"for \(j = 0; j < \d+; \+\+j\) \{": "for (j = 0; j*passed < points; ++j) {",
+            r"j \? casadi_c\d+\[casadi_s\d+\[j\]-1\]": f"j ? times[{first}-1]",
+            r"for \(k = casadi_s\d+\[j\]; k < casadi_s\d+\[j\+1\]; \+\+k\)": (
+                f"for (k = {first}; k < {last}; ++k)"
+            ),
+            r"casadi_c\d+\[k\], casadi_c\d+\[casadi_s\d+\[j\+1\]-1\]": (
+                f"times[k], times[{last}-1]"
+            ),
+        },
+    )
+    return f"{code}\n{solver_source('casadi_driver.h')}"
+
+
 def in_one_piece(code: str) -> str:
     """Have driver and equations compiled as one function: a fifth less time per run of `erk`.
 
