@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
 from cosim.series.column import Column, summary_rows
-from cosim.series.csv_file import in_si, read_samples, repr_17, write_columns
+from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
 from cosim.series.frames import data_frame, data_set
 from cosim.series.interpolation import resample, times_within
 from cosim.series.npz_file import npz_bytes, read_npz
@@ -238,7 +238,7 @@ class Trajectory:
             ParameterError: A cell is no number, or the time falls.
         """
         place = Path(path)
-        samples = read_samples(place)
+        samples = read_csv_samples(place)
         known = {} if like is None else {column.name: column for column in like.columns}
         wanted = {name: column.unit for name, column in known.items()}
         pairs, values = in_si(place, samples, units or {}, wanted)

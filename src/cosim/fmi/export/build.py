@@ -16,7 +16,7 @@ from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
 from cosim.host.temporary import temporary_folder
 
-LONG = 2_000_000  # characters of a file; beyond, -O2 takes several times as long as -O1
+LONG_FILE = 2_000_000  # characters of a file; beyond, -O2 takes several times as long as -O1
 
 
 def binaries(
@@ -87,7 +87,7 @@ def _compile(
 ) -> Path:
     for file, content in sources.items():
         (build / file).write_bytes(content)
-    less = ["-O1"] if max(map(len, sources.values()), default=0) > LONG else []
+    less = ["-O1"] if max(map(len, sources.values()), default=0) > LONG_FILE else []
     return compile_with_less(
         sorted(build.glob("*.c")),
         build / library,

@@ -21,7 +21,7 @@ from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.samples import Samples
-from cosim.study.sweep.statistics import Node, Sketch, added, merged, quantile, settled
+from cosim.study.sweep.statistics import Node, Sketch, added, merged, merged_branches, quantile
 from cosim.study.sweep.store import STATES, Store
 from cosim.trajectory import Column, Trajectory, repr_17
 
@@ -307,7 +307,7 @@ def collect(
             if temporary:
                 tables.append((record.first, record.values))
         if record.node is not None and record.sketch is not None:
-            nodes = settled([*nodes, record.node])
+            nodes = merged_branches([*nodes, record.node])
             sketch = added(sketch, record.sketch)
     statistics = None
     if nodes:

@@ -15,7 +15,7 @@ from cosim.fmi.check.parsed import BUILD
 from cosim.fmi.check.trials.bench import Bench, Skipped
 from cosim.fmi.export.build import fmi_headers
 
-SOURCES = Rule(
+UNCOMPILABLE = Rule(
     "sources",
     WRONG,
     "cannot build it for their own platform: targets in real time, other processors",
@@ -61,13 +61,13 @@ def sources(bench: Bench, kind: str) -> Iterator[Finding]:
     for i, name in enumerate(build.files):
         objects.append(Path(f"{i}.o").absolute())
         if told := _fails([*call, "-c", name, "-o", str(objects[-1])], folder):
-            yield SOURCES.at(f"sources/{name}", f"it does not compile: {told}")
+            yield UNCOMPILABLE.at(f"sources/{name}", f"it does not compile: {told}")
             return
     whole = ["-Wl,--no-undefined"] if sys.platform == "linux" else []
     link = [*compiler, "-shared", *map(str, objects), *whole, "-o", str(Path("all.so").absolute())]
     libraries = [f"-l{name}" for name in {*build.libraries, "m"}]
     if told := _fails([*link, *libraries], folder):
-        yield SOURCES.at("sources", f"they do not make a library: {told}")
+        yield UNCOMPILABLE.at("sources", f"they do not make a library: {told}")
 
 
 def _listed(bench: Bench, kind: str, identifier: str) -> _Build:

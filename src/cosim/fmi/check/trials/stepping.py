@@ -31,7 +31,7 @@ BEYOND = Rule(
 MOST_STEPS = 1_000_000
 SIZE = 1 / 60  # s
 _SHARE = 1 / 12  # of all time is for the steps
-_FEW = 10
+_FEW_STEPS = 10
 
 
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
@@ -68,12 +68,12 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
     size = bench.step_size(kind)
     with bench.session(kind) as session:
         ends = session.start_time
-        for _ in range(_FEW):
+        for _ in range(_FEW_STEPS):
             ends += size
         limit = np.nextafter(ends, -np.inf)  # which the last step exceeds by a rounding error
         session.start(stop_time=float(limit))
         try:
-            done = len(list(session.steps(size, _FEW)))
+            done = len(list(session.steps(size, _FEW_STEPS)))
         except Exception as error:
             early = session.time < ends - 1.5 * size or "(fatal)" in str(error)
             if early or _own_steps_fail(bench, kind, float(ends)):
@@ -83,7 +83,7 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
             )
             yield REFUSED_END.at(kind, told)
             return
-        if done < _FEW:
+        if done < _FEW_STEPS:
             raise Skipped("it ends by itself before")
         try:
             beyond = len(list(session.steps(size, 1)))
