@@ -15,7 +15,7 @@ from typing import Any
 
 from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
-from cosim.cli.streams import NO_ROOM, mend_streams, settled
+from cosim.cli.streams import NO_ROOM, flushed, mend_streams
 from cosim.cli.supervised import names_own_code, supervised
 from cosim.errors import CosimError
 from cosim.host.processes import ending_orphans
@@ -26,24 +26,24 @@ from cosim.text.escaping import sentence, visible
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `cosim VERB ...`; return the exit code."""
     if arguments is not None:
-        return _run(_arguments(arguments))
+        return _run_verb(_parsed_command(arguments))
     mend_streams()
     with limited_time() as told:
         code = _command(sys.argv[1:])
     if told:
-        os._exit(settled(_out_of_time(told[0])))  # native code may run on
-    return settled(code)
+        os._exit(flushed(_out_of_time(told[0])))  # native code may run on
+    return flushed(code)
 
 
 def _command(words: Sequence[str]) -> int:
     """Run a command line, in a process of its own where a user's program belongs to it."""
     try:
-        args = _arguments(words)
-        if (own := next(filter(names_own_code, _words(args)), None)) is not None:
+        args = _parsed_command(words)
+        if (own := next(filter(names_own_code, _named_words(args)), None)) is not None:
             what = f"cosim {args.verb}: {own}"
             return supervised(words, what, getattr(args, "timeout", None))
         with ending_orphans() if _names_fmu(args) else nullcontext():
-            return _run(args)
+            return _run_verb(args)
     except SystemExit as ended:  # of argparse
         return ended.code if isinstance(ended.code, int) else 2
     except KeyboardInterrupt as error:
@@ -54,8 +54,8 @@ def run_words(words: Sequence[str]) -> int:
     """Run a command line in a process that is supervised; return its exit code."""
     mend_streams()
     with limited_time() as told:
-        code = _run(_arguments(words))
-    return settled(_out_of_time(told[0]) if told else code)
+        code = _run_verb(_parsed_command(words))
+    return flushed(_out_of_time(told[0]) if told else code)
 
 
 def _out_of_time(told: str) -> int:
@@ -63,17 +63,17 @@ def _out_of_time(told: str) -> int:
     return 1
 
 
-def _words(args: argparse.Namespace) -> Iterator[str]:
+def _named_words(args: argparse.Namespace) -> Iterator[str]:
     """Yield what a command line names: models above all."""
     for value in vars(args).values():
         yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
 
 
 def _names_fmu(args: argparse.Namespace) -> bool:
-    return any(word.endswith(".fmu") for word in _words(args))
+    return any(word.endswith(".fmu") for word in _named_words(args))
 
 
-def _run(args: argparse.Namespace) -> int:
+def _run_verb(args: argparse.Namespace) -> int:
     """Run a verb; return its exit code, every error told in a sentence."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that a terminal cannot show ends no run
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -113,7 +113,7 @@ def _interrupted(error: KeyboardInterrupt) -> int:
     return 130
 
 
-def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
+def _parsed_command(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = command_line()
     args, unknown = parser.parse_known_args(arguments)
     if unknown:  # argparse itself would point to the help of all verbs

@@ -18,7 +18,7 @@ from types import FrameType, TracebackType
 from typing import IO, Final, Self
 
 from cosim.errors import FmuError
-from cosim.host.limits import VARIABLE
+from cosim.host.limits import LIMITS_VARIABLE
 from cosim.host.processes import MARK, end_all
 from cosim.host.temporary import temporary_folder
 from cosim.text.escaping import visible
@@ -27,7 +27,7 @@ MOST_OUTPUT = 10_000  # bytes of what a confined child prints
 PATH = "COSIM_PATH"  # where a child that is not confined looks for modules at last
 ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
-    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", VARIABLE),
+    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", LIMITS_VARIABLE),
 )
 LENGTH: Final = struct.Struct("<Q")  # before each question and answer
 

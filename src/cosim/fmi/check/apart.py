@@ -5,14 +5,16 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
+from typing import Any
 
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.check.bench import Bench, Skipped
-from cosim.fmi.check.finding import WRONG, Finding
-from cosim.fmi.check.trials import TRIALS, Trial
+from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
+from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
+from cosim.fmi.check.trials.table import OPTIONAL, TRIALS
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import own_folder, run_confined
@@ -22,15 +24,19 @@ from cosim.model.values import number
 from cosim.text.escaping import sentence
 
 _ANSWER = "answer.jsonl"
+_TrialTask = tuple[str, str]  # a trial's name and an interface
+CRASH = Rule("crash", WRONG, "go down with it, or wait for ever", "mend it; do not use it")
+CRASH_LIGHTLY = Rule(CRASH.name, ADVICE, CRASH.importers, CRASH.cure)
+FAILED = "stop there"  # importers, where a function returns an error
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TrialResults:
     """What the trials of an FMU gave.
 
     Attributes:
         findings: What they found.
-        passed: Trials that found nothing, as "reset (CoSimulation)".
+        passed: Trials that found nothing, as "reset (CoSimulation)", with how far they went.
         skipped: Trials that do not apply, with the reason.
     """
 
@@ -39,7 +45,7 @@ class Verdict:
     skipped: tuple[str, ...]
 
 
-def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdict:
+def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialResults:
     """Run the trials of an FMU in a child process with the limits of `Limits.chosen`.
 
     Args:
@@ -62,67 +68,119 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
             raise FmuError(f"{path} has neither model exchange nor co-simulation; nothing can run")
         for kind in kinds:
             choose_interface(files, bench.fmpy, kind, path)
-        words = [str(folder / _ANSWER), str(files), str(path), *kinds]
-        code, _ = run_confined(__name__, words, folder, timeout)
-        with suppress(FileNotFoundError):
-            lines = (folder / _ANSWER).read_text().splitlines()
-            return _verdict([json.loads(line) for line in lines], code, timeout)
-        raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
+        end, told = monotonic() + timeout, _Told()
+        tasks = [(trial.__name__, kind) for kind in kinds for trial in TRIALS]
+        while tasks and (left := end - monotonic()) > 0:
+            (folder / _ANSWER).unlink(missing_ok=True)
+            code = _run_trials(folder, files, str(path), tasks, left, timeout)
+            before = len(tasks)
+            with suppress(FileNotFoundError):
+                lines = (folder / _ANSWER).read_text().splitlines()
+                tasks = told.read([json.loads(line) for line in lines], tasks, code, timeout)
+            if len(tasks) == before:
+                raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
+        told.skipped += [f"{_called(task)}: the time is up" for task in tasks]
+        return TrialResults(tuple(told.findings), tuple(told.passed), tuple(told.skipped))
 
 
-def _verdict(lines: list[dict[str, object]], code: int | None, timeout: float) -> Verdict:
+def _run_trials(
+    folder: Path, files: Path, name: str, tasks: list[_TrialTask], left: float, timeout: float
+) -> int | None:
+    """Run trials; return the exit code, None after what is left of the time."""
+    words = [str(folder / _ANSWER), str(files), name, str(timeout), json.dumps(tasks)]
+    code, _ = run_confined(__name__, words, folder, left)
+    return code
+
+
+@dataclass
+class _Told:
+    """What children have answered so far."""
+
+    findings: list[Finding] = field(default_factory=list)
+    passed: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+
+    def read(
+        self, lines: list[dict[str, Any]], tasks: list[_TrialTask], code: int | None, timeout: float
+    ) -> list[_TrialTask]:
+        """Take an answer in; return the trials that are still to be made."""
+        left, stopped, failed = list(tasks), None, set()
+        for line in lines:
+            if begun := line.get("begun"):
+                stopped = (begun[0], begun[1])
+                left.remove(stopped)
+                continue
+            assert stopped is not None
+            found = [Finding(**one) for one in line["findings"]]
+            self.findings += found
+            note = "".join(f": {note}" for note in line["notes"])
+            if line["skipped"]:
+                self.skipped.append(f"{_called(stopped)}: {line['skipped']}")
+            elif not found:
+                self.passed.append(_called(stopped) + note)
+            elif stopped[0] == TRIALS[0].__name__:
+                failed.add(stopped[1])
+            stopped = None
+        if stopped is not None:
+            how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
+            rule = CRASH_LIGHTLY if stopped[0] in OPTIONAL else CRASH
+            self.findings.append(rule.at(_called(stopped), f"the FMU {how}"))
+            failed.update({stopped[1]} if stopped[0] == TRIALS[0].__name__ else ())
+        return [task for task in left if task[1] not in failed]  # who does not start, does nothing
+
+
+def _called(task: _TrialTask) -> str:
+    return f"{task[0]} ({task[1]})"
+
+
+def _tried(bench: Bench, trial: Trial, kind: str) -> dict[str, Any]:
+    """Return what a trial found, what it noted, and why it was skipped."""
     findings: list[Finding] = []
-    told: dict[str, list[str]] = {"passed": [], "skipped": []}
-    open_trial = ""
-    for line in lines:
-        match line:
-            case {"begun": str(name)}:
-                open_trial = name
-            case {"ended": str(name), "findings": list(found), "skipped": str(why)}:
-                open_trial = ""
-                findings += [Finding(**one) for one in found]
-                if why:
-                    told["skipped"].append(f"{name}: {why}")
-                elif not found:
-                    told["passed"].append(name)
-    if open_trial:
-        how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
-        findings.append(
-            Finding(WRONG, "crash", open_trial, f"the FMU {how}", "mend it; do not use it")
-        )
-    return Verdict(tuple(findings), tuple(told["passed"]), tuple(told["skipped"]))
-
-
-def _tried(bench: Bench, trial: Trial, kind: str) -> tuple[list[Finding], str]:
-    """Return the findings of a trial, and why it was skipped."""
+    notes: list[str] = []
+    skipped = ""
     try:
-        return list(trial(bench, kind)), ""
-    except Skipped as skipped:
-        return [], str(skipped)
+        for one in trial(bench, kind):
+            if isinstance(one, Finding):
+                findings.append(one)
+            else:
+                notes.append(str(one))
+    except Skipped as reason:
+        skipped = str(reason)
     except Exception as error:
         told = f"the FMU failed: {sentence(str(error)) or type(error).__name__}"
-        return [Finding(WRONG, trial.__name__, kind, told, "mend it; see its log")], ""
+        level = ADVICE if trial.__name__ in OPTIONAL else WRONG
+        rule = Rule(trial.__name__, level, FAILED, "mend it; see its log")
+        findings.append(rule.at(kind, told))
+    return {"findings": [f.row() for f in findings], "notes": notes, "skipped": skipped}
 
 
-def _lines(bench: Bench, kinds: list[str]) -> Iterator[dict[str, object]]:
-    for kind in kinds:
-        for trial in TRIALS:
-            name = f"{trial.__name__} ({kind})"
-            yield {"begun": name}
-            findings, why = _tried(bench, trial, kind)
-            yield {"ended": name, "findings": [f.row() for f in findings], "skipped": why}
-            if findings and trial is TRIALS[0]:
-                break  # what does not start is not tried further
+def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, Any]]:
+    trials, failed = {trial.__name__: trial for trial in TRIALS}, set()
+    failures: dict[tuple[str, str], str] = {}
+    for name, kind in tasks:
+        if kind in failed:
+            continue
+        yield {"begun": (name, kind)}
+        answer = _tried(bench, trials[name], kind)
+        for one in answer["findings"]:
+            if one["importers"] == FAILED:
+                before = failures.setdefault((kind, one["found"]), name)
+                if before != name:  # one fault, one finding
+                    answer |= {"findings": [], "skipped": f"it fails like {before}"}
+        yield answer
+        if answer["findings"] and trials[name] is TRIALS[0]:
+            failed.add(kind)
 
 
-def _main(answer: Path, files: Path, name: str, kinds: list[str]) -> None:
+def _main(answer: Path, files: Path, name: str, timeout: float, tasks: list[_TrialTask]) -> None:
     be_confined()
     with answer.open("w", encoding="utf-8") as stream:
-        for line in _lines(Bench(files, name), kinds):
+        for line in _outcome_lines(Bench(files, name, timeout), tasks):
             stream.write(json.dumps(line) + "\n")
             stream.flush()
     leave()
 
 
 if __name__ == "__main__":
-    _main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], sys.argv[4:])
+    _words = sys.argv[1:]
+    _main(Path(_words[0]), Path(_words[1]), _words[2], float(_words[3]), json.loads(_words[4]))

@@ -18,7 +18,7 @@ from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
 from cosim.host.child import own_folder, run_confined
 from cosim.host.inside import be_confined, leave
-from cosim.host.limits import VARIABLE, Limits
+from cosim.host.limits import LIMITS_VARIABLE, Limits
 from cosim.model.inputs import InputSeries
 from cosim.model.values import number
 from cosim.text.escaping import sentence
@@ -62,7 +62,7 @@ def simulate_apart(
         if code is None:
             raise FmuError(f"{path}: the FMU did not end within {timeout:g} s and was stopped")
         try:
-            return _answer(folder, place, str(path))
+            return _read_answer(folder, place, str(path))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise FmuError(
                 f"{path}: the FMU {how_it_ended(code)} while it ran; do not use it"
@@ -86,7 +86,7 @@ def _read_back(inputs: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _answer(folder: Path, place: str, name: str) -> Trajectory:
+def _read_answer(folder: Path, place: str, name: str) -> Trajectory:
     answer = json.loads((folder / _ANSWER).read_text())
     if "error" in answer:
         kind = getattr(errors, answer["error"])
@@ -105,7 +105,7 @@ def how_it_ended(code: int) -> str:
         kind = signal.Signals(-code)
         limits = {"SIGXCPU": "time on the processor", "SIGXFSZ": "size of a file"}
         if kind.name in limits:
-            return f"exceeded the limit of the {limits[kind.name]} ({VARIABLE})"
+            return f"exceeded the limit of the {limits[kind.name]} ({LIMITS_VARIABLE})"
         return f"crashed ({kind.name})"
     return f"crashed (signal {-code})"
 
@@ -122,7 +122,7 @@ def _main(folder: Path) -> None:
     except CosimError as error:
         answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
-        told = f"{path}: the FMU exceeded the limit of memory ({VARIABLE})"
+        told = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
         answer = {"error": "FmuError", "message": told}
     except BaseException as error:
         told = f"{path}: it cannot be run: {type(error).__name__}: {sentence(str(error))}"

@@ -19,8 +19,8 @@ from cosim.host.child import ASKED_SILENTLY, Child
 from cosim.host.inside import Conversation, look_where_the_parent_does
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
-from cosim.study.extremes.cases import Case, Reference, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, Runner, Verdict, judge
+from cosim.study.extremes.cases import Case, Counterpart, catalogue
+from cosim.study.extremes.oracles import OUTCOMES, Ending, Runner, judge
 from cosim.text.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
@@ -30,11 +30,11 @@ RUNNER = "cosim.study.extremes.oracles:run_case"
 
 
 @dataclass(frozen=True)
-class Finding:
+class CaseFinding:
     """A case and how it ended."""
 
     case: Case
-    verdict: Verdict
+    verdict: Ending
 
     def row(self) -> dict[str, Any]:
         """Return the finding as plain values, for tables, CSV and JSON."""
@@ -86,7 +86,7 @@ def extremes(
 
 def explore(
     cases: Iterable[Case], *, timeout: float = 120.0, jobs: int = 2, runner: str = RUNNER
-) -> Iterator[Finding]:
+) -> Iterator[CaseFinding]:
     """Run cases in child processes, in their order.
 
     Args:
@@ -99,14 +99,14 @@ def explore(
         ParameterError: The timeout is not a positive number.
     """
     limit = number("extremes", "timeout", timeout, positive=True)
-    workers: list[_Worker] = []
+    workers: list[_CaseWorker] = []
     own = threading.local()
 
-    def run(case: Case) -> Finding:
+    def run(case: Case) -> CaseFinding:
         if not hasattr(own, "worker"):
-            own.worker = _Worker(runner)
+            own.worker = _CaseWorker(runner)
             workers.append(own.worker)
-        return Finding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
+        return CaseFinding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
 
     pool = ThreadPoolExecutor(jobs)
     try:
@@ -117,9 +117,9 @@ def explore(
             worker.close()
 
 
-def summary(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
     """Return a row per family: how many cases ended how, and the worst accurate one."""
-    families: dict[str, list[Finding]] = {}
+    families: dict[str, list[CaseFinding]] = {}
     for finding in findings:
         families.setdefault(finding.case.family, []).append(finding)
     rows = []
@@ -138,35 +138,35 @@ def summary(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     return rows
 
 
-def serve(runner: Runner, conversation: Conversation) -> None:
+def serve_cases(runner: Runner, conversation: Conversation) -> None:
     """Judge the cases that come as JSON; answer in kind."""
     for question in conversation.questions():
         facts = json.loads(question)
-        facts["references"] = tuple(Reference(**each) for each in facts["references"])
+        facts["references"] = tuple(Counterpart(**each) for each in facts["references"])
         conversation.answer(json.dumps(judge(Case(**facts), runner)).encode())
 
 
-class _Worker:
+class _CaseWorker:
     """A child process that judges one case at a time; replaced when it had to be killed."""
 
     def __init__(self, runner: str) -> None:
         self._runner = runner
         self._process = self._start()
 
-    def judge(self, case: Case, timeout: float) -> Verdict:
+    def judge(self, case: Case, timeout: float) -> Ending:
         began = perf_counter()
         guard = threading.Timer(timeout, self._process.kill)
         guard.start()
         try:
-            return Verdict(*json.loads(self._process.ask(json.dumps(asdict(case)).encode())))
+            return Ending(*json.loads(self._process.ask(json.dumps(asdict(case)).encode())))
         except (OSError, EOFError):
             seconds, code = perf_counter() - began, self._process.end()
             self._process = self._start()
         finally:
             guard.cancel()
         if seconds >= timeout:
-            return Verdict("hang", None, f"killed after {timeout:g} s", seconds)
-        return Verdict("crash", None, f"the process ended with code {code}", seconds)
+            return Ending("hang", None, f"killed after {timeout:g} s", seconds)
+        return Ending("crash", None, f"the process ended with code {code}", seconds)
 
     def close(self) -> None:
         self._process.end()
@@ -178,4 +178,4 @@ class _Worker:
 if __name__ == "__main__":
     look_where_the_parent_does()
     module, _, function = sys.argv[1].partition(":")
-    serve(getattr(import_module(module), function), Conversation())
+    serve_cases(getattr(import_module(module), function), Conversation())
