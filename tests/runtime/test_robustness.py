@@ -20,9 +20,8 @@ def fuzzers(model: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[int, 
 
 
 def fuzzer(model, version, folder):
-    return program(
-        f"fuzz_fmi{version}", model, version, folder, WATCHED if version == 2 else SANITIZED
-    )
+    flags = WATCHED if version == 2 else SANITIZED
+    return program(f"fuzz_fmi{version}", model, version, folder, flags)
 
 
 @with_each_solver

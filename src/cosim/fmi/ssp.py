@@ -44,7 +44,7 @@ def write_ssp(
         FmuError, ExportError: A file cannot be read or written.
     """
     described = {name: _described(path) for name, path in components.items()}
-    ends = [(_end(described, a, "output"), _end(described, b, "input")) for a, b in connections]
+    ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
     name, files, used = Path(target).stem, dict[str, bytes](), set[str]()
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
@@ -66,7 +66,7 @@ def write_ssp(
             element.append(_binding(file if parameter_files else None, chosen))
         elements.append(element)
     for key in values or {}:
-        _end(described, key, None)
+        _side(described, key, None)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
     for (source, output), (sink, entry) in ends:
         ET.SubElement(
@@ -135,7 +135,7 @@ def _binding(file: str | None, chosen: ET.Element) -> ET.Element:
     return bindings
 
 
-def _end(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:
+def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:
     component, dot, name = text.partition(".")
     if not dot or component not in described:
         raise UnknownName.among("the SSP", "component", component, described)

@@ -117,6 +117,10 @@ def _outputs(file: TomlFile, dae: Dae) -> tuple[str, ...]:
     return names
 
 
+def _startable(dae: Dae) -> tuple[Variable, ...]:
+    return (*dae.states, *(way.variable for way in dae.start_outputs))
+
+
 def _values(
     file: TomlFile,
     table: str,
@@ -154,7 +158,7 @@ def _misplaced(
 def _own_values(file: TomlFile, dae: Dae) -> dict[str, float]:
     return {
         **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
-        **_values(file, "start", _table(file, "start"), dae, dae.states),
+        **_values(file, "start", _table(file, "start"), dae, _startable(dae)),
     }
 
 

@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 
 from cosim.fmi.aliases import flat_names
 from cosim.fmi.archive import DESCRIPTION
-from cosim.fmi.export.documents.related import FOLDER, MANIFEST, Related, manifest
+from cosim.fmi.export.documents.related import LS_REF_FOLDER, MANIFEST, Related, manifest
 from cosim.fmi.parameter_set import TYPE, parameter_set, to_file
 
 REFERENCE = "documentation/reference.csv"
@@ -28,7 +28,7 @@ def related_files(files: Mapping[str, bytes], sets: Sets) -> dict[str, bytes]:
     for name, (about, values) in sets.items():
         own = {known.get(n, n): value for n, value in values.items() if known.get(n, n) in units}
         if own:
-            path = f"{FOLDER}/{name}.ssv"
+            path = f"{LS_REF_FOLDER}/{name}.ssv"
             made[path] = to_file(parameter_set(name, own, units, about))
             related.append(Related(path, TYPE, "parameter", about))
     return made | ({MANIFEST: manifest(related)} if related else {})

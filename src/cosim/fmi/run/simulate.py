@@ -27,12 +27,15 @@ from cosim.fmi.run.instance import (
     may_be_set,
     read_description,
 )
+from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
+from cosim.model.time_grid import time_grid
 from cosim.model.values import listed, number
 from cosim.trajectory import Column, Trajectory
 
 __all__ = ["INTERFACES", "simulate_fmu", "unpacked"]
 
+_CONTINUOUS = ("Real", "Float64")
 MOST_POINTS = 10_000_000  # output times; fmpy keeps them as Python objects
 
 
@@ -45,7 +48,7 @@ def simulate_fmu(
     output_interval: float | None = None,
     relative_tolerance: float | None = None,
     start: Mapping[str, float] | None = None,
-    inputs: InputSeries | None = None,
+    inputs: Any = None,
     outputs: Sequence[str] | None = None,
 ) -> Trajectory:
     """Simulate an FMU with fmpy. Its binary runs in this process: only run FMUs you trust.
@@ -58,7 +61,9 @@ def simulate_fmu(
             last output is at `stop_time` in any case.
         relative_tolerance: Error per step; the FMU's default experiment when None.
         start: Start values, parameters and constant inputs by name, in the FMU's units.
-        inputs: Time series of some inputs, in the FMU's units.
+        inputs: What `read_inputs` returns; or by name a number, a formula of time ("2*sin(3*t)"),
+            a function of time, samples at the output times (n,), or an `InputSeries`; in the FMU's
+            units. Inputs rest, or are linear, within a step of an FMU that integrates itself.
         outputs: Names to record; the FMU's outputs when None.
 
     Returns:
@@ -77,11 +82,13 @@ def simulate_fmu(
         span = span_of(path, description, start_time, stop_time, output_interval)
         tolerance = tolerance_of(path, relative_tolerance)
         variables = by_name(description)
-        values = start_numbers(path, variables, {} if start is None else start)
+        values = given_numbers(path, variables, {} if start is None else start)
         names = recorded(path, variables, outputs)
+        series = followed(str(path), inputs, span.times)
+        refuse_series(path, description, series, values)
         with instantiated(folder, description, kind, path) as (instance, explained):
             calls = count_derivatives(instance) if kind == "ModelExchange" else None
-            table = _driven(path, instance, description, kind, inputs, span.start, values)
+            table = _driven(instance, description, kind, series, span.start, values)
             ready = perf_counter()
             result = simulated(
                 explained,
@@ -115,6 +122,11 @@ class Span:
     start: float
     stop: float
     interval: float
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """The output times, (n,)."""
+        return time_grid(self.start, self.stop, self.interval)
 
 
 def span_of(
@@ -158,7 +170,7 @@ def tolerance_of(path: object, relative: float | None) -> float | None:
     return float(relative)
 
 
-def start_numbers(
+def given_numbers(
     path: object, variables: Mapping[str, Any], start: Mapping[str, float]
 ) -> dict[str, float]:
     if not isinstance(start, Mapping):
@@ -190,8 +202,30 @@ def recorded(
     return list(dict.fromkeys(variables[name].name for name in wanted))
 
 
+def _input_variables(description: Any) -> dict[str, Any]:
+    return {n: v for n, v in by_name(description).items() if v.causality == "input"}
+
+
+def refuse_series(
+    path: object, description: Any, series: InputSeries | None, values: Mapping[str, float]
+) -> None:
+    """Refuse a series of what is no input, of no real number, or that has a constant value, too.
+
+    Raises:
+        UnknownName: There is no such input.
+        UsageError: It cannot follow a series.
+    """
+    known = _input_variables(description)
+    for name in series.names if series else ():
+        if name not in known:
+            raise UnknownName.among(str(path), "input", name, known)
+        if known[name].type not in _CONTINUOUS or known[name].dimensions:
+            raise UsageError(f"{path}: {name} is no real number; give it a constant value")
+        if name in values:
+            raise UsageError(f"{path}: {name} is given a value and a series; give one of them")
+
+
 def _driven(
-    path: object,
     instance: Any,
     description: Any,
     kind: str,
@@ -202,14 +236,9 @@ def _driven(
     """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
     if series is None:
         return None
-    if not isinstance(series, InputSeries):
-        raise UsageError.of_type(f"{path}: inputs", series, "what cosim.read_inputs returns")
-    known = {n: v for n, v in by_name(description).items() if v.causality == "input"}
-    for name in series.names:
-        if name not in known:
-            raise UnknownName.among(str(path), "input", name, known)
+    known = _input_variables(description)
     references = [known[name].valueReference for name in series.names]
-    values |= inputs.start_values(series, start_time)
+    values |= inputs.inputs_at_start(series, start_time)
     if kind == "CoSimulation":
         inputs.drive_co_simulation(instance, series, references, description.coSimulation)
         return None

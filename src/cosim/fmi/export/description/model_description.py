@@ -93,7 +93,7 @@ def model_description(
     root.append(default_experiment(dae, identity.tolerance))
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
-        listed.append(_variable(reference, variable, dialect))
+        listed.append(_element(reference, variable, dialect))
     structure = model_structure(
         variables, depends, identity.indicators, fixed_are_knowns=dialect.fixed_are_knowns
     )
@@ -110,7 +110,7 @@ def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.
     return element
 
 
-def _variable(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Element:
+def _element(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Element:
     general, facts = _attributes(reference, variable)
     kind = REAL
     if variable.role is Role.VALIDITY:

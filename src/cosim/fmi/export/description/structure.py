@@ -10,7 +10,7 @@ from cosim.model.reduction.structure import Pattern
 
 
 @dataclass(frozen=True)
-class Unknown:
+class DependentVariable:
     """A variable that the equations determine, and what it depends on, as value references."""
 
     reference: int
@@ -21,10 +21,10 @@ class Unknown:
 class Structure:
     """The unknowns that an importer asks for, by FMI's sections, in ascending order."""
 
-    outputs: tuple[Unknown, ...]
-    derivatives: tuple[Unknown, ...]
-    initial_unknowns: tuple[Unknown, ...]
-    indicators: tuple[Unknown, ...] = ()
+    outputs: tuple[DependentVariable, ...]
+    derivatives: tuple[DependentVariable, ...]
+    initial_unknowns: tuple[DependentVariable, ...]
+    indicators: tuple[DependentVariable, ...] = ()
 
 
 def model_structure(
@@ -61,8 +61,10 @@ def model_structure(
         running[i] = tuple(sorted({k for margin in margins for k in running[margin]}))
         initial[i] = tuple(sorted({k for margin in margins for k in initial[margin]}))
 
-    def section(members: Sequence[int], table: dict[int, tuple[int, ...]]) -> tuple[Unknown, ...]:
-        return tuple(Unknown(i, table[i]) for i in sorted(members))
+    def section(
+        members: Sequence[int], table: dict[int, tuple[int, ...]]
+    ) -> tuple[DependentVariable, ...]:
+        return tuple(DependentVariable(i, table[i]) for i in sorted(members))
 
     return Structure(
         section(observed, running),

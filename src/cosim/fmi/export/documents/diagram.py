@@ -13,7 +13,7 @@ from casadi_models.dae.drawing import World
 from cosim.arrays import Vector as Array
 from cosim.fmi.export.documents.pose import Pose, Solid
 
-SIZE = (640, 480)  # of the diagram, pixels
+DIAGRAM_SIZE = (640, 480)  # of the diagram, pixels
 ICON = 128  # edge of the icon
 _FINER = 2  # drawn so many times larger, and averaged
 _COLOURS = 32
@@ -143,7 +143,7 @@ def diagram(pose: Pose, world: World) -> bytes:
     size = float(np.linalg.norm(np.ptp(outline, axis=0))) or 1.0
     arrows = [*pointers(pose, view, size)]
     ends = np.vstack([outline, *(np.array([a.start, a.end]) for a in arrows)])
-    sheet = _Sheet(SIZE, ends, margin=0.1)
+    sheet = _Sheet(DIAGRAM_SIZE, ends, margin=0.1)
     for patch in shapes:
         sheet.patch(patch)
     for arrow in arrows:
@@ -153,7 +153,7 @@ def diagram(pose: Pose, world: World) -> bytes:
     for arrow in arrows:
         sheet.text(arrow.end, arrow.text, arrow.colour)
     sheet.corner(view, world.axes)
-    return sheet.png(SIZE)
+    return sheet.png(DIAGRAM_SIZE)
 
 
 def icon(pose: Pose, world: World) -> bytes:

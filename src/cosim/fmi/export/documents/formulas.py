@@ -7,7 +7,7 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 
-LONGEST = 120  # letters of an expression that is written out
+LONGEST_FORMULA = 120  # letters of an expression that is written out
 
 
 def formulas(dae: Dae) -> Iterator[tuple[str, str]]:
@@ -43,9 +43,9 @@ def _text(expression: SX, parameters: Container[str]) -> str:
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
     codes = [function.instruction_id(i) for i in range(function.n_instructions())]
     count = sum(code not in moves for code in codes)
-    if expression.is_scalar() and count < LONGEST:
+    if expression.is_scalar() and count < LONGEST_FORMULA:
         text = str(expression)
-        if len(text) <= LONGEST and "@" not in text:
+        if len(text) <= LONGEST_FORMULA and "@" not in text:
             return text
     moving = ", ".join(s.name() for s in symbols if s.name() not in parameters)
     return f"f({moving}{'; ' if moving else ''}parameters), {count} operations"

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
-MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
+LS_REF_FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST = f"{LS_REF_FOLDER}/fmi-ls-manifest.xml"
 _MANIFEST = "http://fmi-standard.org/fmi-ls-manifest"
 _FACTS = {
     "fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
@@ -39,7 +39,7 @@ def manifest(files: Sequence[Related]) -> bytes:
     facts = {f"{{{_MANIFEST}}}{name}": text for name, text in _FACTS.items()}
     root = ET.Element("fmiReferences", facts)
     for file in files:
-        inside = file.path.removeprefix(f"{FOLDER}/")
+        inside = file.path.removeprefix(f"{LS_REF_FOLDER}/")
         source = inside if inside != file.path else f"../../{file.path}"
         ET.SubElement(
             root,
