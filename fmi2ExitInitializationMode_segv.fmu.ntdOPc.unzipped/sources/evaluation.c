@@ -1,0 +1,155 @@
+/* Results on demand: each group of equations runs once after a setter made it stale. */
+#include "evaluation.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "equations.h"
+#include "logging.h"
+
+static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
+
+bool all_finite(const double values[], int count) {
+    for (int i = 0; i < count; i++)
+        if (!isfinite(values[i])) return false;
+    return true;
+}
+
+/* Names of the states with calculated start values, as far as they fit. */
+static void name_calculated(char text[], size_t size) {
+    size_t used = 0;
+    text[0] = '\0';
+    for (int i = FIRST_STATE; i < FIRST_DERIVATIVE; i++) {
+        if (variables[i].start_kind != CALCULATED) continue;
+        const char *format = used ? ", %s" : "%s";
+        const int more = snprintf(text + used, size - used, format, variables[i].name);
+        if (more < 0 || (size_t)more >= size - used) return;
+        used += (size_t)more;
+    }
+}
+
+/* Start values: the exact ones stay, the calculated ones follow from them and the parameters. */
+static Status settle_start(Instance *self) {
+    double *values = self->state.values;
+    double guess[ROOM(NX)], x[ROOM(NX)] = {0}, defect = 0;
+    for (int i = 0; i < NX; i++) {
+        const VariableInfo *state = &variables[FIRST_STATE + i];
+        guess[i] =
+            state->start_kind == CALCULATED ? self->state.guesses[i] : values[FIRST_STATE + i];
+    }
+    self->arg[0] = guess;
+    self->arg[1] = values + FIRST_PARAMETER;
+    self->res[0] = x;
+    self->res[1] = &defect;
+    const int failed = model_start(self->arg, self->res, self->iw, self->w, 0);
+    if (failed || !all_finite(x, NX) || !(defect <= LARGEST_DEFECT)) {
+        char names[300];
+        name_calculated(names, sizeof names);
+        return refuse(self, DISCARD, "the start values of %s cannot be calculated (defect %.3g)",
+                      names, defect);
+    }
+    memcpy(values + FIRST_STATE, x, NX * sizeof(double));
+    return OK;
+}
+
+/* The common arguments of the equations: t, x, z, u, p. */
+void pass_values(Instance *self) {
+    const double *values = self->state.values;
+    self->arg[0] = values + TIME;
+    self->arg[1] = values + FIRST_STATE;
+    self->arg[2] = values + FIRST_ALGEBRAIC;
+    self->arg[3] = values + FIRST_INPUT;
+    self->arg[4] = values + FIRST_PARAMETER;
+}
+
+/* The margins alone, noted nowhere; 0 is success. */
+static int compute_margins(Instance *self, double margins[]) {
+    pass_values(self);
+    self->res[0] = NULL;
+    self->res[1] = margins;
+    return model_outputs(self->arg, self->res, self->iw, self->w, 0);
+}
+
+/* What to add to a message of failure at the present values. */
+Hint limit_hint(Instance *self) {
+    double margins[ROOM(N_LIMITS)];
+    for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
+    if (N_LIMITS > 0) compute_margins(self, margins);
+    return nearest_limit(self, margins);
+}
+
+/* Algebraic unknowns; the last solution is the guess, and stays where there is no new one. */
+static Status solve_algebraics(Instance *self) {
+    if (NZ == 0) return OK;
+    double z[ROOM(NZ)] = {0};
+    pass_values(self);
+    self->res[0] = z;
+    const int failed = model_algebraic(self->arg, self->res, self->iw, self->w, 0);
+    if (failed || !all_finite(z, NZ)) {
+        const Hint hint = limit_hint(self);
+        return refuse(self, DISCARD, "the algebraic equations have no solution at time %.17g%s%s",
+                      self->state.values[TIME], hint.joint, hint.limit);
+    }
+    memcpy(self->state.values + FIRST_ALGEBRAIC, z, NZ * sizeof(double));
+    return OK;
+}
+
+static Status compute(Instance *self, Equation *equation, double *results, const char *what) {
+    pass_values(self);
+    self->res[0] = results;
+    if (!equation(self->arg, self->res, self->iw, self->w, 0)) return OK;
+    const Hint hint = limit_hint(self);
+    return refuse(self, DISCARD, "the %s cannot be computed at time %.17g%s%s", what,
+                  self->state.values[TIME], hint.joint, hint.limit);
+}
+
+/* Outputs, and with them what the model says of its own validity. */
+static Status compute_outputs(Instance *self) {
+    double margins[ROOM(N_LIMITS)] = {0};
+    self->res[1] = margins;
+    const Status status =
+        compute(self, model_outputs, self->state.values + FIRST_OUTPUT, "outputs");
+    if (status == OK) note_margins(self, margins);
+    return status;
+}
+
+static Status renew(Instance *self, unsigned result) {
+    double *values = self->state.values;
+    switch (result) {
+    case START_VALUES: return settle_start(self);
+    case ALGEBRAICS: return solve_algebraics(self);
+    case DERIVATIVES: return compute(self, model_ode, values + FIRST_DERIVATIVE, "derivatives");
+    case OUTPUTS: return compute_outputs(self);
+    default:
+        self->res[1] = self->jacobian + NX * (NX + NU);
+        return compute(self, model_jacobian, self->jacobian, "Jacobian");
+    }
+}
+
+/* Renew what is stale among `results` and among what they follow from. On failure, discard:
+   nothing is lost, and the importer may shorten its step. */
+Status refresh(Instance *self, unsigned results) {
+    if (results & AFTER_START) results |= START_VALUES;
+    if (results & (DERIVATIVES | OUTPUTS | JACOBIAN)) results |= ALGEBRAICS;
+    for (unsigned result = START_VALUES; result <= JACOBIAN; result <<= 1) {
+        if (!(results & self->state.stale & result)) continue;
+        const Status status = renew(self, result);
+        if (status != OK) return status;
+        self->state.stale &= ~result;
+    }
+    return OK;
+}
+
+/* Look whether limits are left, where nobody has read an output. */
+void note_limits(Instance *self) {
+    if (N_LIMITS > 0) refresh(self, OUTPUTS);
+}
+
+/* The margins of the limits at the present values, which need not be those of a solution. */
+Status get_margins(Instance *self, double margins[]) {
+    const Status status = refresh(self, ALGEBRAICS);
+    if (status != OK || !compute_margins(self, margins)) return status;
+    return refuse(self, DISCARD, "the margins of the limits cannot be computed at time %.17g",
+                  self->state.values[TIME]);
+}

@@ -1,0 +1,100 @@
+
+int fault(const char *function);
+int fault_status(void);
+void choose_fault(const char *resources);
+/* FMI 2.0: the functions of co-simulation. Steps are computed while the importer waits. */
+#include "fmi2_modes.h"
+#include "fmi2_status.h"
+#include "stepping.h"
+
+/* -- inputs and outputs between communication points ------------------------------------------ */
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[]) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    Instance *self = c;
+    if (!allowed(self, IN_SET_INPUT_DERIVATIVES, __func__)) return fmi2Error;
+    return fmi2_status(set_slopes(self, vr, nvr, order, value));
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[]) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    Instance *self = c;
+    if (!allowed(self, IN_GET_OUTPUT_DERIVATIVES, __func__)) return fmi2Error;
+    return fmi2_status(get_rates(self, vr, nvr, order, value));
+}
+
+/* -- steps ------------------------------------------------------------------------------------ */
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
+                      fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    Instance *self = c;
+    (void)noSetFMUStatePriorToCurrentPoint;
+    if (!allowed(self, IN_DO_STEP, __func__)) return fmi2Error;
+    return fmi2_status(do_step(self, currentCommunicationPoint, communicationStepSize));
+}
+
+fmi2Status fmi2CancelStep(fmi2Component c) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    return allowed(c, IN_CANCEL_STEP, __func__) ? fmi2OK : fmi2Error;
+}
+
+/* -- status of the last step: discard what cannot be told ------------------------------------- */
+
+static bool tells(Instance *self, const char *function, bool offered, const void *room,
+                  fmi2Status *status) {
+    *status = fmi2Error;
+    if (!allowed(self, IN_GET_STATUS, function)) return false;
+    if (!room)
+        refuse(self, ERROR, "there is no room for the value");
+    else if (offered)
+        *status = fmi2OK;
+    else
+        *status = fmi2_status(refuse(self, DISCARD, "there is no such status information"));
+    return *status == fmi2OK;
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    Instance *self = c;
+    fmi2Status status;
+    if (tells(self, __func__, s == fmi2DoStepStatus, value, &status))
+        *value = fmi2_status(self->state.step_status);
+    return status;
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    Instance *self = c;
+    fmi2Status status;
+    if (tells(self, __func__, s == fmi2LastSuccessfulTime, value, &status))
+        *value = self->state.values[TIME];
+    return status;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    fmi2Status status;
+    (void)s;
+    tells(c, __func__, false, value, &status);
+    return status;
+}
+
+/* The model never ends the simulation itself. */
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    fmi2Status status;
+    if (tells(c, __func__, s == fmi2Terminated, value, &status)) *value = fmi2False;
+    return status;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
+    if (fault(__func__)) return (fmi2Status)fault_status();
+    fmi2Status status;
+    (void)s;
+    tells(c, __func__, false, value, &status);
+    return status;
+}

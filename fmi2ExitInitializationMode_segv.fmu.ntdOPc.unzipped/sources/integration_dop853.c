@@ -1,0 +1,170 @@
+/* Co-simulation by the pair of dop853.h, whose steps do not end at communication points.
+
+   A step goes on beyond a communication point where the inputs rest, and an interpolant gives the
+   states there: so neither the work nor the result depends on the communication step. Inputs that
+   move, or have just been changed, end a step at the communication point. */
+#include "integration.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "dop853_coefficients.h"
+#include "equations.h"
+#include "evaluation.h"
+#include "midway.h"
+
+/* Errors of steps add up, and the order is high: a hundredth of the tolerance asked for in each
+   step costs 1.8 times the right-hand sides, and brings the error of a run near the tolerance. */
+static const double OF_TOLERANCE = 0.01;
+static const double TIGHTEST = 1e-13; /* about 500 rounding errors */
+static const double ABSOLUTE = 0.01;  /* what is allowed at 0, in nominal values */
+
+typedef struct {
+    Instance *fmu;
+    double began; /* the inputs' values are those of this time */
+    double tolerance;
+    double z[ROOM(NZ)];
+    int trials; /* of steps that are left: MOST_TRIALS of model.h bound the time of a call */
+} Problem;
+
+/* dx/dt; the algebraic unknowns are solved from their last values. */
+static int problem_slope(void *problem, double t, const double *x, double *dx) {
+    Problem *self = problem;
+    Instance *fmu = self->fmu;
+    const double *values = fmu->state.values;
+    double u[ROOM(NU)] = {0}, z[ROOM(NZ)] = {0};
+    for (int i = 0; i < NU; i++)
+        u[i] = values[FIRST_INPUT + i] + fmu->state.slopes[i] * (t - self->began);
+    fmu->arg[0] = &t;
+    fmu->arg[1] = x;
+    fmu->arg[2] = self->z;
+    fmu->arg[3] = u;
+    fmu->arg[4] = values + FIRST_PARAMETER;
+    if (NZ > 0) {
+        fmu->res[0] = z;
+        if (model_algebraic(fmu->arg, fmu->res, fmu->iw, fmu->w, 0) || !all_finite(z, NZ)) return 1;
+        memcpy(self->z, z, sizeof z);
+    }
+    fmu->res[0] = dx;
+    return model_ode(fmu->arg, fmu->res, fmu->iw, fmu->w, 0);
+}
+
+static double problem_scale(const void *problem, int i, double x) {
+    const Problem *self = problem;
+    return self->tolerance * (ABSOLUTE * variables[FIRST_STATE + i].nominal + fabs(x));
+}
+
+/* Start from the instance's own state. */
+static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
+    const double *values = fmu->state.values;
+    memory->until = values[TIME];
+    memcpy(memory->end, values + FIRST_STATE, sizeof memory->end);
+    Slopes k;
+    if (slope(ode, memory->until, memory->end, k[0]) || !is_finite(k[0])) return false;
+    memcpy(memory->slope, k[0], sizeof memory->slope);
+    if (memory->next > 0) return true;
+    const double span = fmin(ahead - memory->until, LARGEST_STEP);
+    memory->next = first_step(ode, memory->until, span, memory->end, k);
+    return true;
+}
+
+/* One step on from the end of the last, no further than `ahead`; it may end beyond `end`. */
+static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end, double ahead) {
+    Slopes k;
+    double x[NX];
+    const double t = memory->until;
+    const double shortest = 10 * DBL_EPSILON * fmax(fabs(t), end - self->began);
+    memcpy(k[0], memory->slope, sizeof k[0]);
+    for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
+        const bool final = t + 1.01 * memory->next >= ahead;
+        const double h = final ? ahead - t : memory->next, after = final ? ahead : t + h;
+        const int lost = stages(ode, t, h, memory->end, k, x);
+        const double error = lost ? NAN : error_of(ode, h, memory->end, x, k);
+        if (!(error <= 1) || slope(ode, after, x, k[END]) || !is_finite(k[END])) {
+            memory->next = h * (error > 1 ? growth(error, rejected) : 0.1);
+            continue;
+        }
+        if (after > end && (interpolate(ode, t, h, memory->end, x, k, &memory->piece) ||
+                            !all_finite(memory->piece.row[0], 8 * NX))) {
+            memset(&memory->piece, 0, sizeof memory->piece);
+            ahead = end;
+            continue;
+        }
+        const double next = h * growth(error, rejected);
+        memory->next = fmin(final ? fmax(memory->next, next) : next, LARGEST_STEP);
+        memory->until = after;
+        memcpy(memory->end, x, sizeof x);
+        memcpy(memory->slope, k[END], sizeof memory->slope);
+        return true;
+    }
+    memory->next = 0;
+    return false;
+}
+
+/* Move the instance to a time that has been reached. */
+static void settle(const Problem *self, const SolverMemory *memory, double time) {
+    State *state = &self->fmu->state;
+    double *values = state->values;
+    if (time < memory->until)
+        evaluate(&memory->piece, time, values + FIRST_STATE);
+    else
+        memcpy(values + FIRST_STATE, memory->end, sizeof memory->end);
+    memcpy(values + FIRST_ALGEBRAIC, self->z, NZ * sizeof *values);
+    for (int i = 0; i < NU; i++) values[FIRST_INPUT + i] += state->slopes[i] * (time - self->began);
+    values[TIME] = time;
+    state->stale |= AFTER_START;
+}
+
+/* The end of a step within a communication step: let others see it, and go on as if nobody had. */
+static bool show(const Problem *self, const SolverMemory *memory, double *end) {
+    State *state = &self->fmu->state;
+    if (N_LIMITS == 0 && !self->fmu->host.step_finished) return true;
+    State before = *state;
+    settle(self, memory, memory->until);
+    const bool well = pass_midway(self->fmu, end);
+    before.mode = state->mode;
+    before.outside = state->outside;
+    memcpy(before.widest, state->widest, sizeof before.widest);
+    *state = before;
+    return well;
+}
+
+bool integrate_to(Instance *self, double end) {
+    if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
+    const State *state = &self->state;
+    const double *u = state->values + FIRST_INPUT;
+    SolverMemory *memory = &self->state.memory;
+    Problem problem = {
+        .fmu = self,
+        .began = state->values[TIME],
+        .tolerance = fmax(OF_TOLERANCE * state->tolerance, TIGHTEST),
+        .trials = MOST_TRIALS,
+    };
+    const Ode ode = {problem_slope, problem_scale, &problem};
+    memcpy(problem.z, state->values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
+
+    bool resting = true;
+    for (int i = 0; i < NU; i++) resting &= state->slopes[i] == 0;
+    const bool first = !(memory->next > 0);
+    const bool same =
+        first || (memcmp(memory->inputs, u, NU * sizeof *u) == 0 && !self->state.retuned);
+    self->state.retuned = false;
+    const double ahead = resting && same ? fmax(state->stop_time, end) : end;
+    const bool goes_on = !first && resting && same && memory->rested > 0;
+    if (!goes_on && !begin(&ode, self, memory, ahead)) {
+        memset(memory, 0, sizeof *memory);
+        return false;
+    }
+    memory->rested = resting;
+    memcpy(memory->inputs, u, NU * sizeof *u);
+
+    while (memory->until < end)
+        if (!step(&ode, &problem, memory, end, ahead) ||
+            (memory->until < end && !show(&problem, memory, &end))) {
+            settle(&problem, memory, memory->until);
+            return false;
+        }
+    settle(&problem, memory, end);
+    return true;
+}

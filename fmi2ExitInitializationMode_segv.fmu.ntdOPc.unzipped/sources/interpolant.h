@@ -1,0 +1,21 @@
+/* The interpolant of one step from t over h, in Hairer's nested form (see dop853.h). */
+#ifndef INTERPOLANT_H
+#define INTERPOLANT_H
+
+#include "ode.h"
+
+typedef struct {
+    double t, h;
+    double row[8][NX];
+} Interpolant;
+
+static inline void evaluate(const Interpolant *p, double t, double *x) {
+    const double s = (t - p->t) / p->h, r = 1 - s;
+    for (int i = 0; i < NX; ++i) {
+        double value = p->row[7][i];
+        for (int j = 6; j >= 0; --j) value = p->row[j][i] + (j % 2 ? r : s) * value;
+        x[i] = value;
+    }
+}
+
+#endif

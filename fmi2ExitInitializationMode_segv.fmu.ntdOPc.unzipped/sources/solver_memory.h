@@ -1,0 +1,28 @@
+/* What the solver of co-simulation goes on from; part of the FMU state, all of it doubles. */
+#ifndef SOLVER_MEMORY_H
+#define SOLVER_MEMORY_H
+
+#include "variables.h"
+
+#if SOLVER_DOP853
+#include "interpolant.h"
+
+typedef struct {
+    Interpolant piece; /* where the last step ended beyond a communication point */
+    double until;      /* end of the last step */
+    double end[NX], slope[NX];
+    double next;             /* size of the step that follows; 0: there was none before */
+    double rested;           /* 1: the inputs did not move during the last step */
+    double inputs[ROOM(NU)]; /* as it began */
+} SolverMemory;
+#else
+typedef struct {
+    double none; /* it starts anew in every communication step */
+} SolverMemory;
+#endif
+
+enum { MEMORY_SIZE = sizeof(SolverMemory) / sizeof(double) };
+
+_Static_assert(sizeof(SolverMemory) == MEMORY_SIZE * sizeof(double), "all of it is doubles");
+
+#endif

@@ -1,0 +1,16 @@
+/* The solver of co-simulation; one of the files integration_*.c is compiled. */
+#ifndef INTEGRATION_H
+#define INTEGRATION_H
+
+#include "state.h"
+#include "visibility.h"
+
+INSIDE_BEGIN
+
+/* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. True
+   where it went as far as was wanted: `Host.step_finished` may bring the end forward. */
+bool integrate_to(Instance *self, double end);
+
+INSIDE_END
+
+#endif

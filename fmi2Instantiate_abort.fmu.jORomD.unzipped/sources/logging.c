@@ -1,0 +1,68 @@
+/* Messages to the importer's logger, by category. */
+#include "logging.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { TEXT_SIZE = 512 };
+
+/* The category of a status; the model description lists the same names. */
+static const char *const categories[] = {"logStatusWarning", "logStatusDiscard", "logStatusError"};
+
+enum { N_CATEGORIES = sizeof categories / sizeof *categories };
+
+/* Importers read '%' as in printf and '#' as a variable's reference: let neither through. */
+static void disarm(char *text) {
+    for (; *text; text++)
+        if (*text == '%' || *text == '#' || (unsigned char)*text < ' ') *text = '?';
+}
+
+static void log_arguments(const Instance *self, Status status, const char *format, va_list list) {
+    const unsigned category = (unsigned)status - WARNING;
+    if (!self->host.logger || !(self->categories >> category & 1)) return;
+    char text[TEXT_SIZE];
+    const int used = snprintf(text, sizeof text, "%s: ", self->function);
+    if (used < 0 || used >= TEXT_SIZE) return;
+    vsnprintf(text + used, sizeof text - (size_t)used, format, list);
+    disarm(text);
+    self->host.log(self, status, categories[category], text);
+}
+
+/* Log "FUNCTION: MESSAGE" where the category of the status is on. */
+void log_text(const Instance *self, Status status, const char *format, ...) {
+    va_list list;
+    va_start(list, format);
+    log_arguments(self, status, format, list);
+    va_end(list);
+}
+
+/* Log why, and return the status. After an error only reset, restore and free lead on:
+   FMI 2 has a state for that, FMI 3 terminates. */
+Status refuse(Instance *self, Status status, const char *format, ...) {
+    va_list list;
+    va_start(list, format);
+    log_arguments(self, status, format, list);
+    va_end(list);
+    if (status == ERROR) self->state.mode = self->host.fmi_version == 2 ? FAULTY : TERMINATED;
+    return status;
+}
+
+/* Switch categories: all of them when none is named. FMI 2 leaves exactly the named ones on,
+   FMI 3 adds them. */
+Status choose_categories(Instance *self, bool on, size_t count, const char *const names[]) {
+    if (count > 0 && !names) return refuse(self, ERROR, "%zu categories, but no list", count);
+    uint32_t chosen = count == 0 ? UINT32_MAX : 0;
+    for (size_t i = 0; i < count; i++) {
+        uint32_t k = 0;
+        while (k < N_CATEGORIES && (!names[i] || strcmp(names[i], categories[k]) != 0)) k++;
+        if (k == N_CATEGORIES)
+            return refuse(self, ERROR, "log category %.80s is unknown; known: %s, %s, %s",
+                          names[i] ? names[i] : "NULL", categories[0], categories[1],
+                          categories[2]);
+        chosen |= UINT32_C(1) << k;
+    }
+    const uint32_t kept = self->host.fmi_version == 2 ? 0 : self->categories;
+    self->categories = on ? kept | chosen : self->categories & ~chosen;
+    return OK;
+}

@@ -1,0 +1,157 @@
+/* Analytic derivatives of all results along a seed.
+
+   Seeds and sensitivities are laid out like the values, by value reference. In
+   initialization mode the calculated start values follow from the exact ones and the parameters;
+   later all states are independent. */
+#include "sensitivity.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "access.h"
+#include "evaluation.h"
+#include "logging.h"
+
+bool starting(const Instance *self) {
+    return self->state.mode == INITIALIZATION_MODE;
+}
+
+static bool is_known(const Instance *self, const VariableInfo *variable) {
+    switch (variable->role) {
+    case STATE: return variable->start_kind != CALCULATED || !starting(self);
+    case TIME:
+    case INPUT:
+    case PARAMETER: return true;
+    default: return false;
+    }
+}
+
+static bool is_unknown(const VariableInfo *variable) {
+    return variable->role != TIME && variable->role != INPUT && variable->role != PARAMETER;
+}
+
+Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                   const uint32_t knowns[], size_t n_knowns) {
+    if (!known(self, unknowns, n_unknowns) || !known(self, knowns, n_knowns)) return ERROR;
+    for (size_t i = 0; i < n_unknowns; i++)
+        if (!is_unknown(&variables[unknowns[i]]))
+            return refuse(self, ERROR, "%s is not an unknown", variables[unknowns[i]].name);
+    for (size_t i = 0; i < n_knowns; i++)
+        if (!is_known(self, &variables[knowns[i]]))
+            return refuse(self, ERROR, "%s is not a known", variables[knowns[i]].name);
+    return refresh(self, ALGEBRAICS);
+}
+
+Status run(Instance *self, Equation *equation) {
+    if (equation(self->arg, self->res, self->iw, self->w, 0))
+        return refuse(self, DISCARD, "the derivative has no value");
+    return OK;
+}
+
+static Status refuse_not_finite(Instance *self, uint32_t reference, double value) {
+    return refuse(self, DISCARD, "the derivative of %s is %g", variables[reference].name, value);
+}
+
+Status gather(Instance *self, const uint32_t references[], size_t count, const double results[],
+              double values[]) {
+    for (size_t i = 0; i < count; i++)
+        if (!isfinite(results[references[i]]))
+            return refuse_not_finite(self, references[i], results[references[i]]);
+    for (size_t i = 0; i < count; i++) values[i] = results[references[i]];
+    return OK;
+}
+
+/* Spread a seed of exact starts and parameters to the calculated start values. */
+Status spread_to_starts(Instance *self, double seed[]) {
+    double x[ROOM(NX)] = {0};
+    self->arg[0] = self->state.values + FIRST_STATE;
+    self->arg[1] = self->state.values + FIRST_PARAMETER;
+    self->arg[2] = seed + FIRST_STATE;
+    self->arg[3] = seed + FIRST_PARAMETER;
+    self->res[0] = x;
+    const Status status = run(self, model_start_directional);
+    if (status == OK) memcpy(seed + FIRST_STATE, x, NX * sizeof(double));
+    return status;
+}
+
+/* Derivatives of everything along a seed of what is independent; replaces the seed. */
+static Status push_forward(Instance *self, double seed[]) {
+    double result[N_VARIABLES];
+    memcpy(result, seed, sizeof result);
+    pass_values(self);
+    self->arg[5] = seed + FIRST_STATE;
+    self->arg[6] = seed + FIRST_INPUT;
+    self->arg[7] = seed + FIRST_PARAMETER;
+    self->arg[8] = seed + TIME;
+    self->res[0] = result + FIRST_DERIVATIVE;
+    self->res[1] = result + FIRST_ALGEBRAIC;
+    self->res[2] = result + FIRST_OUTPUT;
+    const Status status = run(self, model_directional);
+    if (status == OK) memcpy(seed, result, sizeof result);
+    return status;
+}
+
+/* Does the Jacobian of dx and z with respect to x and u answer? It costs as much as two or three
+   columns on their own, is kept until a setter makes it stale, and serves importers that ask column
+   by column. */
+static bool in_jacobian(const Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                        const uint32_t knowns[], size_t n_knowns) {
+    if (starting(self) || n_knowns != 1) return false;
+    const Role known_role = variables[knowns[0]].role;
+    if (known_role != STATE && known_role != INPUT) return false;
+    for (size_t i = 0; i < n_unknowns; i++) {
+        const Role role = variables[unknowns[i]].role;
+        if (role != DERIVATIVE && role != ALGEBRAIC) return false;
+    }
+    return true;
+}
+
+static Status column_of_jacobian(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                                 uint32_t known_reference, double seed, double sensitivity[]) {
+    const Status status = refresh(self, JACOBIAN);
+    if (status != OK) return status;
+    const bool is_state = variables[known_reference].role == STATE;
+    const size_t column =
+        is_state ? known_reference - FIRST_STATE : known_reference - FIRST_INPUT + NX;
+    const double *dx = self->jacobian + column * NX;
+    const double *z = self->jacobian + NX * (NX + NU) + column * NZ;
+    for (size_t i = 0; i < n_unknowns; i++) {
+        const uint32_t k = unknowns[i];
+        const bool is_rate = variables[k].role == DERIVATIVE;
+        sensitivity[i] = seed * (is_rate ? dx[k - FIRST_DERIVATIVE] : z[k - FIRST_ALGEBRAIC]);
+        if (!isfinite(sensitivity[i])) return refuse_not_finite(self, k, sensitivity[i]);
+    }
+    return OK;
+}
+
+/* Jacobian of the unknowns with respect to the knowns, times the seed of the knowns. */
+Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                   const uint32_t knowns[], size_t n_knowns, const double seed[],
+                   double sensitivity[]) {
+    Status status = check_roles(self, unknowns, n_unknowns, knowns, n_knowns);
+    if (status != OK) return status;
+    if (n_knowns > 0 && !seed) return refuse(self, ERROR, "the seed is missing");
+    if (n_unknowns > 0 && !sensitivity) return refuse(self, ERROR, "there is no room for results");
+
+    if (in_jacobian(self, unknowns, n_unknowns, knowns, n_knowns))
+        return column_of_jacobian(self, unknowns, n_unknowns, knowns[0], seed[0], sensitivity);
+    double along[N_VARIABLES] = {0};
+    for (size_t i = 0; i < n_knowns; i++) along[knowns[i]] += seed[i];
+    if (starting(self)) status = spread_to_starts(self, along);
+    if (status == OK) status = push_forward(self, along);
+    return status == OK ? gather(self, unknowns, n_unknowns, along, sensitivity) : status;
+}
+
+/* Derivatives of unknowns with respect to time along the solution, inputs moving as declared. */
+Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]) {
+    Status status = check_roles(self, unknowns, count, NULL, 0);
+    if (status == OK) status = refresh(self, DERIVATIVES);
+    if (status != OK) return status;
+    if (!rates) return refuse(self, ERROR, "there is no room for the values");
+
+    double along[N_VARIABLES] = {[TIME] = 1};
+    memcpy(along + FIRST_STATE, self->state.values + FIRST_DERIVATIVE, NX * sizeof(double));
+    memcpy(along + FIRST_INPUT, self->state.slopes, NU * sizeof(double));
+    status = push_forward(self, along);
+    return status == OK ? gather(self, unknowns, count, along, rates) : status;
+}

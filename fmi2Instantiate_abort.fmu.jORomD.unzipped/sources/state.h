@@ -1,0 +1,88 @@
+/* The data of one instance: what continues a run, and who asked for it. No function is here. */
+#ifndef STATE_H
+#define STATE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "solver_memory.h"
+
+/* Numbered as in FMI 2 and FMI 3. */
+typedef enum { OK, WARNING, DISCARD, ERROR } Status;
+
+/* The states of the FMI state machines and the two interfaces: bits of masks of what is allowed. */
+enum {
+    INSTANTIATED = 1 << 0,
+    INITIALIZATION_MODE = 1 << 1,
+    EVENT_MODE = 1 << 2,
+    CONTINUOUS_TIME_MODE = 1 << 3,
+    STEP_MODE = 1 << 4, /* FMI 2: step complete */
+    STEP_FAILED = 1 << 5,
+    TERMINATED = 1 << 6,
+    FAULTY = 1 << 7, /* FMI 2: error */
+    INTERFACE_ME = 1 << 8,
+    INTERFACE_CS = 1 << 9,
+    INTERMEDIATE_UPDATE = 1 << 10, /* FMI 3: within a communication step */
+    EITHER = INTERFACE_ME | INTERFACE_CS
+};
+
+/* Results that a setter made stale, in the order in which they are computed. */
+enum {
+    START_VALUES = 1 << 0,
+    ALGEBRAICS = 1 << 1,
+    DERIVATIVES = 1 << 2,
+    OUTPUTS = 1 << 3,
+    JACOBIAN = 1 << 4,
+    AFTER_START = ALGEBRAICS | DERIVATIVES | OUTPUTS | JACOBIAN,
+    EVERYTHING = START_VALUES | AFTER_START
+};
+
+/* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
+   equal bytes here give equal results ever after. */
+typedef struct {
+    double values[N_VARIABLES]; /* by value reference */
+    double slopes[ROOM(NU)];    /* du/dt within the communication step */
+    double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
+    SolverMemory memory;
+    double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
+    double stop_time;              /* infinite where none was given */
+    double tolerance;              /* relative, of co-simulation */
+    uint32_t interface;            /* INTERFACE_ME or INTERFACE_CS */
+    uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_UPDATE */
+    uint32_t stale;                /* of START_VALUES ... JACOBIAN */
+    uint32_t experiment_set;       /* start time and tolerance are settled */
+    uint32_t slopes_spent;         /* they belong to a step that is over */
+    uint32_t step_status;          /* of the last communication step */
+    uint32_t retuned;              /* a parameter has changed since the last one */
+    uint32_t outside;              /* limits of the model that are left, a bit each */
+} State;
+
+typedef struct Instance Instance;
+
+/* The importer, as far as the shared part must know it. */
+typedef struct {
+    unsigned fmi_version;
+    void (*log)(const Instance *self, Status status, const char *category, const char *text);
+    void (*logger)(void); /* the importer's, of a type that `log` knows; may be NULL */
+    void *environment;
+    bool (*step_finished)(Instance *self, double *end); /* may bring the end forward; or NULL */
+    void (*update)(void); /* the importer's, of a type that `step_finished` knows */
+    bool may_return_early;
+} Host;
+
+struct Instance {
+    State state;
+    uint64_t magic; /* tells an instance from other memory */
+    Host host;
+    const char *name;
+    const char *function; /* the FMI function that runs, for messages */
+    uint32_t categories;  /* log categories that are on, a bit each */
+    double *jacobian;     /* of dx, then of z, with respect to x and u; columns */
+    const double **arg;   /* work space of the equations */
+    double **res;
+    long long *iw;
+    double *w;
+};
+
+#endif

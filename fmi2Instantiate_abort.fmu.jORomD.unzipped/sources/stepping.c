@@ -1,0 +1,100 @@
+/* Co-simulation: communication steps with inputs that move linearly within them. */
+#include "stepping.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "access.h"
+#include "evaluation.h"
+#include "integration.h"
+#include "logging.h"
+#include "sensitivity.h"
+
+static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
+
+static void drop_spent_slopes(Instance *self) {
+    if (self->state.slopes_spent) memset(self->state.slopes, 0, sizeof self->state.slopes);
+    self->state.slopes_spent = false;
+}
+
+/* One communication step. FMI 2 keeps what was reached when a step fails, and discards; FMI 3
+   wants the instance as it was before. */
+Status do_step(Instance *self, double from, double length) {
+    const double now = self->state.values[TIME], end = from + length;
+    const double slack = fmin(CLOCK_TOLERANCE * fmax(fabs(now), length), length / 2);
+    if (!(length > 0) || !isfinite(end))
+        return refuse(self, ERROR, "step size %g from time %g is not positive and finite", length,
+                      from);
+    if (!(fabs(from - now) <= slack))
+        return refuse(self, ERROR, "the step begins at %.17g, the time here is %.17g", from, now);
+    if (end > self->state.stop_time + slack)
+        return refuse(self, ERROR, "the step ends at %.17g, beyond the stop time %.17g", end,
+                      self->state.stop_time);
+
+    drop_spent_slopes(self);
+    const State before = self->state;
+    const bool done = integrate_to(self, end);
+    if (self->state.mode != STEP_MODE) return ERROR; /* the importer's callback has erred */
+    self->state.slopes_spent = true;
+    self->state.step_status = done ? OK : DISCARD;
+    if (done) {
+        note_limits(self);
+        return OK;
+    }
+    const double reached = self->state.values[TIME];
+    const Hint hint = limit_hint(self);
+    if (self->host.fmi_version == 3)
+        self->state = before;
+    else
+        self->state.mode = STEP_FAILED;
+    return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g%s%s", now,
+                  end, reached, hint.joint, hint.limit);
+}
+
+static Status check_orders(Instance *self, size_t count, const int32_t orders[]) {
+    if (!orders) return refuse(self, ERROR, "the orders are missing");
+    for (size_t i = 0; i < count; i++)
+        if (orders[i] < 1)
+            return refuse(self, ERROR, "there is no derivative of order %d", (int)orders[i]);
+    return OK;
+}
+
+/* First time derivatives of inputs for the next communication step; what has another order is
+   dropped, as an importer may offer whatever its own side knows. */
+Status set_slopes(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+                  const double values[]) {
+    if (count == 0) return OK;
+    if (!known(self, references, count)) return ERROR;
+    if (!orders) return refuse(self, ERROR, "the orders are missing");
+    if (!values) return refuse(self, ERROR, "there are no values");
+    for (size_t i = 0; i < count; i++) {
+        const VariableInfo *variable = &variables[references[i]];
+        if (variable->role != INPUT)
+            return refuse(self, ERROR, "%s is not an input", variable->name);
+        if (!isfinite(values[i]))
+            return refuse(self, DISCARD, "derivative %g of %s is not finite", values[i],
+                          variable->name);
+    }
+    drop_spent_slopes(self);
+    Status status = OK;
+    for (size_t i = 0; i < count; i++)
+        if (orders[i] == 1)
+            self->state.slopes[references[i] - FIRST_INPUT] = values[i];
+        else
+            status = refuse(self, WARNING,
+                            "inputs move linearly; the derivative of order %d of %s is dropped",
+                            (int)orders[i], variables[references[i]].name);
+    return status;
+}
+
+/* Time derivatives of outputs along the solution; those of higher order are given as 0. */
+Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+                 double values[]) {
+    if (count == 0) return OK;
+    if (check_orders(self, count, orders) != OK) return ERROR;
+    const Status status = time_derivatives(self, references, count, values);
+    if (status != OK) return status;
+    for (size_t i = 0; i < count; i++)
+        if (orders[i] > 1) values[i] = 0.0;
+    return OK;
+}

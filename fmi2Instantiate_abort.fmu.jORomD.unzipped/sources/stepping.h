@@ -1,0 +1,19 @@
+/* Co-simulation: communication steps with inputs that move linearly within them. A step that is
+   fine may have been ended early by `Host.step_finished`; time tells. */
+#ifndef STEPPING_H
+#define STEPPING_H
+
+#include "state.h"
+#include "visibility.h"
+
+INSIDE_BEGIN
+
+Status do_step(Instance *self, double from, double length);
+Status set_slopes(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+                  const double values[]);
+Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+                 double values[]);
+
+INSIDE_END
+
+#endif
