@@ -1,6 +1,7 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -8,8 +9,9 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
+from cosim.codegen.compiler import has_compiler, time_compiling
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
+from cosim.host.progress import doing
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
@@ -114,7 +116,9 @@ def simulate(
     if compiled is None:
         compiled = has_compiler()
     problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
-    solution = first = solve(problem, chosen, values, on_invalid)
+    before = time_compiling()
+    with doing(dae.full_name):
+        solution = first = solve(problem, chosen, values, on_invalid)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
@@ -126,6 +130,8 @@ def simulate(
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
+    if (compiling := time_compiling() - before) > 0:
+        stats = replace(stats, compile_time=compiling)
     drawing = dae.drawing.with_numbers(numbers_of(dae, values))
     columns, places = recorded(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
