@@ -51,6 +51,7 @@ class Trajectory:
         stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
         drawing: What the model looks like, with the run's parameters; None where nobody knows.
+        numbers: Parameters and constant inputs that it was run with, SI; None where nobody knows.
         again: Computes the run at other times within its span; None where nothing can.
 
     Raises:
@@ -74,6 +75,7 @@ class Trajectory:
     status: str = "complete"
     drawing: Drawing | None = field(default=None, repr=False)
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
+    numbers: Mapping[str, float] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
@@ -326,6 +328,7 @@ class Trajectory:
             "columns": [asdict(column) for column in self.columns],
             "stats": dict(self.stats),
             "status": self.status,
+            "numbers": None if self.numbers is None else dict(self.numbers),
         }
         content = io.BytesIO()
         np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))

@@ -111,8 +111,8 @@ def simulate(
         raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
     if project and solver is None:
         solver = Dop853.name
-    numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, **numbers)  # type: ignore[arg-type]  # all are numbers
+    settings = {name: value for name, value in shorthand.items() if name in NUMBERS}
+    chosen = chosen_solver(dae, solver, **settings)  # type: ignore[arg-type]  # all are numbers
     if compiled is None:
         compiled = has_compiler()
     problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
@@ -132,11 +132,14 @@ def simulate(
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
     if (compiling := time_compiling() - before) > 0:
         stats = replace(stats, compile_time=compiling)
-    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
+    numbers = numbers_of(dae, values)
+    drawing = dae.drawing.with_numbers(numbers)
     columns, places = recorded(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
     table = solution.table if everything else solution.table[:, places]
-    run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
+    run = Trajectory(
+        dae.full_name, time, columns, table, stats, status, drawing=drawing, numbers=numbers
+    )
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:

@@ -113,7 +113,24 @@ def simulate_fmu(
     if calls is not None:
         stats["rhs_calls"] = calls[0]
     columns = tuple(column_of(variables[name]) for name in names)
-    return Trajectory(description.modelName, time, columns, rows, stats)
+    numbers = numbers_of_run(variables, values)
+    return Trajectory(description.modelName, time, columns, rows, stats, numbers=numbers)
+
+
+def numbers_of_run(variables: Mapping[str, Any], given: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters and inputs that an FMU is run with: what is given, else its own."""
+    kinds = ("parameter", "input")
+    found = {n: v.start for n, v in variables.items() if v.causality in kinds and is_number(v)}
+    own = {name: float(start) for name, start in found.items() if _is_float(start)}
+    return own | {name: value for name, value in given.items() if name in found}
+
+
+def _is_float(text: Any) -> bool:
+    try:
+        float(text)
+    except (TypeError, ValueError):  # there is none, it is an array, or true
+        return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.many_values import assign_many
 from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import listed, number
+from cosim.model.values import assign, listed, number, numbers_of
 
 
 def simulate_many(
@@ -118,7 +118,12 @@ def simulate_many(
     ensemble = _without_first(ensemble, first)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **ensemble.stats}
-    ensemble = replace(ensemble, stats=stats | {"wall_time": perf_counter() - began})
+    ensemble = replace(
+        ensemble,
+        stats=stats | {"wall_time": perf_counter() - began},
+        drawing=dae.drawing,
+        numbers=numbers_of(dae, assign(dae)),
+    )
     if interrupted:
         done = int(ensemble.complete.sum())
         raise Interrupted(
