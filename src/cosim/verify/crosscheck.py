@@ -112,6 +112,11 @@ def crosscheck(
         UnknownName: A model does not exist.
         UsageError, ParameterError: A number or a scene makes no sense.
         MissingTool: There is no C compiler.
+
+    Example:
+        >>> checks = crosscheck("crank_shaft/driven", stop_time=0.5)
+        >>> [str(check.road) for check in checks], checks.agree
+        (['fmu-me', 'fmu-cs'], True)
     """
     number("crosscheck", "bound", bound, positive=True)
     if isinstance(models, str | Scene):

@@ -75,6 +75,13 @@ def simulate_fmu(
         SecurityError: The archive would write outside its folder, or its XML is dangerous.
         UnknownName: A variable or the interface does not exist.
         UsageError, ParameterError: A variable cannot be set or recorded, or a number is wrong.
+
+    Example:
+        >>> import cosim
+        >>> path = cosim.export_fmu(cosim.load("crank_shaft"), "crank.fmu")
+        >>> run = simulate_fmu(path, start={"omega": 10.0}, stop_time=1)
+        >>> round(run.final["omega"], 6)  # 10 rad/s2 for a second
+        20.0
     """
     began = perf_counter()
     with unpacked(path) as folder:

@@ -53,6 +53,12 @@ class Ensemble:
         stats: What all of it took: solver, relative_tolerance, solve_time [s], wall_time [s], ...
         drawing: What the model looks like; None where nobody knows.
         numbers: Parameters and constant inputs where nothing was given, SI; None where unknown.
+
+    Example:
+        >>> import cosim
+        >>> many = cosim.simulate_many(cosim.load("crank_shaft"), {"omega": [40, 50]}, stop_time=1)
+        >>> many.status, many["phi"].shape
+        ('2 complete', (2, 101))
     """
 
     model: str

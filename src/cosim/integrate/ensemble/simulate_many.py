@@ -76,6 +76,13 @@ def simulate_many(
         UnknownName, UsageError, MissingTool: See `simulate`.
         ParameterError: Arrays differ in length, or times do not increase.
         Interrupted: Ctrl-C; `partial` is the ensemble with the runs that had ended.
+
+    Example:
+        >>> import cosim
+        >>> gravity = {"g": [1.62, 9.81]}  # of the Moon, of the Earth
+        >>> many = simulate_many(cosim.load("bicycle"), gravity, outputs=["phi"], stop_time=1)
+        >>> many["phi"].shape
+        (2, 101)
     """
     began = perf_counter()
     if not isinstance(on_invalid, str) or on_invalid not in ON_INVALID:

@@ -83,6 +83,11 @@ def animate(
         UnknownName: The file's ending, the view or a label is not known.
         MissingTool: An extra package is not installed.
         ExportError: The file cannot be written.
+
+    Example:
+        >>> import cosim
+        >>> animate(cosim.simulate("crank_shaft", stop_time=0.1), "crank.png").name
+        'crank.png'
     """
     shown = [runs] if isinstance(runs, Trajectory) else list(runs)
     if not shown or not all(isinstance(run, Trajectory) for run in shown):
