@@ -262,17 +262,14 @@ class Trajectory:
     def _repr_html_(self) -> str:
         if not len(self) or not self.columns:
             return html_table((), self._headline())
-        from base64 import b64encode
-
-        from cosim.plotting import picture
+        from cosim.plotting import embedded
 
         shown = self.select(self.names[:SHOWN_PANELS])
-        content = b64encode(picture(shown.plot(), "png", dpi=60)).decode()
         rows = summary_rows(self.columns, self.time, self.values, when=True)
         left = len(rows) - MOST_LINES
         table = html_table(rows[:MOST_LINES], self._headline(), digits=6)
         more = f"<p>... and {left} more: run.summary()</p>" if left > 0 else ""
-        return f'<img alt="curves" src="data:image/png;base64,{content}"/>{table}{more}'
+        return f"{embedded(shown.plot(), 'curves')}{table}{more}"
 
     def _ipython_key_completions_(self) -> list[str]:
         return ["time", *self.names]
