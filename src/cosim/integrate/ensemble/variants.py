@@ -27,7 +27,7 @@ from cosim.integrate.ensemble.lanes import (
     run_lanes,
 )
 from cosim.integrate.initial_values import start_values
-from cosim.integrate.outputs import all_columns
+from cosim.integrate.run.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solver import Tolerance
 from cosim.memo import kept_per_thread

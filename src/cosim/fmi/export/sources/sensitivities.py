@@ -7,6 +7,11 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
+from cosim.codegen.directional_jacobian import (
+    derivative_along,
+    has_long_jacobian,
+    jacobian_in_a_loop,
+)
 from cosim.memo import kept_per_thread
 
 
@@ -20,10 +25,14 @@ def sensitivity_functions(dae: Dae, *, adjoint: bool) -> list[ca.Function]:
     ]
 
 
-def directional_function(dae: Dae) -> ca.Function:
+def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
     """Return `model_directional(t, x, z, u, p, seed_x, seed_u, seed_p, seed_t)`.
 
     Its results are the derivatives of dx/dt, z and the outputs along the seeds.
+
+    Args:
+        dae: The model.
+        in_a_loop: See `jacobian_function`, which then calls the same derivative of the laws.
     """
     call = [dae.t, dae.x, dae.z, dae.u, dae.p]
     known = [dae.x, dae.u, dae.p, dae.t]
@@ -37,33 +46,67 @@ def directional_function(dae: Dae) -> ca.Function:
         {"cse": True},
     )
     variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
+    looped = _is_large(dae) if in_a_loop is None else in_a_loop
     explicit = ca.Function(
         "along_all",
         [*call, *seeds, seed_z],
-        [ca.jtimes(expression, variables, seed) for expression in (dae.ode, dae.outputs)],
+        [ca.jtimes(e, variables, seed) for e in (dae.ode, dae.outputs)[looped:]],
         {"cse": True},
     )
-    arguments = [_like(symbol) for symbol in (*call, *seeds)]
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
     sens_z = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
-    sens_ode, sens_outputs = explicit(*arguments, sens_z)
-    return ca.Function("model_directional", arguments, [sens_ode, sens_z, sens_outputs])
+    *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
+    if looped:
+        seed_x, seed_u, seed_p, seed_t = arguments[len(call) :]
+        moved = ca.vertcat(seed_x, seed_u, sens_z, seed_p, seed_t)
+        sens_ode = [_along_laws(dae)(ca.vertcat(*arguments[: len(call)]), moved)[: dae.x.numel()]]
+    return ca.Function("model_directional", arguments, [*sens_ode, sens_z, sens_outputs])
 
 
 @kept_per_thread(4)
-def jacobian_function(dae: Dae) -> ca.Function:
-    """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense."""
+def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
+    """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense.
+
+    Args:
+        dae: The model.
+        in_a_loop: Whether it is a loop over directional derivatives instead of formulas; where
+            these are too long when None.
+    """
     call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
-    blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
-    arguments = [_like(symbol) for symbol in call]
-    ode_known, ode_z, alg_known, alg_z = ca.Function("blocks", call, blocks, {"cse": True})(
-        *arguments
-    )
+    arguments = [argument_like(symbol) for symbol in call]
+    if _is_large(dae) if in_a_loop is None else in_a_loop:
+        laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
+        pattern = ca.jacobian_sparsity(laws, unknowns)
+        looped = jacobian_in_a_loop("blocks", _along_laws(dae), pattern)
+        whole, nx, n = looped(ca.vertcat(*arguments)), dae.x.numel(), known.numel()
+        (ode_known, ode_z), (alg_known, alg_z) = ca.blocksplit(
+            whole, [0, nx, whole.size1()], [0, n, whole.size2()]
+        )
+    else:
+        blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+        written_out = ca.Function("blocks", call, blocks, {"cse": True})
+        ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
     if not dae.algebraics:
         return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
     z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
     total = ca.densify(ode_known + ode_z @ z_known)
     return ca.Function("model_jacobian", arguments, [total, z_known])
+
+
+@kept_per_thread(4)
+def _is_large(dae: Dae) -> bool:
+    """Tell whether the formulas of the Jacobian are too long."""
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    return has_long_jacobian(call, ca.vertcat(dae.ode, dae.alg), ca.vertcat(dae.x, dae.u, dae.z))
+
+
+@kept_per_thread(4)
+def _along_laws(dae: Dae) -> ca.Function:
+    """Return the derivative of dx/dt and the algebraic equations along (x, u, z, p, t)."""
+    laws, unknowns = (dae.ode, dae.alg), (dae.x, dae.u, dae.z, dae.p, dae.t)
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    return derivative_along("along_laws", call, ca.vertcat(*laws), ca.vertcat(*unknowns))
 
 
 def adjoint_function(dae: Dae) -> ca.Function:
@@ -86,7 +129,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
         [ca.jtimes(everything, v, all_seeds, True) for v in (dae.x, dae.u, dae.p, dae.t)],
         {"cse": True},
     )
-    arguments = [_like(symbol) for symbol in (*call, *seeds)]
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
     solved = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
@@ -94,7 +137,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
 
 def start_directional_function(dae: Dae) -> ca.Function:
     """Return `model_start_directional(x, p, seed_x, seed_p)`: of settled starts, along seeds."""
-    x, p, seed_x, seed_p = (_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
+    x, p, seed_x, seed_p = (argument_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
     moved = _along_starts(dae, x, p, seed_x, seed_p)
     return ca.Function("model_start_directional", [x, p, seed_x, seed_p], [moved])
 
@@ -123,5 +166,6 @@ def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
     return ca.Function(name, [dae.x, dae.p, *seeds], results, {"cse": True})
 
 
-def _like(symbol: SX) -> MX:
+def argument_like(symbol: SX) -> MX:
+    """Return a symbol of the same sparsity, as functions around others take it."""
     return MX.sym("argument", symbol.sparsity())

@@ -9,7 +9,7 @@ import numpy as np
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
 from cosim.errors import SolverError, UsageError
-from cosim.integrate.run_stats import RunStats
+from cosim.integrate.run.run_stats import RunStats
 from cosim.memo import kept_per_thread
 from cosim.model.driving import names_of
 from cosim.model.formula import margin

@@ -8,7 +8,7 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from cosim.cli.main import main
-from cosim.integrate.inspection import inspect_start
+from cosim.integrate.diagnosis.inspection import inspect_start
 
 
 def test_start_of_the_bicycle_is_regular_and_both_wheels_carry():

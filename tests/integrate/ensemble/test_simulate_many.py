@@ -22,7 +22,7 @@ from cosim.errors import (
 )
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.simulate_many import simulate_many
-from cosim.integrate.outputs import _lane_library
+from cosim.integrate.run.outputs import _lane_library
 
 ROLLS = np.linspace(0.3, 0.5, 37)
 

@@ -12,7 +12,7 @@ from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.runge_kutta.lane_library import lane_outputs, processor_lanes
 from cosim.errors import UsageError
-from cosim.integrate.call import call_on_arrays
+from cosim.integrate.run.call import call_on_arrays
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import no_such_output
 from cosim.trajectory import Column
@@ -83,7 +83,9 @@ def all_columns(dae: Dae) -> tuple[Column, ...]:
 
 
 @kept_per_thread(16)
-def recorded(dae: Dae, names: tuple[str, ...]) -> tuple[tuple[Column, ...], tuple[int, ...]]:
+def recorded_columns(
+    dae: Dae, names: tuple[str, ...]
+) -> tuple[tuple[Column, ...], tuple[int, ...]]:
     """Return the columns of these names, and their places among `all_columns`."""
     every = all_columns(dae)
     place = {column.name: i for i, column in enumerate(every)}
