@@ -204,27 +204,31 @@ def given_numbers(
     for name in start:
         if name not in variables:
             raise UnknownName.among(str(path), "start value", name, settable)
-        if name not in settable:
+        if variables[name].name not in settable:
             raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
-    return {name: number(str(path), name, value) for name, value in start.items()}
+    return {variables[name].name: number(str(path), name, value) for name, value in start.items()}
 
 
 def recorded(
     path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
 ) -> list[str]:
     if outputs is None:
-        return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
+        return [
+            n
+            for n, v in variables.items()
+            if v.causality == "output" and is_number(v) and n == v.name
+        ]
     wanted = listed(f"{path}: outputs", outputs)
     for name in wanted:
         if name not in variables:
             raise UnknownName.among(str(path), "output", name, variables)
         if not is_number(variables[name]):
             raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(wanted))
+    return list(dict.fromkeys(variables[name].name for name in wanted))
 
 
 def _input_variables(description: Any) -> dict[str, Any]:
-    return {v.name: v for v in description.modelVariables if v.causality == "input"}
+    return {n: v for n, v in by_name(description).items() if v.causality == "input"}
 
 
 def refuse_series(
