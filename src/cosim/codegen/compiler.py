@@ -51,7 +51,7 @@ _EXHAUSTED = re.compile(
     re.IGNORECASE,
 )
 
-_HOW = "install gcc or clang, or the bundled one: pip install 'cosim-rigid[zig]'"
+_HOW = 'install gcc or clang, or the bundled one: pip install "cosim-rigid[zig]"'
 
 
 def find_compiler() -> tuple[str, ...]:
