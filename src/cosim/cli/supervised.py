@@ -4,7 +4,6 @@ Only on Linux; elsewhere the command runs as it is. Windows cannot split a proce
 of macOS do not survive it.
 """
 
-import ctypes
 import os
 import signal
 import sys
@@ -14,8 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-
-from cosim.host.temporary import remove_leftovers
 
 GRACE = 5.0  # s, that a child has to end after Ctrl-C
 _DIE_WITH_PARENT, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of Linux
@@ -73,6 +70,8 @@ def remove_leftovers_of_temporary() -> None:
     """Remove the temporary folders of a child that did not end by itself."""
     import tempfile
 
+    from cosim.host.temporary import remove_leftovers
+
     remove_leftovers(Path(tempfile.gettempdir()))
 
 
@@ -94,6 +93,8 @@ def _work(work: Callable[[], int], writer: int) -> None:
 
 
 def _control(option: int, value: int) -> None:
+    import ctypes
+
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(option, value)
 
