@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Integers = NDArray[np.int64]
 Truths = NDArray[np.bool_]
 Vector = NDArray[np.float64]  # of any number of dimensions; docstrings give the shape
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
 from cosim.series.column import Column, summary_rows
-from cosim.series.csv_file import in_si, read_samples, repr_17, write_columns
+from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
 from cosim.series.frames import data_frame, data_set
 from cosim.series.interpolation import resample, times_within
 from cosim.series.npz_file import npz_bytes, read_npz
@@ -50,6 +50,7 @@ class Trajectory:
         stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
         drawing: What the model looks like, with the run's parameters; None where nobody knows.
+        numbers: Parameters and constant inputs that it was run with, SI; None where nobody knows.
         again: Computes the run at other times within its span; None where nothing can.
 
     Raises:
@@ -73,6 +74,7 @@ class Trajectory:
     status: str = "complete"
     drawing: Drawing | None = field(default=None, repr=False)
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
+    numbers: Mapping[str, float] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
@@ -238,7 +240,7 @@ class Trajectory:
             ParameterError: A cell is no number, or the time falls.
         """
         place = Path(path)
-        samples = read_samples(place)
+        samples = read_csv_samples(place)
         known = {} if like is None else {column.name: column for column in like.columns}
         wanted = {name: column.unit for name, column in known.items()}
         pairs, values = in_si(place, samples, units or {}, wanted)
@@ -256,17 +258,14 @@ class Trajectory:
     def _repr_html_(self) -> str:
         if not len(self) or not self.columns:
             return html_table((), self._headline())
-        from base64 import b64encode
-
-        from cosim.plotting import picture
+        from cosim.plotting import embedded
 
         shown = self.select(self.names[:SHOWN_PANELS])
-        content = b64encode(picture(shown.plot(), "png", dpi=60)).decode()
         rows = summary_rows(self.columns, self.time, self.values, when=True)
         left = len(rows) - MOST_LINES
         table = html_table(rows[:MOST_LINES], self._headline(), digits=6)
         more = f"<p>... and {left} more: run.summary()</p>" if left > 0 else ""
-        return f'<img alt="curves" src="data:image/png;base64,{content}"/>{table}{more}'
+        return f"{embedded(shown.plot(), 'curves')}{table}{more}"
 
     def _ipython_key_completions_(self) -> list[str]:
         return ["time", *self.names]
@@ -315,7 +314,9 @@ class Trajectory:
         Raises:
             ExportError: The file cannot be written.
         """
-        facts = {"model": self.model, "stats": dict(self.stats), "status": self.status}
+        facts: dict[str, Any] = {"model": self.model, "stats": dict(self.stats)}
+        facts |= {"status": self.status}
+        facts |= {"numbers": None if self.numbers is None else dict(self.numbers)}
         content = npz_bytes(self.columns, self.time, self.values, facts)
         if not isinstance(target, str | os.PathLike):
             target.write(content)

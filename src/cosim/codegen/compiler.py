@@ -13,15 +13,19 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from time import perf_counter
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
 from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
 from cosim.host.bounded import physical_memory, run_bounded
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -32,13 +36,14 @@ MOST_MEMORY = 4 * 10**9  # bytes, of one compiler; three quarters of the machine
 # Of generated code; hidden symbols can be inlined. In one long function, a Jacobian, -O2 takes
 # five times as long to compile as -O1 and gains nothing.
 _SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
-_HIDDEN = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
+_HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
 
 # Products and sums stay apart, so that a processor with fused instructions computes the numbers of
 # one without. GCC fuses alternating sums and differences of products (vfmaddsub) in straight-line
 # code whatever -ffp-contract says; its vectorizer of such code is what has to be switched off.
 _APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
 
+_SPENT: ContextVar[float] = ContextVar("time_compiling", default=0.0)  # s
 # What compilers say, or their driver of them, when there is no more memory
 _EXHAUSTED = re.compile(
     r"out of memory|memory exhausted|cannot allocate memory|bad_alloc|OutOfMemory"
@@ -57,7 +62,7 @@ def find_compiler() -> tuple[str, ...]:
     """
     if chosen := os.environ.get("CC"):
         try:
-            command = _words(chosen)
+            command = _split_command(chosen)
         except ValueError as error:
             raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
         if not command or shutil.which(command[0]) is None:
@@ -181,7 +186,7 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
     """
     command = find_compiler()
     own, processor = _own_processor()
-    settings = (*command, *FLAGS, *_HIDDEN, *own, processor, _SHORT, _LONG, str(_LENGTH))
+    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _SHORT, _LONG, str(_LENGTH))
     digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
     folder = cache_folder()
     try:
@@ -189,16 +194,16 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         if found := _kept(folder, digest):
             return found
         _refuse_noexec(folder)
-        with alone(folder, digest), temporary_folder(folder) as build:
+        with compiling(), alone(folder, digest), temporary_folder(folder) as build:
             if found := _kept(folder, digest):  # made by another process meanwhile
                 return found
             source, library = build / "code.c", build / f"code{SUFFIX}"
             code = generate()
             source.write_text(code, encoding="utf-8")
-            options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
+            options = (*_HIDE_SYMBOLS, *own, _SHORT if len(code) < _LENGTH else _LONG)
             compile_with_less([source], library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
-            _keep(library, target)
+            _keep_library(library, target)
         prune()
     except MissingTool as error:
         raise type(error)(f"{error}, or do not compile (--interpreted)") from error
@@ -207,6 +212,22 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return target
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Say and clock that code is generated and compiled in here."""
+    began = perf_counter()
+    try:
+        with doing("compiling (once)"):
+            yield
+    finally:
+        _SPENT.set(_SPENT.get() + perf_counter() - began)
+
+
+def time_compiling() -> float:
+    """Return for how long this thread has been compiling so far, s."""
+    return _SPENT.get()
 
 
 def _kept(folder: Path, digest: str) -> Path | None:
@@ -247,7 +268,7 @@ def processor_abilities() -> str:
     return abilities if platform.machine() == "x86_64" else ""
 
 
-def _words(command: str) -> list[str]:
+def _split_command(command: str) -> list[str]:
     """Split a command as the machine's shell does; Windows writes paths with backslashes."""
     if sys.platform == "win32":
         return [word.strip('"') for word in shlex.split(command, posix=False)]
@@ -262,7 +283,7 @@ def _refuse_noexec(folder: Path) -> None:
         )
 
 
-def _keep(library: Path, target: Path) -> None:
+def _keep_library(library: Path, target: Path) -> None:
     try:
         library.replace(target)
     except PermissionError:  # of Windows, where another process has made and loaded it meanwhile

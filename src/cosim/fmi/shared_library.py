@@ -87,7 +87,7 @@ def fat_library(libraries: Sequence[bytes]) -> bytes:
     return header.ljust(page, b"\0") + body
 
 
-def _text(content: bytes, start: int) -> str:
+def _c_string(content: bytes, start: int) -> str:
     end = content.find(b"\0", start)
     if end < 0:
         raise IndexError(start)
@@ -112,7 +112,7 @@ def _elf(content: bytes) -> Library:
         for place in range(symbols[4], symbols[4] + symbols[5], 24):
             name, info, _, section = struct.unpack_from("<IBBH", content, place)
             if section and info >> 4:  # defined here, not local
-                yield _text(content, names + name)
+                yield _c_string(content, names + name)
 
     def undefined() -> Iterator[str]:
         marks = next((s[4] for s in sections if s[1] == _SYMBOL_VERSIONS), None)
@@ -120,14 +120,14 @@ def _elf(content: bytes) -> Library:
             name, info, _, section = struct.unpack_from("<IBBH", content, symbols[4] + 24 * i)
             (mark,) = (0,) if marks is None else struct.unpack_from("<H", content, marks + 2 * i)
             if not section and info >> 4 == _GLOBAL and mark & 0x7FFF < 2:
-                yield _text(content, names + name)
+                yield _c_string(content, names + name)
 
     def entries() -> Iterator[tuple[int, str]]:
         for section in (s for s in sections if s[1] == _DYNAMIC):
             for place in range(section[4], section[4] + section[5], 16):
                 tag, value = struct.unpack_from("<QQ", content, place)
                 if tag in (_NEEDED, _RPATH, _RUNPATH):
-                    yield tag, _text(content, sections[section[6]][4] + value)
+                    yield tag, _c_string(content, sections[section[6]][4] + value)
 
     def versions() -> Iterator[str]:
         for section in (s for s in sections if s[1] == _VERSIONS):
@@ -137,7 +137,7 @@ def _elf(content: bytes) -> Library:
                 inner = place + first
                 for _ in range(count):
                     _, _, _, name, step = struct.unpack_from("<IHHII", content, inner)
-                    yield _text(content, sections[section[6]][4] + name)
+                    yield _c_string(content, sections[section[6]][4] + name)
                     inner += step
                 place += following
 
@@ -180,14 +180,14 @@ def _pe(content: bytes) -> Library:
         address = directory(index)
         entry = place(address) if address else 0
         while address and (told := struct.unpack_from("<I", content, entry + name)[0]):
-            yield _text(content, place(told))
+            yield _c_string(content, place(told))
             entry += size
 
     exports: frozenset[str] = frozenset()
     if address := directory(0):
         named, _, names = struct.unpack_from("<3I", content, place(address) + 24)
         table = struct.unpack_from(f"<{named}I", content, place(names) if named else 0)
-        exports = frozenset(_text(content, place(one)) for one in table)
+        exports = frozenset(_c_string(content, place(one)) for one in table)
     loaded = frozenset((*needs(_IMPORTS, 20, 12), *needs(_DELAYED, 32, 4)))
     return Library("windows", _PE_PROCESSORS[machine], exports, loaded)
 
@@ -211,10 +211,10 @@ def _mach(content: bytes) -> Library:
                 name, flags, _, _, _ = struct.unpack_from("<IBBHQ", content, symbols + 16 * i)
                 # external, not private to the library, defined in a section
                 if flags & 0x1F == 0x0F:
-                    exports.add(_text(content, names + name).removeprefix("_"))
+                    exports.add(_c_string(content, names + name).removeprefix("_"))
         elif command in (*_LOADS, _MACH_RPATH):
             (text,) = struct.unpack_from("<I", content, place + 8)
-            told = _text(content, place + text)
+            told = _c_string(content, place + text)
             needs.update({told} if command != _MACH_RPATH else ())
             run_paths += [told] if command == _MACH_RPATH else []
         elif command in (_OLD_MINIMUM, _BUILD):

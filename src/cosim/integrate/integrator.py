@@ -13,7 +13,7 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import initial_values
-from cosim.integrate.derivatives import MOST_NUMBERS, jacobian_of_run, size_of_jacobian
+from cosim.integrate.derivatives import MOST_JACOBIAN_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.nominal import Nominal, scaled
@@ -58,6 +58,13 @@ def integrator(
         ParameterError: The grid is not increasing or not finite.
         UsageError: Derivatives are asked for of so long a grid; and see `simulate`.
         UnknownName, MissingTool: See `simulate`.
+
+    Example:
+        >>> import cosim
+        >>> dae = cosim.load("crank_shaft")
+        >>> run = integrator(dae, [0.0, 0.5, 1.0], solver="erk", compiled=False)
+        >>> run(**cosim.start_vectors(dae))["xf"].shape
+        (2, 3)
     """
     times = checked_grid(grid)
     chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
@@ -69,9 +76,9 @@ def integrator(
     nominal = Nominal.declared(dae) if isinstance(chosen, AdaptiveSolver) else Nominal.none(dae)
     built = engine_of(replace(problem, dae=scaled(dae, nominal)), chosen)
     size = size_of_jacobian(dae, len(times))
-    if own or derivatives is False or (derivatives is None and size > MOST_NUMBERS):
-        return _function(dae, built, nominal, len(times), {})
-    if size > MOST_NUMBERS:
+    if own or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
+        return _bare_function(dae, built, nominal, len(times), {})
+    if size > MOST_JACOBIAN_NUMBERS:
         raise UsageError(
             f"{dae.full_name}: derivatives over {len(times)} output times are {size:.0e} numbers; "
             "give fewer times, or chain runs"
@@ -79,10 +86,10 @@ def integrator(
     jacobian = jacobian_of_run(problem, chosen)
     options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
     options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
-    return _function(dae, built, nominal, len(times), options)
+    return _bare_function(dae, built, nominal, len(times), options)
 
 
-def _function(
+def _bare_function(
     dae: Dae, built: Engine, nominal: Nominal, n: int, options: dict[str, Any]
 ) -> ca.Function:
     x0, z0, p = (
@@ -105,6 +112,11 @@ def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> 
 
     Raises:
         UnknownName, ParameterError, InitialConditionError: See `simulate`.
+
+    Example:
+        >>> import cosim
+        >>> start_vectors(cosim.load("crank_shaft"), {"omega": 10.0})["x0"]
+        array([ 0., 10.])
     """
     values = assign(dae, start_values)
     x0 = initial_values.start_values(dae, values)

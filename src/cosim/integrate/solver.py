@@ -52,7 +52,6 @@ class Solver(ABC):
         adaptive: Whether it chooses its steps.
         compiled_only: Whether it needs a compiler.
         projects: Whether it can end a step elsewhere than the step led to; compiled.
-        code_per_grid: Whether its compiled code is for one grid of output times only.
         uses_jacobian: Whether it solves equations with the Jacobian, which takes long to compile.
     """
 
@@ -62,7 +61,6 @@ class Solver(ABC):
     adaptive: ClassVar[bool] = True
     compiled_only: ClassVar[bool] = False
     projects: ClassVar[bool] = False
-    code_per_grid: ClassVar[bool] = False
     uses_jacobian: ClassVar[bool] = False
 
     @property

@@ -30,12 +30,12 @@ SOLVERS: dict[str, type[Solver]] = {
 
 # MATLAB's names; ode15s is what a model's own default does
 ALIASES = {"ode45": "erk", "ode113": "cvodes_adams", "ode4": "rk4"}
-STIFF = "ode15s"
+STIFF_DEFAULT = "ode15s"
 
 
 def solver_name(dae: Dae, name: str) -> str:
     """Return the name of a solver for itself or an alias."""
-    if name == STIFF:
+    if name == STIFF_DEFAULT:
         return Idas.name if dae.algebraics else Cvodes.name
     return ALIASES.get(name, name)
 

@@ -16,13 +16,13 @@ from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.series.column import Column
 from cosim.text.escaping import csv_cell
 
-KINDS = ("si", "book")  # of units in files
+UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIMES = ("time", "t", "zeit", "temps")
 
 
 @dataclass(frozen=True)
-class Samples:
+class CsvSamples:
     """What a CSV file says.
 
     Attributes:
@@ -70,8 +70,8 @@ def write_columns(
     Raises:
         UnknownName: There is no such kind of units.
     """
-    if units not in KINDS:
-        raise UnknownName.among("to_csv", "kind of units", units, KINDS)
+    if units not in UNIT_KINDS:
+        raise UnknownName.among("to_csv", "kind of units", units, UNIT_KINDS)
     second = None
     if units == "book":
         second = ("s", *(column.shown_unit for column in columns))
@@ -85,7 +85,7 @@ def repr_17(value: float) -> str:
     return f"{value:.17g}"
 
 
-def read_samples(path: Path) -> Samples:
+def read_csv_samples(path: Path) -> CsvSamples:
     """Read a CSV file with a header, times in its first column or in one that is called time.
 
     Columns are separated by commas, semicolons or tabs; units stand in brackets behind the names
@@ -116,13 +116,13 @@ def read_samples(path: Path) -> Samples:
         line = body[int(falling[0]) + 1][0]
         raise ParameterError(f"{path}, line {line}: the time falls; sort the lines by time")
     rest = [i for i in range(len(names)) if i != at]
-    return Samples(
+    return CsvSamples(
         tuple(names[i] for i in rest), tuple(units[i] for i in rest), time, table[:, rest]
     )
 
 
 def in_si(
-    path: Path, samples: Samples, units: Mapping[str, str], wanted: Mapping[str, str]
+    path: Path, samples: CsvSamples, units: Mapping[str, str], wanted: Mapping[str, str]
 ) -> tuple[list[tuple[str, str | None]], Vector]:
     """Return SI unit and display unit of each column, and the values in SI units.
 

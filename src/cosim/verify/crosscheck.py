@@ -15,6 +15,7 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.fmi.export.package import export_fmu
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
@@ -111,6 +112,11 @@ def crosscheck(
         UnknownName: A model does not exist.
         UsageError, ParameterError: A number or a scene makes no sense.
         MissingTool: There is no C compiler.
+
+    Example:
+        >>> checks = crosscheck("crank_shaft/driven", stop_time=0.5)
+        >>> [str(check.road) for check in checks], checks.agree
+        (['fmu-me', 'fmu-cs'], True)
     """
     number("crosscheck", "bound", bound, positive=True)
     if isinstance(models, str | Scene):
@@ -120,10 +126,10 @@ def crosscheck(
     for item in models or ():
         if isinstance(item, str) and ".py:" not in item:
             formulations(item)  # refuses an unknown name before the first run
-    return Checks(_checks(models, stop_time, output_interval, relative_tolerance, bound))
+    return Checks(_all_checks(models, stop_time, output_interval, relative_tolerance, bound))
 
 
-def _checks(
+def _all_checks(
     models: Collection[str | Scene] | None,
     stop_time: float | None,
     output_interval: float | None,
@@ -146,14 +152,15 @@ def _checks(
             )
             scene = replace(scene, settings=settings)
             try:
-                run = run_scene(scene)
+                with doing(str(Road.NATIVE)):
+                    run = run_scene(scene)
             except _FAILURES as error:
                 yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue
             yield from _roads(scene, run, bound, relative_tolerance is not None)
             if first is None or first[1].name != scene.dae.name:
                 first = run, scene.dae
-            elif check := _against(first, run, scene.dae, bound):
+            elif check := _formulation_check(first, run, scene.dae, bound):
                 yield (
                     check
                     if check.comparison and check.comparison.agrees
@@ -161,7 +168,7 @@ def _checks(
                 )
 
 
-def _against(
+def _formulation_check(
     first: tuple[Trajectory, Dae], run: Trajectory, dae: Dae, bound: float
 ) -> Check | None:
     """Compare a formulation with the first one, in what both mean by the same name."""
@@ -197,7 +204,8 @@ def _roads(scene: Scene, run: Trajectory, bound: float, given: bool) -> Iterator
     """Compare the FMU's runs with a run through CasADi's integrators."""
     dae = scene_dae(scene)
     with temporary_folder() as folder:
-        path = export_fmu(dae, Path(folder) / "model.fmu")
+        with doing(f"{dae.full_name}, export"):
+            path = export_fmu(dae, Path(folder) / "model.fmu")
         for road in FMU_ROADS:
             yield _road(scene, dae, path, run, road, bound, given)
 
@@ -209,7 +217,8 @@ def _road(
     solver = run.stats["solver"]
 
     def again(scene: Scene) -> Trajectory:
-        return run_fmu(scene, dae, path, road)
+        with doing(f"{dae.full_name}, {road}"):
+            return run_fmu(scene, dae, path, road)
 
     try:
         other = again(scene)
@@ -243,7 +252,8 @@ def _judged(
     settings = scene.settings
     tolerance = settings.relative_tolerance or 0.0
     try:
-        best = reference(scene)
+        with doing(f"{scene.dae.full_name}, reference"):
+            best = reference(scene)
         truth, doubt = best.run.select(names), best.error(names)
     except CosimError as error:
         advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"

@@ -8,11 +8,12 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from warnings import warn
 from xml.etree import ElementTree as ET
@@ -24,7 +25,8 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
 from cosim.files import refuse_unwritable, write_atomically
-from cosim.fmi.archive import DESCRIPTION, content_of, opened
+from cosim.fmi.aliases import flat_names
+from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.export.solver_choice import ROSENBROCK, solver_for
 from cosim.fmi.platforms import NATIVE
@@ -40,21 +42,27 @@ from cosim.trajectory import Column, Trajectory
 from cosim.verify.check import Check, Verdict
 from cosim.verify.comparison import compare
 from cosim.verify.crosscheck import BOUND
+from cosim.verify.related_files import MEASURED, REFERENCE, Sets, related_files
 
-REFERENCE = "documentation/reference.csv"
-MEASURED = "documentation/reference.json"
 OWN = "reference"
 MOST_ROWS = 201
-NOISE = 1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
-FINER = 10  # output times of a check within each of the reference: fmpy's solver takes 500 steps
+CONSTANT_NOISE = (
+    1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
+)
+FINER_OUTPUTS = 10  # times of a check within each of the reference: fmpy's solver takes 500 steps
 LOOSER = 10.0  # tolerance of a run by the reference's own solver that tells how wrong it may be
 AFFORDABLE = 5000  # operations of equations that a second method runs interpreted
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
-COLOURS = 16  # of the picture
+PALETTE_SIZE = 16  # of the picture
 
 
 def export_with_proof(
-    dae: Dae, target: str | os.PathLike[str], *, reference: bool = True, **options: Any
+    dae: Dae,
+    target: str | os.PathLike[str],
+    *,
+    reference: bool = True,
+    sets: Sets = MappingProxyType({}),
+    **options: Any,
 ) -> Path:
     """Export an FMU with a reference result, the measured difference from it, and a picture.
 
@@ -64,6 +72,8 @@ def export_with_proof(
         dae: The model.
         target: The file, replaced when everything has succeeded.
         reference: Whether there shall be a reference result.
+        sets: A line of text and values, SI, by name: files of parameters inside the FMU, each with
+            what of it the FMU lets be set.
         options: See `export_fmu`.
 
     Raises:
@@ -84,7 +94,11 @@ def export_with_proof(
             proof = _proof(dae, local, str(target))
         with zipfile.ZipFile(plain) as fmu:
             files = {name: fmu.read(name) for name in fmu.namelist()}
-    content = zipped(files | proof)
+    if "model.png" in files or "terminalsAndIcons/icon.png" in files:
+        proof.pop("model.png", None)  # the mechanism is a better icon than a result
+    files |= proof
+    files |= related_files(files, sets)
+    content = zipped(files)
     remember(content)
     return write_atomically(target, content)
 
@@ -93,12 +107,12 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
     """Return the files that prove an FMU; without a reference, one that says why there is none."""
     tolerance = dae.experiment.reference_tolerance
     try:
-        run, doubt, by = _reference(dae, tolerance)
+        run, doubt, by = _reference_run(dae, tolerance)
     except CosimError as error:
         warn(f"{target}: no reference: {error}", stacklevel=3)
         missing = {"model": dae.full_name, "no reference": str(error)}
         return {MEASURED: (json.dumps(missing, indent=1) + "\n").encode()}
-    checks = [*_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
+    checks = [*_result_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
     for check in checks:
         if check.verdict is not Verdict.OK:
             said = f"{check.verdict}: {check.comparison}; {_TRY}"
@@ -106,7 +120,7 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
                 said = f"{check.failure}; the FMU is written without this part of its proof"
             warn(f"{target}: {check.road}: {said}", stacklevel=3)
     text = io.StringIO(newline="")
-    run.to_csv(text)
+    _under_its_names(run, local).to_csv(text)
     worst = {c.road: c.comparison.worst for c in checks if c.comparison}
     facts = {
         "model": run.model,
@@ -144,13 +158,14 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
     """
     try:
         with opened(path) as fmu:
-            facts = json.loads(content_of(fmu, MEASURED))
+            facts = json.loads(entry_content(fmu, MEASURED))
             if "no reference" in facts:
                 why = sentence(str(facts["no reference"]))
                 raise FmuError(f"{path} carries no reference result: {why}")
-            table = content_of(fmu, REFERENCE).decode()
-            against = _whose(path, ET.fromstring(content_of(fmu, DESCRIPTION)))
-            run = _from_csv(table, facts)
+            table = entry_content(fmu, REFERENCE).decode()
+            description = ET.fromstring(entry_content(fmu, DESCRIPTION))
+            against = _whose(path, description)
+            run = _from_csv(table, facts, flat_names(description))
             tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
             doubt = float(facts.get("estimated error in nominal values", 0.0))
     except (KeyError, ValueError, TypeError, IndexError, RecursionError, csv.Error) as error:
@@ -158,7 +173,7 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
             f"{path} carries no reference result; export it with cosim export"
         ) from error
     apart = partial(simulate_apart, timeout=timeout)
-    for check in _checks(path, run, tolerance, bound, apart, doubt):
+    for check in _result_checks(path, run, tolerance, bound, apart, doubt):
         yield replace(check, against=against)
 
 
@@ -170,7 +185,7 @@ def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
     return f"{OWN} by {tool}"
 
 
-def _reference(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
+def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
     """Return a run of road one, its estimated error, and what tells it.
 
     A second method tells how far it may be wrong; of a large model, or where no other one comes
@@ -243,12 +258,12 @@ def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:
     """
     quiet = values.copy()
     for column, size in zip(quiet.T, nominal, strict=True):
-        if np.ptp(column) <= NOISE * size:
-            column[:] = 0.0 if abs(column[0]) <= NOISE * size else column[0]
+        if np.ptp(column) <= CONSTANT_NOISE * size:
+            column[:] = 0.0 if abs(column[0]) <= CONSTANT_NOISE * size else column[0]
     return quiet
 
 
-def _checks(
+def _result_checks(
     path: str | os.PathLike[str],
     run: Trajectory,
     tolerance: float,
@@ -264,7 +279,7 @@ def _checks(
                 interface=road.interface,
                 stop_time=float(run.time[-1]),
                 output_interval=float(run.time[1] - run.time[0]),
-                least=FINER,
+                least=FINER_OUTPUTS,
                 relative_tolerance=tolerance,
             )
         except FmuError as error:
@@ -274,8 +289,19 @@ def _checks(
         yield Check(run.model, road, OWN, difference, dict(again.stats), doubt=doubt)
 
 
-def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:
+def _under_its_names(run: Trajectory, path: Path) -> Trajectory:
+    """Return a result with the names of an FMU's variables, which may be structured."""
+    with opened(path) as fmu:
+        names = flat_names(ET.fromstring(entry_content(fmu, DESCRIPTION)))
+    own = {flat: name for name, flat in names.items()}
+    return replace(
+        run, columns=tuple(replace(c, name=own.get(c.name, c.name)) for c in run.columns)
+    )
+
+
+def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Trajectory:
     head, *rows = csv.reader(io.StringIO(table))
+    head = [flat.get(name, name) for name in head]
     numbers = np.array(rows, dtype=float)
     columns = tuple(
         Column(name, facts["unit"][name], nominal=facts["nominal"][name]) for name in head[1:]
@@ -292,5 +318,5 @@ def _picture(run: Trajectory) -> bytes:
 
     small = io.BytesIO()
     with Image.open(io.BytesIO(picture(run.plot(run.names[:3]), "png", dpi=50))) as drawn:
-        drawn.convert("RGB").quantize(COLOURS).save(small, "png", optimize=True)
+        drawn.convert("RGB").quantize(PALETTE_SIZE).save(small, "png", optimize=True)
     return small.getvalue()

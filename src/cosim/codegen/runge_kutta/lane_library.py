@@ -20,7 +20,7 @@ from cosim.codegen.runge_kutta.stage_sums import numbers
 from cosim.errors import UsageError
 from cosim.memo import kept_per_thread
 
-REPORT = 8  # numbers in the report of a run
+RUN_REPORT = 8  # numbers in the report of a run
 SIZES = (1, 2, 4, 8)  # numbers of lanes
 
 _LONG = ctypes.c_longlong
@@ -73,7 +73,7 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
         raise UsageError(f"{dae.full_name}: lanes take explicit forms; use another formulation")
     if lanes not in SIZES:
         raise UsageError(f"lanes = {lanes}; give one of {', '.join(map(str, SIZES))}")
-    text = _text(dae, outputs, lanes)
+    text = _library_source(dae, outputs, lanes)
     key = "lanes " + hashlib.sha256(text.encode()).hexdigest()
     library = ctypes.CDLL(str(cached_library(key, lambda: text)))
     if found := _elementary(lanes):
@@ -119,7 +119,7 @@ def lane_outputs(dae: Dae, lanes: int) -> ctypes.CDLL:
     return library
 
 
-def _text(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
+def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     known = dict(zip((v.name for v in dae.states), ca.vertsplit(dae.x), strict=True))
     rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
     known |= dict(rows)

@@ -33,14 +33,14 @@ from cosim.model.values import number
 from cosim.text.escaping import sentence
 
 _ANSWER = "answer.jsonl"
-_Task = tuple[str, str]  # a trial's name and an interface
+_TrialTask = tuple[str, str]  # a trial's name and an interface
 CRASH = Rule("crash", WRONG, "go down with it, or wait for ever", "mend it; do not use it")
 CRASH_LIGHTLY = Rule(CRASH.name, ADVICE, CRASH.importers, CRASH.cure)
 FAILED = "stop there"  # importers, where a function returns an error
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TrialResults:
     """What the trials of an FMU gave.
 
     Attributes:
@@ -54,7 +54,7 @@ class Verdict:
     skipped: tuple[str, ...]
 
 
-def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdict:
+def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialResults:
     """Run the trials of an FMU in a child process with the limits of `Limits.chosen`.
 
     Args:
@@ -81,7 +81,7 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
         tasks = [(trial.__name__, kind) for kind in kinds for trial in TRIALS]
         while tasks and (left := end - monotonic()) > 0:
             (folder / _ANSWER).unlink(missing_ok=True)
-            code = _child(folder, files, str(path), tasks, left, timeout)
+            code = _run_trials(folder, files, str(path), tasks, left, timeout)
             before = len(tasks)
             with suppress(FileNotFoundError):
                 lines = (folder / _ANSWER).read_text().splitlines()
@@ -89,11 +89,11 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
             if len(tasks) == before:
                 raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
         told.skipped += [f"{_called(task)}: the time is up" for task in tasks]
-        return Verdict(tuple(told.findings), tuple(told.passed), tuple(told.skipped))
+        return TrialResults(tuple(told.findings), tuple(told.passed), tuple(told.skipped))
 
 
-def _child(
-    folder: Path, files: Path, name: str, tasks: list[_Task], left: float, timeout: float
+def _run_trials(
+    folder: Path, files: Path, name: str, tasks: list[_TrialTask], left: float, timeout: float
 ) -> int | None:
     """Run trials; return the exit code, None after what is left of the time."""
     words = [str(folder / _ANSWER), str(files), name, str(timeout), json.dumps(tasks)]
@@ -126,8 +126,8 @@ class _Told:
     skipped: list[str] = field(default_factory=list)
 
     def read(
-        self, lines: list[dict[str, Any]], tasks: list[_Task], code: int | None, timeout: float
-    ) -> list[_Task]:
+        self, lines: list[dict[str, Any]], tasks: list[_TrialTask], code: int | None, timeout: float
+    ) -> list[_TrialTask]:
         """Take an answer in; return the trials that are still to be made."""
         left, stopped, failed = list(tasks), None, set()
         for line in lines:
@@ -154,7 +154,7 @@ class _Told:
         return [task for task in left if task[1] not in failed]  # who does not start, does nothing
 
 
-def _called(task: _Task) -> str:
+def _called(task: _TrialTask) -> str:
     return f"{task[0]} ({task[1]})"
 
 
@@ -179,7 +179,7 @@ def _tried(bench: Bench, trial: Trial, kind: str) -> dict[str, Any]:
     return {"findings": [f.row() for f in findings], "notes": notes, "skipped": skipped}
 
 
-def _lines(bench: Bench, tasks: list[_Task]) -> Iterator[dict[str, Any]]:
+def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, Any]]:
     trials, failed = {trial.__name__: trial for trial in TRIALS}, set()
     failures: dict[tuple[str, str], str] = {}
     for name, kind in tasks:
@@ -197,13 +197,13 @@ def _lines(bench: Bench, tasks: list[_Task]) -> Iterator[dict[str, Any]]:
             failed.add(kind)
 
 
-def _main(answer: Path, files: Path, name: str, timeout: float, tasks: list[_Task]) -> None:
+def _main(answer: Path, files: Path, name: str, timeout: float, tasks: list[_TrialTask]) -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
     Limits.chosen().apply()
     if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
     with answer.open("w", encoding="utf-8") as stream:
-        for line in _lines(Bench(files, name, timeout), tasks):
+        for line in _outcome_lines(Bench(files, name, timeout), tasks):
             stream.write(json.dumps(line) + "\n")
             stream.flush()
     os._exit(0)  # whatever threads and handlers the FMU has left

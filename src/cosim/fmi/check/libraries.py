@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import PurePosixPath
 
-from cosim.fmi.archive import content_of
+from cosim.fmi.archive import entry_content
 from cosim.fmi.check import rules
 from cosim.fmi.check.finding import Finding, Rule
 from cosim.fmi.shared_library import Library, read_libraries
@@ -32,7 +32,7 @@ _OLDEST = {  # systems of 2020
 _VERSION = re.compile(r"(GLIBC|macOS)_(\d+)\.(\d+)(\.\d+)?")
 _BESIDE = ("$ORIGIN", "${ORIGIN}", "@loader_path")
 _TUPLE = re.compile(r"(x86|x86_64|aarch32|aarch64|riscv32|riscv64|ppc32|ppc64)-\w+(-\w+)?")
-_FMI2 = re.compile(r"(win|linux|darwin)(32|64)")
+_FMI2_FOLDER = re.compile(r"(win|linux|darwin)(32|64)")
 _NAMES = 3  # in one finding
 
 
@@ -42,7 +42,7 @@ def library_findings(archive: zipfile.ZipFile) -> Iterator[Finding]:
         path = PurePosixPath(name)
         if len(path.parts) == 3 and path.parts[0] == "binaries" and path.suffix in _SUFFIXES:
             with suppress(ValueError):  # which the other checks tell
-                for library in read_libraries(content_of(archive, name)):
+                for library in read_libraries(entry_content(archive, name)):
                     for rule, told in _elsewhere(archive, path, library):
                         yield rule.at(name, told)
 
@@ -52,9 +52,9 @@ def folder_findings(archive: zipfile.ZipFile, version: str) -> Iterator[Finding]
     names = archive.namelist()
     parts = {PurePosixPath(n).parts for n in names if not n.endswith("/")}
     folders = {p[1] for p in parts if len(p) > 2 and p[0] == "binaries"}
-    pattern = _FMI2 if version == "2" else _TUPLE
+    pattern = _FMI2_FOLDER if version == "2" else _TUPLE
     for folder in sorted(f for f in folders if not pattern.fullmatch(f)):
-        other = _TUPLE if version == "2" else _FMI2
+        other = _TUPLE if version == "2" else _FMI2_FOLDER
         if other.fullmatch(folder):  # else it may be what two tools have agreed on
             yield rules.FOLDER.at(f"binaries/{folder}", f"FMI {version}.0 has no such folder")
     if not folders and not any(p[0] == "sources" for p in parts):

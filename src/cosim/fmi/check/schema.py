@@ -6,7 +6,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from cosim.fmi.archive import DESCRIPTION, content_of
+from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check import rules
 from cosim.fmi.check.finding import Finding
 from cosim.fmi.check.parsed import BUILD
@@ -23,7 +23,7 @@ def schema_findings(archive: zipfile.ZipFile, version: str) -> Iterator[Finding]
     own = {DESCRIPTION: f"fmi{version}/fmi{version}ModelDescription.xsd"}
     for entry, name in (own | _SCHEMAS).items():
         if entry in archive.namelist():
-            yield from _against(name, entry, content_of(archive, entry))
+            yield from _against(name, entry, entry_content(archive, entry))
 
 
 def _against(schema: str, entry: str, content: bytes) -> Iterator[Finding]:

@@ -9,6 +9,8 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, Unit
 from cosim.codegen.initialization import start_function
 
+VALID = "valid"
+
 
 class Role(Enum):
     """What a variable is in the FMU; the names are those of the C runtime."""
@@ -20,6 +22,7 @@ class Role(Enum):
     INPUT = "input"
     PARAMETER = "parameter"
     OUTPUT = "output"
+    VALIDITY = "validity"  # no number; the runtime knows it without a row in its table
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class FmuVariable:
         tunable: Whether an importer may change a parameter during a run.
         guess: Where the solution of a calculated start begins; `start` is then its result, which
             importers are told, None where there is none.
+        alias: The name that the tools here know it by, where importers see another.
     """
 
     name: str
@@ -51,23 +55,31 @@ class FmuVariable:
     derivative_of: int | None = None
     tunable: bool = False
     guess: float | None = None
+    alias: str | None = None
 
 
-def fmu_variables(dae: Dae, tunable: Collection[str] = ()) -> tuple[FmuVariable, ...]:
+def fmu_variables(
+    dae: Dae, tunable: Collection[str] = (), *, valid: bool = False
+) -> tuple[FmuVariable, ...]:
     """Return time, states, derivatives, algebraics, inputs, parameters, outputs, in this order.
 
     Args:
         dae: The model.
         tunable: Names of the parameters that may change during a run.
+        valid: Whether the Boolean output `valid` comes last.
     """
-    return tuple(_variables(dae, tunable))
+    numbers = tuple(_variables(dae, tunable))
+    if not valid:
+        return numbers
+    meaning = "whether every limit of the model holds"
+    return (*numbers, FmuVariable(VALID, meaning, "", Role.VALIDITY, observed=True))
 
 
 def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
     observed = frozenset(dae.observed)
     yield FmuVariable("time", "simulation time", "s", Role.TIME)
     for state, guess, start in zip(dae.states, dae.x_start, _settled(dae), strict=True):
-        variable = _plain(state, Role.STATE, observed, guess)
+        variable = _fmu_variable(state, Role.STATE, observed, guess)
         if state.start_kind is Start.CALCULATED:
             variable = replace(variable, start=start, guess=guess)
         yield variable
@@ -81,14 +93,14 @@ def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
             derivative_of=1 + i,
         )
     for algebraic in dae.algebraics:
-        yield _plain(algebraic, Role.ALGEBRAIC, observed, algebraic.start)
+        yield _fmu_variable(algebraic, Role.ALGEBRAIC, observed, algebraic.start)
     for quantity in dae.inputs:
-        yield _plain(quantity, Role.INPUT, frozenset(), quantity.start)
+        yield _fmu_variable(quantity, Role.INPUT, frozenset(), quantity.start)
     for parameter in dae.parameters:
-        variable = _plain(parameter, Role.PARAMETER, frozenset(), parameter.start)
+        variable = _fmu_variable(parameter, Role.PARAMETER, frozenset(), parameter.start)
         yield replace(variable, tunable=parameter.name in tunable)
     for output in dae.output_variables:
-        yield _plain(output, Role.OUTPUT, observed, None)
+        yield _fmu_variable(output, Role.OUTPUT, observed, None)
 
 
 def _rate_display(state: Variable) -> str | None:
@@ -114,7 +126,7 @@ def _rounded(value: float, nominal: float) -> float:
     return float(f"{value:.15g}") if abs(value) > 1e-14 * nominal else 0.0
 
 
-def _plain(
+def _fmu_variable(
     variable: Variable, role: Role, observed: frozenset[str], start: float | None
 ) -> FmuVariable:
     return FmuVariable(

@@ -17,11 +17,12 @@ from cosim.fmi.run.instance import (
 )
 from cosim.fmi.run.simulate import (
     column_of,
+    given_numbers,
+    numbers_of_run,
     recorded,
     rows_of,
     simulated,
     span_of,
-    start_numbers,
     tolerance_of,
 )
 from cosim.model.time_grid import time_grid
@@ -60,7 +61,7 @@ class OpenedFmu:
 
     def settable(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return start values, or refuse them; see `simulate_fmu`."""
-        return start_numbers(self.path, self.variables, values)
+        return given_numbers(self.path, self.variables, values)
 
     def times(
         self, start_time: float | None, stop_time: float | None, output_interval: float | None
@@ -108,7 +109,8 @@ class OpenedFmu:
         columns = tuple(column_of(self.variables[name]) for name in names)
         took = perf_counter() - began
         stats = {"solver": f"fmpy {self.kind}", "solve_time": took, "wall_time": took}
-        return Trajectory(self.description.modelName, time, columns, rows, stats)
+        numbers = numbers_of_run(self.variables, values)
+        return Trajectory(self.description.modelName, time, columns, rows, stats, numbers=numbers)
 
     def close(self) -> None:
         """Free the instance and remove what was unpacked."""

@@ -11,7 +11,6 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.integrate.simulate import output_times, simulate
-from cosim.integrate.solvers import solver_class
 from cosim.model.time_grid import checked_grid
 from cosim.model.values import number
 from cosim.trajectory import Trajectory
@@ -67,16 +66,6 @@ def again(dae: Dae, run: Mapping[str, Any], begin: float, end: float, times: Vec
     grid = np.unique(np.concatenate(([begin], times, [end])))
     if len(grid) < 2:
         grid = np.array([begin, np.nextafter(begin, np.inf)])
-    found = simulate(dae, output_interval=grid, **for_many_grids(dae, run))
+    found = simulate(dae, output_interval=grid, **run)
     rows = np.searchsorted(found.time, times)
     return replace(found, time=found.time[rows], values=found.values[rows])
-
-
-def for_many_grids(dae: Dae, run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a run that is repeated on other grids: nothing is compiled for each.
-
-    Interpreted, the solvers whose code is for one grid give the same numbers.
-    """
-    projected = run.get("drift_control") == "projection"
-    code_per_grid = solver_class(dae, run.get("solver"), projected=projected).code_per_grid
-    return {**run, "compiled": False} if code_per_grid else dict(run)

@@ -30,6 +30,15 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
     Raises:
         UsageError: The builder holds events or discrete states, something is not determined, or
             its expressions cannot be written out in scalar operations.
+
+    Example:
+        >>> import casadi as ca
+        >>> builder = ca.DaeBuilder("decay")
+        >>> x = builder.add("x")
+        >>> builder.set_start("x", 1.0)
+        >>> builder.eq(builder.der(x), -x)
+        >>> from_dae_builder(builder).states[0].name
+        'x'
     """
     if not isinstance(builder, ca.DaeBuilder):
         raise UsageError.of_type("from_dae_builder", builder, "a casadi.DaeBuilder")
@@ -145,7 +154,7 @@ def _converted(builder: _Builder) -> Dae:
     )
     rates = builder.states()
     names = builder.names()
-    declared = {name: _declared(builder, model, name) for name in names}
+    declared = {name: _declared_variable(builder, model, name) for name in names}
     kept = {name for name in names if builder.kind(name)}
     every = dict.fromkeys((*own.y(), *own.w(), *own.d()))
     shown = [name for name in every if name not in kept and _is_own(name)]
@@ -181,7 +190,7 @@ def _is_own(name: str) -> bool:
     return not name.startswith(("der(", "__"))
 
 
-def _declared(builder: _Builder, model: Model, name: str) -> SX:
+def _declared_variable(builder: _Builder, model: Model, name: str) -> SX:
     kind = builder.kind(name)
     starts = builder.numbers(name, builder.own.start(name))
     if not kind:

@@ -65,6 +65,13 @@ def from_casadi(
     Raises:
         UsageError: Something is missing, of the wrong size, or has neither equations nor C code.
         UnknownName: A value is given for what does not exist.
+
+    Example:
+        >>> import casadi as ca
+        >>> x, k = ca.SX.sym("x"), ca.SX.sym("k")
+        >>> dae = from_casadi({"x": x, "p": k, "ode": -k * x}, {"x": 1, "k": 2}, {"twice": 2 * x})
+        >>> [v.name for v in dae.variables]
+        ['x', 'twice', 'k']
     """
     who = f"from_casadi({name})"
     if not isinstance(outputs, Mapping | None):
@@ -113,7 +120,7 @@ def from_user(value: Any, name: str) -> Dae:
 
 def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
     refuse_sizes(who, system)
-    starts = {kind: _starts(who, system, facts, kind) for kind in "xzup"}
+    starts = {kind: _given_starts(who, system, facts, kind) for kind in "xzup"}
     rules = {entry: start for entry, start in starts["x"].items() if not isinstance(start, float)}
     starts["x"] |= dict.fromkeys(rules, 0.0)
     consistent = None
@@ -168,7 +175,7 @@ def _declared(
     return values
 
 
-def _starts(who: str, system: System, facts: Facts, kind: str) -> dict[str, Any]:
+def _given_starts(who: str, system: System, facts: Facts, kind: str) -> dict[str, Any]:
     starts = {
         entry: start
         for symbol in system.symbols[kind]

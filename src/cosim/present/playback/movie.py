@@ -14,7 +14,7 @@ from cosim.host.optional_packages import optional_module
 from cosim.present.playback.playback import Playback
 from cosim.present.playback.render import Stage, canvas
 
-FRAMES_PER_SECOND = {"gif": 15.0, "mp4": 25.0}
+MOVIE_RATES = {"gif": 15.0, "mp4": 25.0}
 _DPI = 100
 _SIZE = (6.4, 4.8)  # inches
 

@@ -28,8 +28,8 @@ from cosim.study.sensitivity.variational import (
 )
 from cosim.trajectory import Column, Trajectory
 
-TOLERANCE = 1e-8
-BOUND = 1e-5  # of two methods, scaled
+DERIVATIVE_TOLERANCE = 1e-8
+AGREEMENT_BOUND = 1e-5  # of two methods, scaled
 CHECK_TOLERANCE = 1e-12  # of the runs whose differences are taken
 
 
@@ -41,9 +41,9 @@ def sensitivity(
     start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     solver: str | None = None,
-    relative_tolerance: float = TOLERANCE,
+    relative_tolerance: float = DERIVATIVE_TOLERANCE,
     check: bool = True,
-    bound: float = BOUND,
+    bound: float = AGREEMENT_BOUND,
     **times: Any,
 ) -> Sensitivity:
     """Differentiate a run: d(output)/d(parameter, start value, constant input) over time.
@@ -72,6 +72,12 @@ def sensitivity(
         UsageError: An input follows a series; or there is nothing to differentiate (by).
         InitialConditionError: A start value is calculated: it follows from others.
         SolverError: A run failed, or the second method disagrees.
+
+    Example:
+        >>> import cosim
+        >>> found = sensitivity(cosim.load("crank_shaft"), with_respect_to=["alpha"], stop_time=1)
+        >>> float(found["phi", "alpha"][-1].round(6))  # of t^2 / 2
+        0.5
     """
     number("sensitivity", "bound", bound, positive=True)
     start_values = plain_values(dae, start_values or {})

@@ -21,7 +21,7 @@ from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.samples import Samples
-from cosim.study.sweep.statistics import Node, Sketch, added, merged, quantile, settled
+from cosim.study.sweep.statistics import Node, Sketch, added, merged, merged_branches, quantile
 from cosim.study.sweep.store import STATES, Store
 from cosim.trajectory import Column, Trajectory, repr_17
 
@@ -98,6 +98,12 @@ class SweepResult:
         meanings: Of the numbers.
         store: The folder; None where there is none.
         tables: The trajectories by chunk: first run and (runs, times, columns).
+
+    Example:
+        >>> import cosim
+        >>> found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, stop_time=1, workers=0)
+        >>> len(found)
+        2
     """
 
     model: str
@@ -307,7 +313,7 @@ def collect(
             if temporary:
                 tables.append((record.first, record.values))
         if record.node is not None and record.sketch is not None:
-            nodes = settled([*nodes, record.node])
+            nodes = merged_branches([*nodes, record.node])
             sketch = added(sketch, record.sketch)
     statistics = None
     if nodes:

@@ -137,7 +137,7 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
         raise UnknownName.among("sweep", "design", kind, DESIGNS)
     if runs < 1:
         raise ParameterError(f"sweep: {runs} runs; give 1 or more")
-    varied = [name for name, spread in ranges.items() if not _is_number(spread)]
+    varied = [name for name, spread in ranges.items() if not isinstance(spread, int | float)]
     if not varied:
         raise ParameterError(f"sweep: {kind} needs a range; give e.g. phi_dot=0:1")
     if kind == "random":
@@ -152,10 +152,6 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
         for name, spread in ranges.items()
     }
     return Samples(columns, f"{kind}:{runs}, seed {seed}")
-
-
-def _is_number(spread: Any) -> bool:
-    return isinstance(spread, int | float)
 
 
 def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:

@@ -28,10 +28,10 @@ from cosim.study.sweep.progress import Progress
 from cosim.study.sweep.result import SweepResult, collect
 from cosim.study.sweep.samples import Samples, as_samples, digest_of
 from cosim.study.sweep.store import Store
-from cosim.study.sweep.subjects.opening import as_subject, opened
+from cosim.study.sweep.subjects.opening import as_subject, opened_subject
 from cosim.trajectory import Trajectory
 
-_FORMAT = 1  # of the store
+_STORE_FORMAT = 1  # of the store
 _LANE_CHUNK = 16  # runs; fewer leave lanes empty
 
 Function = Callable[[Trajectory], Mapping[str, float]]
@@ -93,14 +93,20 @@ def sweep(
             holds another sweep.
         MissingTool: A package of the extra `sweep` is not there.
         Interrupted: Ctrl-C; `partial` holds what had finished, and the store keeps it.
+
+    Example:
+        >>> run = {"stop_time": 1, "workers": 0}
+        >>> found = sweep("crank_shaft", {"omega": [40, 50]}, keep=["final"], **run)
+        >>> found["omega_final"]
+        array([50., 60.])
     """
-    thing = opened(as_subject(subject))
+    thing = opened_subject(as_subject(subject))
     if store is not None:
         optional_module("xarray", "sweep"), optional_module("zarr", "sweep")
     if samples is None and (store is None or not resume):
         raise UsageError("sweep: give samples; they may be left out to resume a store")
     chosen = Store(store).samples() if samples is None and store else as_samples(samples)
-    settings = _settings(
+    settings = _kept_settings(
         times=times,
         start_time=start_time,
         stop_time=stop_time,
@@ -126,7 +132,7 @@ def sweep(
         )
         kept_here = Store(Path(folder).resolve() / "sweep" if temporary else Path(folder).resolve())
         manifest = {
-            "format": _FORMAT,
+            "format": _STORE_FORMAT,
             "model": thing.name,
             "model_digest": thing.digest,
             "samples": chosen.origin,
@@ -135,7 +141,7 @@ def sweep(
             "runs": len(chosen),
             "outputs": list(names),
             "keep": kept.words(),
-            "function": _named(function),
+            "function": _function_name(function),
             "settings": settings,
             "computed": how,
             "versions": _versions(),
@@ -211,7 +217,7 @@ class _Crew:
             run_here(job, samples, schedule, tell)
 
 
-def _settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
+def _kept_settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
     """Return what is not None, in forms that JSON keeps."""
     solver = given.get("solver")
     if isinstance(solver, Solver):
@@ -231,7 +237,7 @@ def _settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
     return settings
 
 
-def _named(function: Function | None) -> str | None:
+def _function_name(function: Function | None) -> str | None:
     """Return by what a user's function is told from another."""
     if function is None:
         return None

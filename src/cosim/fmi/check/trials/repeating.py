@@ -103,11 +103,11 @@ def few_numbers(session: Session, other: Session | None = None, *, started: bool
             rows.append(session.values(outputs))
     else:
         with suppress(Skipped):
-            rows += _slopes(session, other)
+            rows += _near_slopes(session, other)
     return np.concatenate(rows)
 
 
-def _slopes(session: Session, other: Session | None) -> Iterator[Vector]:
+def _near_slopes(session: Session, other: Session | None) -> Iterator[Vector]:
     """Return what a state and another near it give; the latter stays."""
     outputs, pairs = session.bench.outputs(), session.bench.states()
     states, rates = [state for state, _ in pairs], [rate for _, rate in pairs]

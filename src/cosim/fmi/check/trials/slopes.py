@@ -35,7 +35,7 @@ _ROUNDING = {True: 1e-9, False: 1e-6}  # of derivatives that are told, and of di
 
 
 @dataclass(frozen=True)
-class _Known:
+class _Knowns:
     """What unknowns may depend on.
 
     Attributes:
@@ -114,7 +114,7 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
 
 
 def _matrices(
-    bench: Bench, kind: str, unknowns: Sequence[Described], knowns: Sequence[_Known]
+    bench: Bench, kind: str, unknowns: Sequence[Described], knowns: Sequence[_Knowns]
 ) -> Iterator[Vector]:
     """Yield derivatives in nominal values at the start, then at points with other parameters."""
     own = np.array([unknown.nominal for unknown in unknowns])
@@ -140,7 +140,7 @@ def _matrices(
 def _matrix(
     session: Session,
     unknowns: Sequence[Described],
-    knowns: Sequence[_Known],
+    knowns: Sequence[_Knowns],
     at: Vector,
     *,
     told: bool,
@@ -188,7 +188,7 @@ def _vary_parameters(session: Session, rng: np.random.Generator) -> None:
 def _differences(
     session: Session,
     unknowns: Sequence[Described],
-    known: _Known,
+    known: _Knowns,
     states: Vector,
     value: float,
     scale: float,
@@ -208,7 +208,7 @@ def _differences(
 def _moved(
     session: Session,
     unknowns: Sequence[Described],
-    known: _Known,
+    known: _Knowns,
     states: Vector,
     value: float,
 ) -> Vector:
@@ -222,23 +222,23 @@ def _moved(
     return session.values(unknowns)
 
 
-def _states_of(knowns: Sequence[_Known], at: Vector) -> Vector:
+def _states_of(knowns: Sequence[_Knowns], at: Vector) -> Vector:
     return np.array([v for k, v in zip(knowns, at, strict=True) if k.state is not None])
 
 
-def _knowns(bench: Bench) -> Iterator[_Known]:
+def _knowns(bench: Bench) -> Iterator[_Knowns]:
     """Yield states, then continuous inputs and, in FMI 3.0, tunable parameters."""
     with suppress(Skipped):
         for i, (state, _) in enumerate(bench.states()):
-            yield _Known(state, i, surely=True)
+            yield _Knowns(state, i, surely=True)
     for variable in bench.described.variables:
         if not bench.single(variable):
             continue
         kinds = variable.causality, variable.variability
         if kinds == ("input", "continuous"):
-            yield _Known(variable, None, surely=True)
+            yield _Knowns(variable, None, surely=True)
         elif not bench.second and kinds == ("parameter", "tunable"):
-            yield _Known(variable, None, surely=False)
+            yield _Knowns(variable, None, surely=False)
 
 
 def _continuous(bench: Bench) -> list[Described]:

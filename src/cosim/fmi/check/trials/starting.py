@@ -9,7 +9,7 @@ from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, some
 from cosim.fmi.check.trials.repeating import few_numbers
 
-START = Rule("start", WRONG, "show it, and compute on with it", "mend its equations")
+NO_START = Rule("start", WRONG, "show it, and compute on with it", "mend its equations")
 READ_EARLY = Rule(
     "initialization",
     WRONG,
@@ -48,7 +48,7 @@ def start(bench: Bench, kind: str) -> Iterator[Finding]:
         bad = ~np.isfinite(session.values(outputs))
         if bad.any():
             names = some([v.name for v, b in zip(outputs, bad, strict=True) if b])
-            yield START.at(kind, f"not finite at the start: {names}")
+            yield NO_START.at(kind, f"not finite at the start: {names}")
 
 
 def initialization(bench: Bench, kind: str) -> Iterator[Finding]:

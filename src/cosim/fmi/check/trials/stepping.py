@@ -31,7 +31,7 @@ BEYOND = Rule(
 MOST_STEPS = 1_000_000
 SIZE = 1 / 60  # s
 _SHARE = 1 / 12  # of all time is for the steps
-_FEW = 10
+_FEW_STEPS = 10
 
 
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
@@ -52,7 +52,8 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                     break
         except Exception as error:
             if stop is None or session.time + SIZE <= stop:
-                own = _own_steps_fail(bench, kind, session.time + SIZE)
+                fatal = "(fatal)" in str(error)  # after which no instance may be made
+                own = fatal or _own_steps_fail(bench, kind, session.time + SIZE)
                 told = f"a step of 1/60 s fails at {session.time:.6g} s: {error}"
                 yield (FAILING if own else SUMS).at(kind, told)
                 return
@@ -67,21 +68,22 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
     size = bench.step_size(kind)
     with bench.session(kind) as session:
         ends = session.start_time
-        for _ in range(_FEW):
+        for _ in range(_FEW_STEPS):
             ends += size
         limit = np.nextafter(ends, -np.inf)  # which the last step exceeds by a rounding error
         session.start(stop_time=float(limit))
         try:
-            done = len(list(session.steps(size, _FEW)))
+            done = len(list(session.steps(size, _FEW_STEPS)))
         except Exception as error:
-            if session.time < ends - 1.5 * size or _own_steps_fail(bench, kind, float(ends)):
+            early = session.time < ends - 1.5 * size or "(fatal)" in str(error)
+            if early or _own_steps_fail(bench, kind, float(ends)):
                 raise
             told = (
                 f"the last step ends {ends - limit:.1g} s beyond the stop time and fails: {error}"
             )
             yield REFUSED_END.at(kind, told)
             return
-        if done < _FEW:
+        if done < _FEW_STEPS:
             raise Skipped("it ends by itself before")
         try:
             beyond = len(list(session.steps(size, 1)))

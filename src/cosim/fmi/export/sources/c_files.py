@@ -8,33 +8,33 @@ import casadi as ca
 from casadi_models.dae import Dae
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
+from cosim.fmi.export.description.model_description import Identity
 from cosim.fmi.export.solver_choice import uses_dop853
 from cosim.fmi.export.sources.equations import equations_code
 from cosim.fmi.export.sources.folding import folded
-from cosim.fmi.export.variables import FmuVariable
+from cosim.fmi.export.variables import FmuVariable, Role
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
 
 
-def model_header(
-    dae: Dae, identifier: str, guid: str, tolerance: float, fmi: int, solver: str
-) -> str:
+def model_header(dae: Dae, identity: Identity, fmi: int, solver: str, *, valid: bool) -> str:
     """Return `model.h`: the sizes and names that the runtime is compiled with."""
     span = dae.experiment.stop_time
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
 #define MODEL_H
-#define MODEL_IDENTIFIER {_string(identifier)}
-#define MODEL_PREFIX {identifier}_
+#define MODEL_IDENTIFIER {_string(identity.identifier)}
+#define MODEL_PREFIX {identity.identifier}_
 #define MODEL_NAME {_string(dae.full_name)}
-#define MODEL_GUID {_string(guid)}
+#define MODEL_GUID {_string(identity.guid)}
 #define NX {len(dae.states)}
 #define NZ {len(dae.algebraics)}
 #define NU {len(dae.inputs)}
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
-#define DEFAULT_TOLERANCE {tolerance!r}
+#define HAS_VALID {int(valid)}
+#define DEFAULT_TOLERANCE {identity.tolerance!r}
 #define HAS_ADJOINT {int(fmi == 3)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
 #define LARGEST_STEP {span / LEAST_STEPS!r}
@@ -45,7 +45,8 @@ def model_header(
 def variable_table(dae: Dae, variables: Sequence[FmuVariable]) -> str:
     """Return `model.c`: every variable, in the order of the value references, and the limits."""
     limits = "".join(f"    {_string(meaning)},\n" for _, meaning in dae.limits)
-    rows = "".join(f"    {{{', '.join(_row(variable))}}},\n" for variable in variables)
+    numbers = [variable for variable in variables if variable.role is not Role.VALIDITY]
+    rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */
 #include "variables.h"
 #include <float.h>
@@ -61,7 +62,7 @@ const char *const limits[] = {{
 
 
 # Compilers of other people do not get our options; system headers must stay outside.
-_HEAD = """#include <math.h>
+_INCLUDES = """#include <math.h>
 #include "visibility.h"
 INSIDE_BEGIN
 #define CASADI_SYMBOL_EXPORT
@@ -73,7 +74,9 @@ INSIDE_BEGIN
 """
 
 # Start values and derivatives: most of the code, and no solver waits for it in every step.
-_SMALL = re.compile(r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE)
+_SMALL_FUNCTION = re.compile(
+    r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE
+)
 
 
 # Some function must be headed so: a model may have no derivative that is worth its own.
@@ -82,7 +85,7 @@ _HEADING = re.compile(r"^/\* \w+:.*\n(?:SMALL )?(?:static )?int ", re.MULTILINE)
 _MODEL_NAME = re.compile(r"\bmodel_")  # what CasADi makes around a function has its name, too
 
 
-def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
+def equations_c(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     """Return `equations.c`: CasADi's code, its functions visible inside the library only.
 
     Raises:
@@ -91,32 +94,32 @@ def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code = _SMALL.sub(r"\1SMALL ", in_pieces(folded(code)))
+    code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(folded(code)))
     if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
             "use casadi 3.8"
         )
-    return _HEAD + _MODEL_NAME.sub(f"{identifier}_model_", code)
+    return _INCLUDES + _MODEL_NAME.sub(f"{identifier}_model_", code)
 
 
-def _row(variable: FmuVariable) -> tuple[str, ...]:
+def _fields(variable: FmuVariable) -> tuple[str, ...]:
     guess = variable.start if variable.guess is None else variable.guess
     start = guess if variable.start is None else variable.start
     return (
         _string(variable.name),
         variable.role.name,
         variable.start_kind.name,
-        _number(start or 0.0),
-        _number(variable.nominal),
-        _number(variable.minimum),
-        _number(variable.maximum),
-        _number(guess or 0.0),
+        _c_literal(start or 0.0),
+        _c_literal(variable.nominal),
+        _c_literal(variable.minimum),
+        _c_literal(variable.maximum),
+        _c_literal(guess or 0.0),
         str(variable.tunable).lower(),
     )
 
 
-def _number(value: float) -> str:
+def _c_literal(value: float) -> str:
     """Return a C literal of the same bits."""
     if value in (float("inf"), float("-inf")):
         return "DBL_MAX" if value > 0 else "-DBL_MAX"

@@ -41,7 +41,7 @@ def _there(name: str) -> Path:
 
 
 @lru_cache(2)
-def opened(subject: Subject) -> Opened:
+def opened_subject(subject: Subject) -> Opened:
     """Open a subject; each process keeps the last two.
 
     Raises:
