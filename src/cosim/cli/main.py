@@ -20,6 +20,7 @@ from cosim.cli.supervised import names_own_code, supervised
 from cosim.errors import CosimError
 from cosim.host.processes import ending_orphans
 from cosim.host.processor_time import OutOfTime, limited_time
+from cosim.host.progress import shown_on_terminal
 from cosim.text.escaping import sentence, visible
 
 
@@ -82,7 +83,8 @@ def _run_verb(args: argparse.Namespace) -> int:
             if not args.debug:
                 warnings.showwarning = _warn
             _refuse_unwritable(args)
-            code: int = args.run(args)
+            with shown_on_terminal(args.quiet):
+                code: int = args.run(args)
         sys.stdout.flush()
         return code
     except CosimError as error:

@@ -42,6 +42,12 @@ def write_ssp(
         UnknownName: A component or a variable does not exist.
         UsageError: A connection does not lead from an output to an input.
         FmuError, ExportError: A file cannot be read or written.
+
+    Example:
+        >>> import cosim
+        >>> path = cosim.export_fmu(cosim.load("crank_shaft"), "crank.fmu")
+        >>> write_ssp("shaft.ssp", {"crank": path}, [], values={"crank.omega": 10.0}).name
+        'shaft.ssp'
     """
     described = {name: _described(path) for name, path in components.items()}
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]

@@ -1,6 +1,7 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -8,8 +9,9 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
+from cosim.codegen.compiler import has_compiler, time_compiling
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
+from cosim.host.progress import doing
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
@@ -110,12 +112,14 @@ def simulate(
         raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
     if project and solver is None:
         solver = Dop853.name
-    numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, projected=project, **numbers)  # type: ignore[arg-type]
+    settings = {name: value for name, value in shorthand.items() if name in NUMBERS}
+    chosen = chosen_solver(dae, solver, projected=project, **settings)  # type: ignore[arg-type]
     if compiled is None:
         compiled = has_compiler()
     problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
-    solution = first = solve(problem, chosen, values, on_invalid)
+    before = time_compiling()
+    with doing(dae.full_name):
+        solution = first = solve(problem, chosen, values, on_invalid)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
@@ -127,11 +131,16 @@ def simulate(
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
-    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
+    if (compiling := time_compiling() - before) > 0:
+        stats = replace(stats, compile_time=compiling)
+    numbers = numbers_of(dae, values)
+    drawing = dae.drawing.with_numbers(numbers)
     columns, places = recorded_columns(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
     table = solution.table if everything else solution.table[:, places]
-    run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
+    run = Trajectory(
+        dae.full_name, time, columns, table, stats, status, drawing=drawing, numbers=numbers
+    )
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:

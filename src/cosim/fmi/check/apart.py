@@ -75,7 +75,8 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialR
             code = _run_trials(folder, files, str(path), tasks, left, timeout)
             before = len(tasks)
             with suppress(FileNotFoundError):
-                lines = (folder / _ANSWER).read_text().splitlines()
+                text = (folder / _ANSWER).read_text()
+                lines = text[: text.rfind("\n") + 1].splitlines()  # one may have been cut off
                 tasks = told.read([json.loads(line) for line in lines], tasks, code, timeout)
             if len(tasks) == before:
                 raise FmuError(f"{path}: the trials could not be begun (exit code {code})")

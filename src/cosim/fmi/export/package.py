@@ -94,6 +94,11 @@ def export_fmu(
             or an argument is of a type that is of no use.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
+
+    Example:
+        >>> import cosim
+        >>> export_fmu(cosim.load("crank_shaft"), "crank.fmu", fmi=3).name
+        'crank.fmu'
     """
     if not isinstance(dae, Dae):
         raise UsageError.of_type("export_fmu", dae, A_DAE)

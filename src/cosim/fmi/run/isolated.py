@@ -19,6 +19,7 @@ from cosim.errors import CosimError, FmuError, UsageError
 from cosim.host.child import own_folder, run_confined
 from cosim.host.inside import be_confined, leave
 from cosim.host.limits import LIMITS_VARIABLE, Limits
+from cosim.host.progress import doing
 from cosim.model.inputs import InputSeries
 from cosim.model.values import number
 from cosim.text.escaping import sentence
@@ -55,7 +56,8 @@ def simulate_apart(
         place = str(Path(path).absolute())
         told = {"path": place, "options": options, "inputs": _written(inputs)}
         (folder / _REQUEST).write_text(json.dumps(told))
-        code, printed = run_confined(__name__, [str(folder)], folder, timeout)
+        with doing(f"running {Path(path).name}"):
+            code, printed = run_confined(__name__, [str(folder)], folder, timeout)
         if sys.stderr is not None:
             others = (n for n in printed.splitlines(keepends=True) if not n.startswith(_SUNDIALS))
             sys.stderr.writelines(others)

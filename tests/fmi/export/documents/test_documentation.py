@@ -57,7 +57,7 @@ def test_long_equations_name_their_variables_and_their_size():
     told = dict(formulas(cosim.load("bicycle")))
     assert told["der(phi)"] == "phi_dot"
     assert re.fullmatch(r"f\(.*phi_dot.*; parameters\), \d+ operations", told["der(phi_dot)"])
-    assert told["theta at the start"].startswith("solves 0 = ")
+    assert told["theta at the start"].startswith("solution of 0 = ")
 
 
 def test_what_drifts_is_told():

@@ -23,7 +23,7 @@ def formulas(dae: Dae) -> Iterator[tuple[str, str]]:
     for rule in dae.start_rules:
         names = ", ".join(dae.states[i].name for i in rule.states)
         if rule.implicit:
-            yield f"{names} at the start", f"solves 0 = {_text(rule.expression, parameters)}"
+            yield f"{names} at the start", f"solution of 0 = {_text(rule.expression, parameters)}"
         else:
             yield f"{names} at the start", _text(rule.expression, parameters)
     outputs = [output.name for output in dae.output_variables]
