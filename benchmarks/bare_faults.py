@@ -38,7 +38,7 @@ def ended(call: list[str], good: bool, place: Path) -> tuple[str, bool]:
     place.mkdir()
     environment = {**os.environ, "TMPDIR": str(place)}
     process = subprocess.Popen(
-        call, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        call, cwd=place, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
         _, told = process.communicate(timeout=LIMIT + 12)
