@@ -9,6 +9,7 @@ import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
@@ -91,7 +92,7 @@ class Trajectory:
             twice = next(name for name in names if names.count(name) > 1)
             raise UsageError(f"{self.model}: '{twice}' is recorded twice; name it once")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the variables, without time."""
         return tuple(column.name for column in self.columns)
@@ -440,7 +441,7 @@ def _is_settled(array: object) -> bool:
     """Tell whether these are doubles that nobody can change any more: no copy is needed."""
     if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.flags.writeable:
         return False
-    return array.base is None or _is_settled(array.base)
+    return array.base is None or isinstance(array.base, bytes) or _is_settled(array.base)
 
 
 def _listed(names: str | Sequence[str]) -> Sequence[str]:

@@ -36,19 +36,16 @@ class Reached:
 
 def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
     """Call an engine with start values, parameters and constant inputs."""
-    n = engine.function.size2_out(0)
+    n = engine.points
     # CasADi writes column by column, and those after a failure not at all
     states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
-    if engine.parameters is not None:
-        extended = np.empty(engine.parameters.numel_out(0))
-        call_on_arrays(engine.parameters, [p], [extended])
-        p = extended
-    arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
+    if engine.repeat_u:
+        u = np.tile(u, n)
     counts = Counts()
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
     with redirect_stderr(told), _interruptible(engine.library) as interrupts:
         try:
-            succeeded = call_on_arrays(engine.function, arguments, (states, algebraics))
+            succeeded = _evaluated(engine, x0, z0, p, u, states, algebraics)
         except RuntimeError as error:  # CasADi has no narrower type
             reason = _flag(str(error))
         else:
@@ -68,6 +65,19 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     elif reached < n:
         reason = "a state is not finite"
     return Reached(states[:reached].T, algebraics[:reached].T, counts, reason)
+
+
+def _evaluated(
+    engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
+) -> bool:
+    """Fill the results of an engine; tell whether it succeeded."""
+    if engine.direct is not None:
+        return engine.direct(x0, z0, p, u, states, algebraics)
+    if engine.parameters is not None:
+        extended = np.empty(engine.parameters.numel_out(0))
+        call_on_arrays(engine.parameters, [p], [extended])
+        p = extended
+    return call_on_arrays(engine.function, (x0, z0, p, u), (states, algebraics))
 
 
 def call_on_arrays(

@@ -6,24 +6,21 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
-from casadi_models.dae import Dae
+from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.drift_control import controlled
-from cosim.integrate.engine import Problem
-from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.kinks import nearest_kink
-from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
+from cosim.integrate.plan import Asked, Times, plan
 from cosim.integrate.run_stats import RunStats
 from cosim.integrate.solution import Solution, solve
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
+from cosim.integrate.solvers import NUMBERS, SOLVERS
 from cosim.integrate.validity import ON_INVALID
+from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
-from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import Values, assign, listed, number, numbers_of
+from cosim.model.values import Values, assign, listed, numbers_of
 from cosim.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -101,42 +98,38 @@ def simulate(
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     dae, project = controlled(dae, drift_control)
     values = assign(dae, one_of(dae, start_values, shorthand.get("start")))
-    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
-    dae = watching(dae, wanted or ())
-    names = wanted_names(dae, wanted)
-    grid = output_times(dae, start_time, stop_time, output_interval)
-    if not isinstance(compiled, bool | None):
-        raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
-    if project and solver is None:
-        solver = Dop853.name
-    numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, **numbers)  # type: ignore[arg-type]  # all are numbers
-    if compiled is None:
-        compiled = has_compiler()
-    problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
-    solution = first = solve(problem, chosen, values, on_invalid)
+    asked = Asked(
+        None if outputs is None else listed(f"{dae.full_name}: outputs", outputs),
+        Times(start_time, stop_time, output_interval),
+        solver,
+        tuple(shorthand.get(name) for name in NUMBERS),  # type: ignore[misc]  # all are numbers
+        inputs,
+        compiled,
+        project,
+    )
+    own = plan(dae, asked)
+    dae, problem, chosen = own.problem.dae, own.problem, own.solver
+    solution = first = solve(problem, chosen, values, on_invalid, own.places)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
         shorter = problem.until(len(solution.table))
-        solution = solve(shorter, chosen, values, on_invalid)
-    time = grid[: len(solution.table)]
+        solution = solve(shorter, chosen, values, on_invalid, own.places)
+    time = first.grid[: len(solution.table)]
     status = "complete"
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
-    stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
-    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
-    columns, places = recorded(dae, names)
-    everything = places == tuple(range(solution.table.shape[1]))
-    table = solution.table if everything else solution.table[:, places]
-    run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
+    stats = _stats(chosen, first, solution, problem.compiled, perf_counter() - began)
+    drawing = _drawing(dae, values.p.tobytes(), values.u.tobytes())
+    table = solution.table
+    run = Trajectory(dae.full_name, time, own.columns, table, stats, status, drawing=drawing)
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
         others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
         which = f" ({', '.join(others)})" if dae.algebraics else ""
-        kink = _kink(dae, time, solution.table, values)
+        kink = _kink(dae, time, solution.last, values)
         raise SolverError(
             f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "
             "singularity near that state, or use another tolerance or step, formulation or "
@@ -172,34 +165,19 @@ def one_of(
     return start if start_values is None else start_values
 
 
-def output_times(
-    dae: Dae, start_time: float, stop_time: float | None, output_interval: float | Vector | None
-) -> Vector:
-    """Return the output times of a run, s, (n,); see `simulate`.
-
-    An array in place of the interval holds these times themselves.
-
-    Raises:
-        ParameterError: A time is not finite, or they are not increasing.
-    """
-    if isinstance(output_interval, np.ndarray):
-        return checked_grid(output_interval)
-    start_time = number("run", "start_time", start_time)
-    return time_grid(
-        start_time,
-        start_time + dae.experiment.stop_time if stop_time is None else stop_time,
-        dae.experiment.output_interval if output_interval is None else output_interval,
-        numbers=len(all_columns(dae)),
-    )
-
-
-def _kink(dae: Dae, time: Vector, table: Vector, values: Values) -> str:
+def _kink(dae: Dae, time: Vector, last: tuple[Vector, Vector], values: Values) -> str:
     """Say what switches at the last good time."""
     if not len(time):
         return ""
-    x, z = np.split(table[-1, : len(dae.states) + len(dae.algebraics)], [len(dae.states)])
-    found = nearest_kink(dae, time[-1], x, z, values.u, values.p)
+    found = nearest_kink(dae, time[-1], *last, values.u, values.p)
     return f"; {found}" if found else ""
+
+
+@kept_per_thread(64)
+def _drawing(dae: Dae, p: bytes, u: bytes) -> Drawing:
+    """Return what the model looks like with these parameters and inputs."""
+    numbers = Values(np.empty(0), np.frombuffer(p), np.frombuffer(u))
+    return dae.drawing.with_numbers(numbers_of(dae, numbers))
 
 
 def _stats(

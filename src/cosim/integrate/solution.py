@@ -1,6 +1,7 @@
 """From a problem and its numbers to everything observable on the grid."""
 
 from dataclasses import dataclass, replace
+from math import isfinite
 from time import perf_counter
 
 import numpy as np
@@ -13,7 +14,7 @@ from cosim.integrate.call import INTERRUPTED, Reached, call
 from cosim.integrate.engine import Counts, Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.outputs import all_columns, observe
+from cosim.integrate.outputs import Observed, Solved, all_columns, observe
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import engine_of
 from cosim.integrate.validity import Breach, breaches, too_coarse
@@ -29,7 +30,8 @@ class Solution:
 
     Attributes:
         grid: Output times that were wanted, s, (n,).
-        table: What `all_columns` names, one row per time that was reached.
+        table: What is recorded, one row per time that was reached.
+        last: States, and algebraic unknowns, at the last of these times; empty without one.
         counts: What the solver took.
         solve_time: What it took, s; None where there was nothing to integrate.
         reason: Why it ended early; empty where it did not.
@@ -39,6 +41,7 @@ class Solution:
 
     grid: Vector
     table: Vector
+    last: tuple[Vector, Vector]
     counts: Counts
     solve_time: float | None
     reason: str
@@ -46,8 +49,10 @@ class Solution:
     note: str
 
 
-def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> Solution:
-    """Integrate, and evaluate what a run records.
+def solve(
+    problem: Problem, solver: Solver, values: Values, on_invalid: str, places: tuple[int, ...]
+) -> Solution:
+    """Integrate, and evaluate what a run records: `places` among `all_columns`.
 
     Raises:
         CosimError: See `simulate`.
@@ -56,7 +61,6 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
     x0 = start_values(dae, values)
     u = input_values(dae, grid, values, problem.inputs)
     z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
-    states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
     counts, solve_time = Counts(), None
     reason, note, found = "", "", list[Breach]()
     if len(grid) > 1 and dae.states:
@@ -75,35 +79,49 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
         states, guesses, reason = reached.states, reached.algebraics, reached.reason
         if isinstance(solver, FixedStep) and not reason and on_invalid != "ignore":
             found, reason = _step_check(problem, solver, states, z0, values)
+    else:
+        states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
     n = states.shape[1]
-    table, margins = observe(dae, grid[:n], states, guesses, u[:, :n], values.p, problem.compiled)
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-    if bad.size:
-        n = int(bad[0])
-        name = all_columns(dae)[int(np.argmin(np.isfinite(table[n])))].name
+    solved = Solved(grid[:n], states, guesses, u[:, :n], values.p)
+    limits = on_invalid != "ignore"
+    seen = observe(dae, solved, places, limits=limits, compiled=problem.compiled)
+    if seen.lost < n:
+        n, name = seen.lost, _not_finite(dae, solved, seen, places)
         reason = reason or f"{name} is not finite at {grid[n]:g} s"
-    if on_invalid != "ignore":
-        found = sorted([*found, *breaches(dae, grid[:n], margins[:n])])
+    if limits:
+        found = sorted([*found, *breaches(dae, grid[:n], seen.left)])
         if found and on_invalid == "stop":
             n, reason = found[0]
-    return Solution(grid, table[:n], counts, solve_time, reason, tuple(found), note)
+    last = (states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
+    return Solution(grid, seen.table[:n], last, counts, solve_time, reason, tuple(found), note)
+
+
+def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:
+    """Return the name of the first variable that has no number at the first such time."""
+    row = np.concatenate((solved.states[:, seen.lost], seen.unknowns[seen.lost]))
+    numbers = dict(enumerate(row.tolist())) | dict(
+        zip(places, seen.table[seen.lost].tolist(), strict=True)
+    )
+    place = min(place for place, value in numbers.items() if not isfinite(value))
+    return all_columns(dae)[place].name
 
 
 def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
-    """Return every input at the output times, (nu, n).
+    """Return every input at the output times, (nu, n); (nu, 1) where all are constant.
 
     Raises:
         UnknownName: A series is of no input of the model.
     """
-    table = np.tile(values.u[:, None], len(grid))
     if not isinstance(inputs, InputSeries | None):
         raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, "what read_inputs returns")
-    if inputs is not None:
-        known = [variable.name for variable in dae.inputs]
-        for name, row in zip(inputs.names, inputs.at(grid), strict=True):
-            if name not in known:
-                raise UnknownName.among(dae.full_name, "input", name, known)
-            table[known.index(name)] = row
+    if inputs is None:
+        return values.u[:, None]
+    table = np.tile(values.u[:, None], len(grid))
+    known = [variable.name for variable in dae.inputs]
+    for name, row in zip(inputs.names, inputs.at(grid), strict=True):
+        if name not in known:
+            raise UnknownName.among(dae.full_name, "input", name, known)
+        table[known.index(name)] = row
     return table
 
 

@@ -80,17 +80,25 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
         raise UsageError.of_type("a run", dae, A_DAE)
     if not isinstance(overrides, Mapping | None):
         raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
-    given = dict(overrides or {})
-    known = settable(dae)
-    for name, value in given.items():
-        if name not in known:
-            raise _unknown(dae, name, known)
-        given[name] = checked(dae, known[name], value)
-    x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
-    p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
-    u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
+    usual, place = _usual(dae)
+    numbers = usual.copy()
+    for name, value in (overrides or {}).items():
+        if name not in place:
+            raise _unknown(dae, name, settable(dae))
+        row, variable = place[name]
+        numbers[row] = checked(dae, variable, value)
+    nx, np_ = len(dae.states), len(dae.parameters)
+    x, p, u = numbers[:nx], numbers[nx : nx + np_], numbers[nx + np_ :]
     _check_inertias(dae, p.tobytes())
     return Values(x, p, u)
+
+
+@kept_per_thread(64)
+def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int, Variable]]]:
+    """Return the model's own numbers of states, parameters and inputs, and where each one is."""
+    own = (*dae.x_start, *(v.start for v in (*dae.parameters, *dae.inputs)))
+    place = {name: (row, v) for row, (name, v) in enumerate(settable(dae).items())}
+    return np.array(own, dtype=float), place
 
 
 def checked(dae: Dae, variable: Variable, value: Any) -> float:
