@@ -65,7 +65,8 @@ LANES_SHARED void lanes_outputs(const Watched *self) {
         for (int i = 0; i < NX; ++i) sum += 0 * known[i];
         for (long long i = 0; i < self->recorded; ++i) sum += 0 * known[self->places[i]];
         note(self->first, points, ~(sum == 0), j);
-        for (int i = 0; i < NL; ++i) note(self->first + 1 + i, points, ~(known[NX + NY + i] > 0), j);
+        for (int i = 0; i < NL; ++i)
+            note(self->first + 1 + i, points, ~(known[NX + NY + i] > 0), j);
         for (int l = 0; l < LANES && j + l < points; ++l) {
             double *const row = self->rows + (j + l) * self->recorded;
             for (long long i = 0; i < self->recorded; ++i) row[i] = known[self->places[i]][l];

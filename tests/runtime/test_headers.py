@@ -10,7 +10,8 @@ from helpers.harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
-FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir()]
+MASTER = SOLVERS.parent / "master"
+FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir(), *MASTER.iterdir()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
 
 
@@ -32,6 +33,12 @@ def compiled(header: Path, include: list[str]) -> subprocess.CompletedProcess[st
 @pytest.mark.parametrize("header", sorted(SOLVERS.glob("*.h")), ids=lambda path: path.name)
 def test_a_solver_header_compiles_alone(header):
     done = compiled(header, [])
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("header", sorted(MASTER.glob("*.h")), ids=lambda path: path.name)
+def test_a_header_of_the_master_compiles_with_nothing_but_the_solvers(header):
+    done = compiled(header, [f"-I{SOLVERS}"])
     assert done.returncode == 0, done.stderr
 
 

@@ -1,17 +1,15 @@
 """One call of an engine: interruptible, without messages on the way, and what it reached."""
 
-import ctypes
 import io
-import signal
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
-from threading import current_thread, main_thread
 
 import casadi as ca
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.codegen.interruptible import interruptible
 from cosim.integrate.engine import Counts, Engine
 
 INTERRUPTED = "interrupted"
@@ -43,7 +41,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         u = np.tile(u, n)
     counts = Counts()
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
-    with redirect_stderr(told), _interruptible(engine.library) as interrupts:
+    with redirect_stderr(told), interruptible(engine.library) as interrupts:
         try:
             succeeded = _evaluated(engine, x0, z0, p, u, states, algebraics)
         except RuntimeError as error:  # CasADi has no narrower type
@@ -106,26 +104,3 @@ def _flag(message: str) -> str:
     """Return the SUNDIALS flag, or the last line of CasADi's message."""
     flag = message.partition('returned "')[2].partition('"')[0]
     return flag or message.strip().splitlines()[-1][:200]
-
-
-@contextmanager
-def _interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
-    """Let Ctrl-C end what happens in between, though it is one C function.
-
-    Yields:
-        A list that then holds the signal. A handler of the user's own is called, too.
-    """
-    interrupts: list[int] = []
-    handler = signal.getsignal(signal.SIGINT)
-    if library is None or current_thread() is not main_thread() or not callable(handler):
-        yield interrupts
-        return
-    library.cosim_watch()
-    try:
-        yield interrupts
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    if library.cosim_halted():
-        interrupts.append(signal.SIGINT)
-        if handler is not signal.default_int_handler:
-            handler(signal.SIGINT, None)

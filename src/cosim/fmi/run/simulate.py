@@ -1,39 +1,27 @@
-"""Road two: an FMU through fmpy to a `Trajectory`."""
+"""Road two: an FMU through a master, fmpy unless another one is asked for, to a `Trajectory`."""
 
 import os
-import signal
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from threading import current_thread, main_thread
+from collections.abc import Mapping, Sequence
 from time import perf_counter
-from types import FrameType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run import inputs
+from cosim.fmi.run.fmpy_master import driven, rows_of, simulated
 from cosim.fmi.run.instance import (
     INTERFACES,
     by_name,
     choose_interface,
     count_derivatives,
     instantiated,
-    is_number,
-    may_be_set,
     read_description,
 )
+from cosim.fmi.run.opened import FMPY, MASTERS, kept_open
+from cosim.fmi.run.request import column_of, recorded, span_of, start_numbers, tolerance_of
 from cosim.model.inputs import InputSeries
-from cosim.model.values import listed, number
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 
 __all__ = ["INTERFACES", "simulate_fmu", "unpacked"]
-
-MOST_POINTS = 10_000_000  # output times; fmpy keeps them as Python objects
 
 
 def simulate_fmu(
@@ -47,12 +35,13 @@ def simulate_fmu(
     start: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     outputs: Sequence[str] | None = None,
+    master: str = FMPY,
 ) -> Trajectory:
-    """Simulate an FMU with fmpy. Its binary runs in this process: only run FMUs you trust.
+    """Simulate an FMU. Its binary runs in this process: only run FMUs you trust.
 
     Args:
         path: The FMU.
-        interface: "ModelExchange" (fmpy's CVODE integrates) or "CoSimulation" (the solver inside
+        interface: "ModelExchange" (the master integrates) or "CoSimulation" (the solver inside
             does); what fmpy takes when None: co-simulation where the FMU has it.
         start_time, stop_time, output_interval: s; the FMU's default experiment when None. The
             last output is at `stop_time` in any case.
@@ -60,6 +49,10 @@ def simulate_fmu(
         start: Start values, parameters and constant inputs by name, in the FMU's units.
         inputs: Time series of some inputs, in the FMU's units.
         outputs: Names to record; the FMU's outputs when None.
+        master: Who drives it. "fmpy" integrates with CVODE. "c" is compiled code, a tenth to a
+            hundredth of the time: one call for the whole run, `dop853` in model exchange, in
+            co-simulation the very numbers of fmpy. It keeps a file of FMI 2 or 3 open for the
+            next runs, and takes no `inputs`.
 
     Returns:
         Every recorded variable, with its unit.
@@ -67,9 +60,25 @@ def simulate_fmu(
     Raises:
         FmuError: The file is no FMU that can run here, or the run failed or ended early.
         SecurityError: The archive would write outside its folder, or its XML is dangerous.
-        UnknownName: A variable or the interface does not exist.
-        UsageError, ParameterError: A variable cannot be set or recorded, or a number is wrong.
+        UnknownName: A variable, the interface or the master does not exist.
+        UsageError, ParameterError: A variable cannot be set or recorded, a number is wrong, or the
+            master does not take what is given.
+        MissingTool: The master "c" is asked for, and no compiler works.
     """
+    if master not in MASTERS:
+        raise UnknownName.among("cosim", "master", str(master), MASTERS)
+    if master != FMPY:
+        if inputs is not None:
+            raise UsageError(f"{path}: master {master!r} takes no series of inputs; use {FMPY!r}")
+        return kept_open(path, interface).simulate(
+            {} if start is None else start,
+            start_time=start_time,
+            stop_time=stop_time,
+            output_interval=output_interval,
+            relative_tolerance=relative_tolerance,
+            outputs=outputs,
+            master=master,
+        )
     began = perf_counter()
     with unpacked(path) as folder:
         description = read_description(folder, path)
@@ -81,7 +90,7 @@ def simulate_fmu(
         names = recorded(path, variables, outputs)
         with instantiated(folder, description, kind, path) as (instance, explained):
             calls = count_derivatives(instance) if kind == "ModelExchange" else None
-            table = _driven(path, instance, description, kind, inputs, span.start, values)
+            table = driven(path, instance, description, kind, inputs, span.start, values)
             ready = perf_counter()
             result = simulated(
                 explained,
@@ -106,226 +115,3 @@ def simulate_fmu(
         stats["rhs_calls"] = calls[0]
     columns = tuple(column_of(variables[name]) for name in names)
     return Trajectory(description.modelName, time, columns, rows, stats)
-
-
-@dataclass(frozen=True)
-class Span:
-    """When a run begins, ends and is recorded, s."""
-
-    start: float
-    stop: float
-    interval: float
-
-
-def span_of(
-    path: object,
-    description: Any,
-    start: float | None,
-    stop: float | None,
-    interval: float | None,
-) -> Span:
-    """Fill in the FMU's default experiment; fmpy itself has other ideas of the interval."""
-    experiment = description.defaultExperiment
-
-    def default(name: str, otherwise: float) -> float:
-        value = getattr(experiment, name, None)
-        return otherwise if value is None else float(value)
-
-    start = number(str(path), "start_time", default("startTime", 0.0) if start is None else start)
-    length = default("stopTime", default("startTime", 0.0) + 1) - default("startTime", 0.0)
-    stop = number(str(path), "stop_time", start + length if stop is None else stop)
-    if stop < start:
-        raise ParameterError(
-            f"{path}: stop_time = {stop:g} s lies before start_time = {start:g} s; "
-            "give a later stop"
-        )
-    if interval is None:
-        interval = default("stepSize", (stop - start) / 500) or 1.0
-    interval = number(str(path), "output_interval", interval, positive=True)
-    if (stop - start) / interval > MOST_POINTS:
-        raise ParameterError(
-            f"{path}: output_interval = {interval:g} s makes {(stop - start) / interval:.3g} "
-            "output times; give a larger one"
-        )
-    return Span(start, stop, interval)
-
-
-def tolerance_of(path: object, relative: float | None) -> float | None:
-    if relative is None:
-        return None
-    if number(str(path), "relative_tolerance", relative, positive=True) > 0.1:
-        raise ParameterError(f"{path}: relative_tolerance = {relative:g} is above 0.1")
-    return float(relative)
-
-
-def start_numbers(
-    path: object, variables: Mapping[str, Any], start: Mapping[str, float]
-) -> dict[str, float]:
-    if not isinstance(start, Mapping):
-        raise UsageError.of_type(f"{path}: start", start, "values by name, e.g. {'phi': 0.1}")
-    settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
-    for name in start:
-        if name not in variables:
-            raise UnknownName.among(str(path), "start value", name, settable)
-        if name not in settable:
-            raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
-    return {name: number(str(path), name, value) for name, value in start.items()}
-
-
-def recorded(
-    path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
-) -> list[str]:
-    if outputs is None:
-        return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
-    wanted = listed(f"{path}: outputs", outputs)
-    for name in wanted:
-        if name not in variables:
-            raise UnknownName.among(str(path), "output", name, variables)
-        if not is_number(variables[name]):
-            raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(wanted))
-
-
-def _driven(
-    path: object,
-    instance: Any,
-    description: Any,
-    kind: str,
-    series: InputSeries | None,
-    start_time: float,
-    values: dict[str, float],
-) -> Any:
-    """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
-    if series is None:
-        return None
-    if not isinstance(series, InputSeries):
-        raise UsageError.of_type(f"{path}: inputs", series, "what cosim.read_inputs returns")
-    known = {v.name: v for v in description.modelVariables if v.causality == "input"}
-    for name in series.names:
-        if name not in known:
-            raise UnknownName.among(str(path), "input", name, known)
-    references = [known[name].valueReference for name in series.names]
-    values |= inputs.start_values(series, start_time)
-    if kind == "CoSimulation":
-        inputs.drive_co_simulation(instance, series, references, description.coSimulation)
-        return None
-    constants = {
-        name: values.get(name, float(variable.start or 0.0))
-        for name, variable in known.items()
-        if name not in series.names
-    }
-    return inputs.drive_model_exchange(instance, series, references, constants)
-
-
-def _moving(start: float, interrupts: Sequence[int]) -> Callable[[float, Any], bool]:
-    """Return what stops fmpy after Ctrl-C, or where time stands still.
-
-    Where an FMU discards a step, fmpy repeats it for ever.
-    """
-    last = start
-
-    def moves(time: float, _recorder: Any) -> bool:
-        nonlocal last
-        last, before = time, last
-        return time > before and not interrupts
-
-    return moves
-
-
-def simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
-    from fmpy import simulate_fmu as run
-
-    with _noticed_interrupts() as interrupts, _noticed_errors() as errors:
-        moving = _moving(start, interrupts)
-        try:
-            result = run(start_time=start, step_finished=moving, **arguments)
-        except Exception as error:
-            if interrupts:
-                raise KeyboardInterrupt from error
-            cause = errors[0] if errors else error
-            raise explained(cause) from cause
-        if interrupts:
-            raise KeyboardInterrupt
-        if errors:
-            raise explained(errors[0]) from errors[0]
-    return result
-
-
-@contextmanager
-def _noticed_errors() -> Iterator[list[Exception]]:
-    """Collect the exceptions within callbacks of fmpy's solver, which ctypes prints and forgets."""
-    seen: list[Exception] = []
-    usual = sys.unraisablehook
-
-    def notice(unraisable: "sys.UnraisableHookArgs") -> None:
-        if isinstance(unraisable.exc_value, Exception):
-            seen.append(unraisable.exc_value)
-
-    sys.unraisablehook = notice
-    try:
-        yield seen
-    finally:
-        sys.unraisablehook = usual
-
-
-@contextmanager
-def _noticed_interrupts() -> Iterator[list[int]]:
-    """Collect Ctrl-C for `_moving`: ctypes swallows what is raised within fmpy's callbacks.
-
-    The second one does what it usually does.
-    """
-    seen: list[int] = []
-    usual = signal.getsignal(signal.SIGINT)
-    if current_thread() is not main_thread() or not callable(usual):
-        yield seen
-        return
-
-    def notice(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        if len(seen) > 1:
-            usual(number, frame)
-
-    signal.signal(signal.SIGINT, notice)
-    try:
-        yield seen
-    finally:
-        signal.signal(signal.SIGINT, usual)
-
-
-def rows_of(
-    explained: Callable[[Exception], FmuError], result: Any, names: Sequence[str], span: Span
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the values at the output times, and these; an early end is an error.
-
-    fmpy records events too; of several rows at one time the last one is kept.
-    """
-    every = np.array(result["time"], dtype=float)
-    slack = 1e-9 * max(1.0, abs(span.start), abs(span.stop))
-    steps = (every - span.start) / span.interval
-    regular = np.abs(steps - np.round(steps)) * span.interval <= slack
-    regular |= np.abs(every - span.stop) <= slack
-    last = np.append(np.diff(every) > 0, True)
-    time = every[regular & last]
-    if every[-1] < span.stop - slack:
-        raise explained(
-            FmuError(f"the run ended at {every[-1]:g} s, before the stop time {span.stop:g} s")
-        )
-    rows = np.empty((len(time), len(names)))
-    for i, name in enumerate(names):
-        rows[:, i] = result[name][regular & last]
-        finite = np.isfinite(rows[:, i])
-        if not finite.all():
-            at = time[int(np.argmin(finite))]
-            raise explained(FmuError(f"{name} is not finite at {at:g} s"))
-    return rows, time
-
-
-def column_of(variable: Any) -> Column:
-    declared = variable.declaredType
-    return Column(
-        variable.name,
-        variable.unit or (declared.unit if declared else None) or "1",
-        variable.displayUnit,
-        float(variable.nominal or 1.0),
-        variable.description or "",
-    )

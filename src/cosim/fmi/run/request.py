@@ -1,0 +1,105 @@
+"""What is asked of a run of an FMU, checked against its description."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.fmi.run.instance import is_number, may_be_set
+from cosim.model.values import listed, number
+from cosim.trajectory import Column
+
+MOST_POINTS = 10_000_000  # output times; fmpy keeps them as Python objects
+
+
+@dataclass(frozen=True)
+class Span:
+    """When a run begins, ends and is recorded, s."""
+
+    start: float
+    stop: float
+    interval: float
+
+
+def span_of(
+    path: object,
+    description: Any,
+    start: float | None,
+    stop: float | None,
+    interval: float | None,
+) -> Span:
+    """Fill in the FMU's default experiment; fmpy itself has other ideas of the interval."""
+    experiment = description.defaultExperiment
+
+    def default(name: str, otherwise: float) -> float:
+        value = getattr(experiment, name, None)
+        return otherwise if value is None else float(value)
+
+    start = number(str(path), "start_time", default("startTime", 0.0) if start is None else start)
+    length = default("stopTime", default("startTime", 0.0) + 1) - default("startTime", 0.0)
+    stop = number(str(path), "stop_time", start + length if stop is None else stop)
+    if stop < start:
+        raise ParameterError(
+            f"{path}: stop_time = {stop:g} s lies before start_time = {start:g} s; "
+            "give a later stop"
+        )
+    if interval is None:
+        interval = default("stepSize", (stop - start) / 500) or 1.0
+    interval = number(str(path), "output_interval", interval, positive=True)
+    if (stop - start) / interval > MOST_POINTS:
+        raise ParameterError(
+            f"{path}: output_interval = {interval:g} s makes {(stop - start) / interval:.3g} "
+            "output times; give a larger one"
+        )
+    return Span(start, stop, interval)
+
+
+def tolerance_of(path: object, relative: float | None) -> float | None:
+    """Return a tolerance, or refuse it."""
+    if relative is None:
+        return None
+    if number(str(path), "relative_tolerance", relative, positive=True) > 0.1:
+        raise ParameterError(f"{path}: relative_tolerance = {relative:g} is above 0.1")
+    return float(relative)
+
+
+def start_numbers(
+    path: object, variables: Mapping[str, Any], start: Mapping[str, float]
+) -> dict[str, float]:
+    """Return start values by name, or refuse them."""
+    if not isinstance(start, Mapping):
+        raise UsageError.of_type(f"{path}: start", start, "values by name, e.g. {'phi': 0.1}")
+    settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
+    for name in start:
+        if name not in variables:
+            raise UnknownName.among(str(path), "start value", name, settable)
+        if name not in settable:
+            raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
+    return {name: number(str(path), name, value) for name, value in start.items()}
+
+
+def recorded(
+    path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
+) -> list[str]:
+    """Return the names to record, each once; the FMU's outputs when None."""
+    if outputs is None:
+        return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
+    wanted = listed(f"{path}: outputs", outputs)
+    for name in wanted:
+        if name not in variables:
+            raise UnknownName.among(str(path), "output", name, variables)
+        if not is_number(variables[name]):
+            raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
+    return list(dict.fromkeys(wanted))
+
+
+def column_of(variable: Any) -> Column:
+    """Return what is known of a variable."""
+    declared = variable.declaredType
+    return Column(
+        variable.name,
+        variable.unit or (declared.unit if declared else None) or "1",
+        variable.displayUnit,
+        float(variable.nominal or 1.0),
+        variable.description or "",
+    )
