@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName, UsageError
     from cosim.scene.roads import scene_dae
-    from cosim.verify.reference_result import export_with_proof
+    from cosim.verify.kept_export import export_kept
 
     refuse_timeout(args)
     if args.fmi not in ("2", "3"):
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if args.tolerance is not None:
         options["tolerance"] = args.tolerance
     if accuracy is None:
-        path = export_with_proof(dae, target, reference=args.reference == "auto", **options)
+        path = export_kept(dae, target, reference=args.reference == "auto", **options)
     else:
         from cosim.study.accuracy.fmu import export_accurate
 
