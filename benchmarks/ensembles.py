@@ -21,7 +21,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 import cosim
-from cosim.codegen.lane_library import processor_lanes
+from cosim.codegen.runge_kutta.lane_library import processor_lanes
 
 RUNS, STOP, REPEATS = 1000, 20.0, 5
 ROLLS = np.linspace(0.3, 0.5, RUNS)

@@ -11,7 +11,8 @@ from problem import Problem
 
 import cosim
 from cosim.codegen.casadi_library import cache_key, external
-from cosim.integrate import call, engine
+from cosim.integrate import engine
+from cosim.integrate.run import call
 from cosim.integrate.solvers import chosen_solver, engine_of
 
 PACKAGES = ("cosim-rigid", "casadi")

@@ -38,6 +38,7 @@ def build() -> Dae:
     forces = _contact_forces(k, s, places)
     declaration.outputs(model, "fx_P fy_P fz_P fx_Q fy_Q fz_Q", forces)
     declaration.outputs(model, "speed", -k.rR * (y[7] + y[10]))
+    model.start_through(y[7], "speed")
     slip = s["C_1"] @ s["u_I"] + s["C_2"] @ s["u_D"]
     declaration.outputs(model, "loop_closure slip_1 slip_2 slip_3", ca.vertcat(closure, slip))
     kinetic = ca.dot(s["u_I"], s["M"] @ s["u_I"]) / 2

@@ -41,6 +41,7 @@ def build() -> Dae:
     declaration.outputs(model, "fx_P fy_P fz_P", rolling(rear))
     declaration.outputs(model, "fx_Q fy_Q fz_Q", rolling(moving.C_to_N @ moving.W_to_C @ front))
     declaration.outputs(model, "zP speed", rolling(SX(0), moving.speed))
+    model.start_through(u_I[1], "speed")
     declaration.outputs(model, RESIDUALS, rolling(moving.residuals()))
     declaration.energies(model, rolling(kane.kinetic_energy(system)), moving.potential)
     fz_Q = (moving.C_to_N @ moving.W_to_C @ front)[2]

@@ -41,6 +41,7 @@ def build() -> Dae:
     rear = kane.reactions(system, u_dot, front)
     declaration.outputs(model, "fx_P fy_P fz_P", rear)
     declaration.outputs(model, "zP speed", ca.vertcat(0, moving.speed))
+    model.start_through(u[1], "speed")
     residuals = system.with_held_at_zero(moving.residuals())
     declaration.outputs(model, RESIDUALS, residuals)
     declaration.energies(model, kane.kinetic_energy(system), moving.potential)

@@ -11,7 +11,7 @@ from casadi_models.dae.family import Family
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.model import Model
-from casadi_models.dae.starts import StartRule
+from casadi_models.dae.starts import StartRule, StartThrough
 from casadi_models.dae.variables import Experiment, Start, Variable
 
 __all__ = [
@@ -24,5 +24,6 @@ __all__ = [
     "Model",
     "Start",
     "StartRule",
+    "StartThrough",
     "Variable",
 ]

@@ -11,7 +11,7 @@ from casadi import SX
 from casadi_models.dae import packed, shown
 from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.invariants import Closing, Invariant
-from casadi_models.dae.starts import StartRule
+from casadi_models.dae.starts import StartRule, StartThrough
 from casadi_models.dae.variables import Experiment, Variable
 
 
@@ -39,6 +39,7 @@ class Dae:
         monitors: (variable, scalar expression) of how well conditioned the equations are; no
             outputs until somebody asks for them.
         drawing: What the system looks like; see `Model.shape`.
+        start_outputs: Outputs by whose value starts of states may be given.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -72,6 +73,7 @@ class Dae:
     closing: Closing | None = None
     monitors: tuple[tuple[Variable, SX], ...] = ()
     drawing: Drawing = field(default_factory=Drawing)
+    start_outputs: tuple[StartThrough, ...] = ()
 
     def __post_init__(self) -> None:
         for what, variables, columns in (

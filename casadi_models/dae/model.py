@@ -18,14 +18,14 @@ from casadi_models.dae.expressions import (
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.scenery import Scenery
-from casadi_models.dae.starts import StartRule, refuse_disorder
+from casadi_models.dae.starts import Starting, refuse_disorder
 from casadi_models.dae.variables import Experiment, Facts, Start, Variable, is_name, number
 from casadi_models.units import convert
 
 _SPREAD = 1e12  # a positive parameter may differ from its default by this factor, not more
 
 
-class Model(Scenery):
+class Model(Starting, Scenery):
     """Builder of a `Dae`: declare, relate, freeze.
 
     Every declaring call returns the bare CasADi symbol, so that equations read as in the book.
@@ -72,7 +72,6 @@ class Model(Scenery):
         self._monitors: dict[str, SX] = {}
         self._derivatives: dict[str, SX] = {}
         self._residuals: list[SX] = []
-        self._rules: list[StartRule] = []
         self._inertias: list[tuple[str, SX]] = []
         self._limits: list[tuple[SX, str]] = []
         self._invariants: list[Invariant] = []
@@ -161,14 +160,6 @@ class Model(Scenery):
     def equation(self, residual: Any) -> None:
         """Add residuals that the algebraic unknowns make zero."""
         self._residuals += ca.vertsplit(self._column("equation", residual))
-
-    def start(self, states: SX, expression: Any, meaning: str) -> None:
-        """Calculate starts of states from parameters and other starts, explicitly."""
-        self._start_rule(states, expression, implicit=False, meaning=meaning)
-
-    def start_equation(self, states: SX, residual: Any, meaning: str) -> None:
-        """Calculate starts of states as the root of a residual, from their start as a guess."""
-        self._start_rule(states, residual, implicit=True, meaning=meaning)
 
     def inertia(self, body: str, matrix: Any) -> SX:
         """Note that a matrix of parameters must be the inertia of a real body; return it."""
@@ -279,6 +270,7 @@ class Model(Scenery):
             }
             refuse_faulty(drifting, ca.vertcat(x, p), "states and parameters")
             refuse_disorder(self._rules, x, p)
+            through = self._starts_through(x, p)
             drawing = self._drawing(ca.vertcat(self.t, x, z, u, p), p, self._variables)
         ode, alg, outputs, limits, monitors = share([column(part.values()) for part in parts])
         if not is_structurally_regular(alg, z):
@@ -310,6 +302,7 @@ class Model(Scenery):
             parameters=self._of("p"),
             output_variables=tuple(self._variables[name] for name in self._outputs),
             start_rules=tuple(self._rules),
+            start_outputs=through,
             inertias=tuple(self._inertias),
             observed=(*self._symbols["x"], *self._symbols["z"], *self._outputs),
             x_start=tuple(v.start for v in self._of("x") if v.start is not None),
@@ -378,12 +371,6 @@ class Model(Scenery):
             wanted = f"({'n' if rows is None else rows}, 1)"
             raise self._refusal(f"{what} has shape {value.shape}; give shape {wanted}")
         return value
-
-    def _start_rule(self, states: SX, expression: Any, *, implicit: bool, meaning: str) -> None:
-        names = self._names(states)
-        order = list(self._symbols["x"])
-        law = self._column(f"start ({meaning})", expression, len(names))
-        self._rules.append(StartRule(tuple(map(order.index, names)), law, implicit, meaning))
 
     @contextmanager
     def _naming_the_model(self) -> Iterator[None]:

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.expressions import is_structurally_regular, quoted, refuse_faulty, symbols
+from casadi_models.dae.variables import Variable
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -24,6 +26,80 @@ class StartRule:
     expression: SX
     implicit: bool
     meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class StartThrough:
+    """An output by whose value the start of a state may be given.
+
+    Attributes:
+        variable: The output.
+        state: Position in `Dae.x` of the state.
+        expression: The output, of states and parameters.
+    """
+
+    variable: Variable
+    state: int
+    expression: SX
+
+
+class Starting:
+    """The part of `Model` that says how starts follow; `Model` inherits it."""
+
+    _symbols: dict[str, dict[str, SX]]
+    _variables: dict[str, Variable]
+    _outputs: dict[str, SX]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rules: list[StartRule] = []
+        self._through: dict[str, str] = {}  # state by output
+
+    def start(self, states: SX, expression: Any, meaning: str) -> None:
+        """Calculate starts of states from parameters and other starts, explicitly."""
+        self._start_rule(states, expression, implicit=False, meaning=meaning)
+
+    def start_equation(self, states: SX, residual: Any, meaning: str) -> None:
+        """Calculate starts of states as the root of a residual, from their start as a guess."""
+        self._start_rule(states, residual, implicit=True, meaning=meaning)
+
+    def start_through(self, state: SX, output: str) -> None:
+        """Let users give the start of a state by the value of an output of states and parameters.
+
+        It must grow or fall with that state at every start: the start is solved for.
+        """
+        (name,) = self._names(state)
+        if output not in self._outputs:
+            raise self._refusal(f"'{output}' is no output of this model; declare it before")
+        self._through[output] = name
+
+    def _start_rule(self, states: SX, expression: Any, *, implicit: bool, meaning: str) -> None:
+        names = self._names(states)
+        order = list(self._symbols["x"])
+        law = self._column(f"start ({meaning})", expression, len(names))
+        self._rules.append(StartRule(tuple(map(order.index, names)), law, implicit, meaning))
+
+    def _starts_through(self, x: SX, p: SX) -> tuple[StartThrough, ...]:
+        order = list(self._symbols["x"])
+        calculated = {order[i] for rule in self._rules for i in rule.states}
+        for output, state in self._through.items():
+            law = {f"output '{output}', which gives a start,": self._outputs[output]}
+            refuse_faulty(law, ca.vertcat(x, p), "states and parameters")
+            if state in calculated:
+                raise ValueError(f"the start of '{state}' is calculated; '{output}' cannot give it")
+        return tuple(
+            StartThrough(self._variables[output], order.index(state), self._outputs[output])
+            for output, state in self._through.items()
+        )
+
+    def _names(self, states: SX) -> tuple[str, ...]:
+        raise NotImplementedError
+
+    def _column(self, what: str, expression: Any, rows: int | None = None) -> SX:
+        raise NotImplementedError
+
+    def _refusal(self, reason: str) -> ValueError:
+        raise NotImplementedError
 
 
 def refuse_disorder(rules: Sequence[StartRule], x: SX, p: SX) -> None:

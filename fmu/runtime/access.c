@@ -70,8 +70,9 @@ bool known(Instance *self, const uint32_t references[], size_t count) {
 }
 
 static Status refuse_not_finite(Instance *self, size_t reference) {
-    return refuse(self, DISCARD, "%s is %g at time %.17g", variables[reference].name,
-                  self->state.values[reference], self->state.values[TIME]);
+    const Hint hint = limit_hint(self);
+    return refuse(self, DISCARD, "%s is %g at time %.17g%s%s", variables[reference].name,
+                  self->state.values[reference], self->state.values[TIME], hint.joint, hint.limit);
 }
 
 /* Values by reference; none is written unless all are defined and finite. */
@@ -146,6 +147,40 @@ Status get_block(Instance *self, size_t first, double values[], size_t count) {
     for (size_t i = first; i < first + count; i++)
         if (!isfinite(self->state.values[i])) return refuse_not_finite(self, i);
     memcpy(values, self->state.values + first, count * sizeof *values);
+    return OK;
+}
+
+/* FMI 2 numbers the variables of each type on their own, FMI 3 all of them. */
+static uint32_t valid_reference(const Instance *self) {
+    return self->host.fmi_version == 2 ? 0 : N_VARIABLES;
+}
+
+/* The Boolean variable `valid`, for a list of references to it. */
+Status get_validity(Instance *self, const uint32_t references[], size_t count, bool *valid) {
+    if (count == 0) return OK;
+    if (!references) return refuse(self, ERROR, "%zu value references, but no list", count);
+    for (size_t i = 0; i < count; i++)
+        if (!HAS_VALID || references[i] != valid_reference(self))
+            return refuse(self, ERROR, "the model has no variable of this type");
+    if (self->state.mode == INSTANTIATED)
+        return refuse(self, DISCARD, "valid has no value before initialization");
+    const Status status = refresh(self, OUTPUTS);
+    *valid = self->state.outside == 0;
+    return status;
+}
+
+/* The margins of the limits, for importers that look for the instants at which they change sign. */
+Status get_indicators(Instance *self, double values[], size_t count) {
+    if (count != N_INDICATORS)
+        return refuse(self, ERROR, "%zu asked, the model has %d event indicators", count,
+                      N_INDICATORS);
+    if (count == 0) return OK;
+    if (!values) return refuse(self, ERROR, "there is no room for %zu values", count);
+    const Status status = refresh(self, OUTPUTS);
+    if (status != OK) return status;
+    for (size_t i = FIRST_INDICATOR; i < N_VARIABLES; i++)
+        if (!isfinite(self->state.values[i])) return refuse_not_finite(self, i);
+    memcpy(values, self->state.values + FIRST_INDICATOR, count * sizeof *values);
     return OK;
 }
 

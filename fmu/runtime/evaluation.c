@@ -7,7 +7,6 @@
 
 #include "equations.h"
 #include "logging.h"
-#include "validity.h"
 
 static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
 
@@ -64,6 +63,17 @@ void pass_values(Instance *self) {
     self->arg[4] = values + FIRST_PARAMETER;
 }
 
+/* What to add to a message of failure at the present values. */
+Hint limit_hint(Instance *self) {
+    double margins[ROOM(N_LIMITS)];
+    for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
+    pass_values(self);
+    self->res[0] = NULL;
+    self->res[1] = margins;
+    if (N_LIMITS > 0) model_outputs(self->arg, self->res, self->iw, self->w, 0);
+    return nearest_limit(self, margins);
+}
+
 /* Algebraic unknowns; the last solution is the guess, and stays where there is no new one. */
 static Status solve_algebraics(Instance *self) {
     if (NZ == 0) return OK;
@@ -71,9 +81,11 @@ static Status solve_algebraics(Instance *self) {
     pass_values(self);
     self->res[0] = z;
     const int failed = model_algebraic(self->arg, self->res, self->iw, self->w, 0);
-    if (failed || !all_finite(z, NZ))
-        return refuse(self, DISCARD, "the algebraic equations have no solution at time %.17g",
-                      self->state.values[TIME]);
+    if (failed || !all_finite(z, NZ)) {
+        const Hint hint = limit_hint(self);
+        return refuse(self, DISCARD, "the algebraic equations have no solution at time %.17g%s%s",
+                      self->state.values[TIME], hint.joint, hint.limit);
+    }
     memcpy(self->state.values + FIRST_ALGEBRAIC, z, NZ * sizeof(double));
     return OK;
 }
@@ -81,10 +93,10 @@ static Status solve_algebraics(Instance *self) {
 static Status compute(Instance *self, Equation *equation, double *results, const char *what) {
     pass_values(self);
     self->res[0] = results;
-    if (equation(self->arg, self->res, self->iw, self->w, 0))
-        return refuse(self, DISCARD, "the %s cannot be computed at time %.17g", what,
-                      self->state.values[TIME]);
-    return OK;
+    if (!equation(self->arg, self->res, self->iw, self->w, 0)) return OK;
+    const Hint hint = limit_hint(self);
+    return refuse(self, DISCARD, "the %s cannot be computed at time %.17g%s%s", what,
+                  self->state.values[TIME], hint.joint, hint.limit);
 }
 
 /* Outputs, and with them what the model says of its own validity. */
@@ -122,4 +134,9 @@ Status refresh(Instance *self, unsigned results) {
         self->state.stale &= ~result;
     }
     return OK;
+}
+
+/* Look whether limits are left, where nobody has read an output. */
+void note_limits(Instance *self) {
+    if (N_LIMITS > 0) refresh(self, OUTPUTS);
 }

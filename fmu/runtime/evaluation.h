@@ -3,6 +3,7 @@
 #define EVALUATION_H
 
 #include "state.h"
+#include "validity.h"
 #include "visibility.h"
 
 INSIDE_BEGIN
@@ -10,6 +11,8 @@ INSIDE_BEGIN
 bool all_finite(const double values[], int count);
 void pass_values(Instance *self);
 Status refresh(Instance *self, unsigned results);
+void note_limits(Instance *self);
+Hint limit_hint(Instance *self);
 
 INSIDE_END
 

@@ -1,6 +1,4 @@
 /* FMI 2.0: the functions common to model exchange and co-simulation. */
-#include <stdlib.h>
-
 #include "access.h"
 #include "fmi2_modes.h"
 #include "fmi2_status.h"
@@ -23,7 +21,9 @@ static void log_fmi2(const Instance *self, Status status, const char *category, 
     logger(self->host.environment, self->name, fmi2_status(status), category, text);
 }
 
-/* The resource location is not needed and not read; nothing is ever visible. */
+/* The resource location is not needed and not read; nothing is ever visible. Memory is the
+   library's own (canNotUseMemoryManagementFunctions): importers' functions differ in what they
+   zero and align. */
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible,
@@ -31,14 +31,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     (void)fmuResourceLocation;
     (void)visible;
     if (!functions) return NULL;
-    const bool own_memory = !functions->allocateMemory || !functions->freeMemory;
     const Host host = {
         .fmi_version = 2,
         .log = log_fmi2,
         .logger = (void (*)(void))functions->logger,
         .environment = functions->componentEnvironment,
-        .allocate = own_memory ? calloc : functions->allocateMemory,
-        .release = own_memory ? free : functions->freeMemory,
     };
     const unsigned interface = fmuType == fmi2ModelExchange  ? INTERFACE_ME
                                : fmuType == fmi2CoSimulation ? INTERFACE_CS
@@ -96,7 +93,8 @@ fmi2Status fmi2Reset(fmi2Component c) {
     return fmi2OK;
 }
 
-/* -- variables: all are Real ------------------------------------------------------------------ */
+/* -- variables: all are Real, but for `valid`
+ * ------------------------------------------------------------------ */
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        fmi2Real value[]) {
@@ -126,8 +124,14 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                           fmi2Boolean value[]) {
-    (void)vr, (void)value;
-    return no_variables(c, IN_GET_VALUES, __func__, nvr);
+    Instance *self = c;
+    if (!allowed(self, IN_GET_VALUES, __func__)) return fmi2Error;
+    bool valid = false;
+    const Status status = get_validity(self, vr, nvr, &valid);
+    if (status == OK && nvr > 0 && !value)
+        return fmi2_status(refuse(self, ERROR, "there is no room for the values"));
+    for (size_t i = 0; status == OK && i < nvr; i++) value[i] = valid;
+    return fmi2_status(status);
 }
 
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,

@@ -1,6 +1,4 @@
 /* FMI 3.0: the functions common to model exchange and co-simulation. */
-#include <stdlib.h>
-
 #include "access.h"
 #include "fmi3_modes.h"
 #include "fmi3_status.h"
@@ -25,9 +23,25 @@ static Host host_of(fmi3InstanceEnvironment environment, fmi3LogMessageCallback 
         .log = log_fmi3,
         .logger = (void (*)(void))logger,
         .environment = environment,
-        .allocate = calloc,
-        .release = free,
     };
+}
+
+/* Between communication points the importer may read variables, and wish to stop there. */
+static bool intermediate_update(Instance *self, double *end) {
+    const fmi3IntermediateUpdateCallback update = (fmi3IntermediateUpdateCallback)self->host.update;
+    const char *function = self->function;
+    const double now = self->state.values[TIME];
+    fmi3Boolean requested = fmi3False;
+    fmi3Float64 wanted = now;
+    self->state.mode = INTERMEDIATE_UPDATE;
+    update(self->host.environment, now, fmi3False, fmi3True, fmi3True, self->host.may_return_early,
+           &requested, &wanted);
+    if (self->state.mode != INTERMEDIATE_UPDATE) return false;
+    self->state.mode = STEP_MODE;
+    self->function = function;
+    if (requested && self->host.may_return_early && wanted < *end)
+        *end = wanted > now ? wanted : now;
+    return true;
 }
 
 /* The resources are not needed and not read; nothing is ever visible. */
@@ -41,17 +55,19 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
     return create(&host, __func__, instanceName, instantiationToken, INTERFACE_ME, loggingOn);
 }
 
-/* No event mode and no intermediate updates: the model has no events. */
+/* No event mode: the model has no events. */
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
     fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
     fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
     size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
     fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)resourcePath, (void)visible, (void)earlyReturnAllowed;
-    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables;
-    (void)intermediateUpdate;
-    const Host host = host_of(instanceEnvironment, logMessage);
+    (void)resourcePath, (void)visible;
+    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables; /* all are there */
+    Host host = host_of(instanceEnvironment, logMessage);
+    host.step_finished = intermediateUpdate ? intermediate_update : NULL;
+    host.update = (void (*)(void))intermediateUpdate;
+    host.may_return_early = earlyReturnAllowed;
     if (eventModeUsed) {
         const Instance draft = {.host = host, .name = "", .function = __func__, .categories = ~0u};
         log_text(&draft, ERROR, "the model has no events: instantiate with eventModeUsed = false");
@@ -131,6 +147,20 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     if (!allowed(self, IN_SET_FLOAT, __func__)) return fmi3Error;
     if (!one_each(self, nValues, nValueReferences)) return fmi3Error;
     return fmi3_status(set_values(self, valueReferences, nValueReferences, values));
+}
+
+/* The one variable of another type is `valid`. */
+fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                          size_t nValueReferences, fmi3Boolean values[], size_t nValues) {
+    Instance *self = instance;
+    if (!allowed(self, IN_GET_VALUES, __func__)) return fmi3Error;
+    if (HAS_VALID && !one_each(self, nValues, nValueReferences)) return fmi3Error;
+    bool valid = false;
+    const Status status = get_validity(self, valueReferences, nValueReferences, &valid);
+    if (status == OK && nValueReferences > 0 && !values)
+        return fmi3_status(refuse(self, ERROR, "there is no room for the values"));
+    for (size_t i = 0; status == OK && i < nValueReferences; i++) values[i] = valid;
+    return fmi3_status(status);
 }
 
 /* -- derivatives with respect to variables ---------------------------------------------------- */

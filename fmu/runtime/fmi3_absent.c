@@ -11,18 +11,19 @@ static fmi3Status absent(Instance *self, unsigned modes, const char *function, s
 
 #define REFERENCES const fmi3ValueReference valueReferences[], size_t nValueReferences
 
-/* Getter and setter of variables of one type. */
-#define NO_VARIABLES_OF(TYPE)                                                                      \
+#define NOT_READ_OF(TYPE)                                                                          \
     fmi3Status fmi3Get##TYPE(fmi3Instance instance, REFERENCES, fmi3##TYPE values[],               \
                              size_t nValues) {                                                     \
         (void)valueReferences, (void)values, (void)nValues;                                        \
         return absent(instance, IN_GET_VALUES, __func__, nValueReferences);                        \
-    }                                                                                              \
+    }
+#define NOT_SET_OF(TYPE)                                                                           \
     fmi3Status fmi3Set##TYPE(fmi3Instance instance, REFERENCES, const fmi3##TYPE values[],         \
                              size_t nValues) {                                                     \
         (void)valueReferences, (void)values, (void)nValues;                                        \
         return absent(instance, IN_SET_DISCRETE, __func__, nValueReferences);                      \
     }
+#define NO_VARIABLES_OF(TYPE) NOT_READ_OF(TYPE) NOT_SET_OF(TYPE)
 
 NO_VARIABLES_OF(Float32)
 NO_VARIABLES_OF(Int8)
@@ -33,8 +34,8 @@ NO_VARIABLES_OF(Int32)
 NO_VARIABLES_OF(UInt32)
 NO_VARIABLES_OF(Int64)
 NO_VARIABLES_OF(UInt64)
-NO_VARIABLES_OF(Boolean)
 NO_VARIABLES_OF(String)
+NOT_SET_OF(Boolean) /* `valid` is read in fmi3.c */
 
 fmi3Status fmi3GetBinary(fmi3Instance instance, REFERENCES, size_t valueSizes[],
                          fmi3Binary values[], size_t nValues) {

@@ -1,10 +1,10 @@
-/* FMI 3.0: the functions of co-simulation. Steps are computed without a stop in between. */
+/* FMI 3.0: the functions of co-simulation. */
 #include "fmi3_modes.h"
 #include "fmi3_status.h"
 #include "stepping.h"
 
-/* A step that fails is discarded: the instance is as it was before, and a shorter one may do.
-   The standard keeps early returns for other reasons (4.2, fmi3DoStep). */
+/* A step that fails is discarded: the instance is as it was before, and a shorter one may do. It
+   returns early where the importer has asked for it in an intermediate update. */
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
                       fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
@@ -16,8 +16,10 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
         return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
-    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
-    *lastSuccessfulTime = self->state.values[TIME];
+    const double reached = self->state.values[TIME];
+    *eventHandlingNeeded = *terminateSimulation = fmi3False;
+    *earlyReturn = status == OK && reached < currentCommunicationPoint + communicationStepSize;
+    *lastSuccessfulTime = reached;
     return fmi3_status(status);
 }
 

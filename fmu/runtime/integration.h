@@ -7,7 +7,8 @@
 
 INSIDE_BEGIN
 
-/* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. */
+/* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. True
+   where it went as far as was wanted: `Host.step_finished` may bring the end forward. */
 bool integrate_to(Instance *self, double end);
 
 INSIDE_END

@@ -12,6 +12,7 @@
 #include "dop853_coefficients.h"
 #include "equations.h"
 #include "evaluation.h"
+#include "midway.h"
 
 enum { MOST_TRIALS = 20000 }; /* of steps in a call: bounds its time */
 
@@ -117,6 +118,20 @@ static void settle(const Problem *self, const SolverMemory *memory, double time)
     state->stale |= AFTER_START;
 }
 
+/* The end of a step within a communication step: let others see it, and go on as if nobody had. */
+static bool show(const Problem *self, const SolverMemory *memory, double *end) {
+    State *state = &self->fmu->state;
+    if (N_LIMITS == 0 && !self->fmu->host.step_finished) return true;
+    State before = *state;
+    settle(self, memory, memory->until);
+    const bool well = pass_midway(self->fmu, end);
+    before.mode = state->mode;
+    before.outside = state->outside;
+    memcpy(before.widest, state->widest, sizeof before.widest);
+    *state = before;
+    return well;
+}
+
 bool integrate_to(Instance *self, double end) {
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     const State *state = &self->state;
@@ -147,7 +162,8 @@ bool integrate_to(Instance *self, double end) {
     memcpy(memory->inputs, u, NU * sizeof *u);
 
     while (memory->until < end)
-        if (!step(&ode, &problem, memory, end, ahead)) {
+        if (!step(&ode, &problem, memory, end, ahead) ||
+            (memory->until < end && !show(&problem, memory, &end))) {
             settle(&problem, memory, memory->until);
             return false;
         }

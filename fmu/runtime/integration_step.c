@@ -5,6 +5,7 @@
 
 #include "equations.h"
 #include "evaluation.h"
+#include "midway.h"
 
 /* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
    that the step ends within about 4^-5 of its length before what stops it. Attempts times the
@@ -44,9 +45,10 @@ bool integrate_to(Instance *self, double end) {
         if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
         const double rest = end - *time;
         const bool last = length >= rest;
-        if (advance(self, last ? rest : length))
+        if (advance(self, last ? rest : length)) {
             *time = last ? end : *time + length;
-        else
+            if (*time < end && !pass_midway(self, &end)) return false;
+        } else
             length = (last ? rest : length) / 4;
     }
     return *time >= end;

@@ -5,6 +5,7 @@
 #include "snapshot.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "evaluation.h"
@@ -12,7 +13,7 @@
 
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 3 };
+enum { LAYOUT_VERSION = 4 };
 
 typedef struct {
     uint64_t magic;
@@ -79,7 +80,7 @@ static bool plausible(const Instance *self, const State *state) {
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     for (int i = 0; i < NU; i++)
         if (!isfinite(state->slopes[i])) return false;
-    if (!all_finite(state->guesses, NX)) return false;
+    if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;
     if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;
@@ -102,7 +103,7 @@ static const char *fault_of(const Instance *self, const Snapshot *snapshot) {
 Status take_snapshot(Instance *self, void **snapshot) {
     if (!snapshot) return reject(self, "there is no room for the FMU state");
     Snapshot *copy = *snapshot;
-    if (!copy) copy = self->host.allocate(1, sizeof *copy);
+    if (!copy) copy = calloc(1, sizeof *copy);
     if (!copy) return reject(self, "no memory for the FMU state");
     const char *reason = *snapshot ? foreign(self, &copy->header) : NULL;
     if (reason) return reject(self, reason);
@@ -126,7 +127,7 @@ Status release_snapshot(Instance *self, void **snapshot) {
     const char *reason = foreign(self, &copy->header);
     if (reason) return reject(self, reason);
     copy->header.magic = 0;
-    self->host.release(copy);
+    free(copy);
     *snapshot = NULL;
     return OK;
 }
@@ -153,12 +154,12 @@ Status deserialize(Instance *self, const void *bytes, size_t size, void **snapsh
     if (!snapshot) return reject(self, "there is no room for the FMU state");
     if (!bytes) return reject(self, "the bytes are missing");
     if (size != sizeof(Snapshot)) return reject(self, "the bytes have another length");
-    Snapshot *copy = self->host.allocate(1, sizeof *copy);
+    Snapshot *copy = calloc(1, sizeof *copy);
     if (!copy) return reject(self, "no memory for the FMU state");
     memcpy(copy, bytes, sizeof *copy);
     const char *reason = fault_of(self, copy);
     if (reason) {
-        self->host.release(copy);
+        free(copy);
         return reject(self, reason);
     }
     *snapshot = copy;

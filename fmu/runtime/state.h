@@ -23,6 +23,7 @@ enum {
     FAULTY = 1 << 7, /* FMI 2: error */
     INTERFACE_ME = 1 << 8,
     INTERFACE_CS = 1 << 9,
+    INTERMEDIATE_UPDATE = 1 << 10, /* FMI 3: within a communication step */
     EITHER = INTERFACE_ME | INTERFACE_CS
 };
 
@@ -44,16 +45,17 @@ typedef struct {
     double slopes[ROOM(NU)];    /* du/dt within the communication step */
     double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
     SolverMemory memory;
-    double stop_time;        /* infinite where none was given */
-    double tolerance;        /* relative, of co-simulation */
-    uint32_t interface;      /* INTERFACE_ME or INTERFACE_CS */
-    uint32_t mode;           /* one of INSTANTIATED ... FAULTY */
-    uint32_t stale;          /* of START_VALUES ... JACOBIAN */
-    uint32_t experiment_set; /* start time and tolerance are settled */
-    uint32_t slopes_spent;   /* they belong to a step that is over */
-    uint32_t step_status;    /* of the last communication step */
-    uint32_t retuned;        /* a parameter has changed since the last one */
-    uint32_t outside;        /* limits of the model that are left, a bit each */
+    double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
+    double stop_time;              /* infinite where none was given */
+    double tolerance;              /* relative, of co-simulation */
+    uint32_t interface;            /* INTERFACE_ME or INTERFACE_CS */
+    uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_UPDATE */
+    uint32_t stale;                /* of START_VALUES ... JACOBIAN */
+    uint32_t experiment_set;       /* start time and tolerance are settled */
+    uint32_t slopes_spent;         /* they belong to a step that is over */
+    uint32_t step_status;          /* of the last communication step */
+    uint32_t retuned;              /* a parameter has changed since the last one */
+    uint32_t outside;              /* limits of the model that are left, a bit each */
 } State;
 
 typedef struct Instance Instance;
@@ -64,8 +66,9 @@ typedef struct {
     void (*log)(const Instance *self, Status status, const char *category, const char *text);
     void (*logger)(void); /* the importer's, of a type that `log` knows; may be NULL */
     void *environment;
-    void *(*allocate)(size_t count, size_t size); /* zeroed memory or NULL */
-    void (*release)(void *memory);
+    bool (*step_finished)(Instance *self, double *end); /* may bring the end forward; or NULL */
+    void (*update)(void); /* the importer's, of a type that `step_finished` knows */
+    bool may_return_early;
 } Host;
 
 struct Instance {

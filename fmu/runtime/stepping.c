@@ -5,10 +5,10 @@
 #include <string.h>
 
 #include "access.h"
+#include "evaluation.h"
 #include "integration.h"
 #include "logging.h"
 #include "sensitivity.h"
-#include "validity.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
@@ -34,18 +34,21 @@ Status do_step(Instance *self, double from, double length) {
     drop_spent_slopes(self);
     const State before = self->state;
     const bool done = integrate_to(self, end);
+    if (self->state.mode != STEP_MODE) return ERROR; /* the importer's callback has erred */
     self->state.slopes_spent = true;
     self->state.step_status = done ? OK : DISCARD;
-    if (done) return OK;
+    if (done) {
+        note_limits(self);
+        return OK;
+    }
     const double reached = self->state.values[TIME];
+    const Hint hint = limit_hint(self);
     if (self->host.fmi_version == 3)
         self->state = before;
     else
         self->state.mode = STEP_FAILED;
-    const char *left = limit_left(self);
     return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g%s%s", now,
-                  end, reached, left ? "; before, it was no longer true that " : "",
-                  left ? left : "");
+                  end, reached, hint.joint, hint.limit);
 }
 
 static Status check_orders(Instance *self, size_t count, const int32_t orders[]) {
@@ -56,11 +59,13 @@ static Status check_orders(Instance *self, size_t count, const int32_t orders[])
     return OK;
 }
 
-/* First time derivatives of inputs for the next communication step. */
+/* First time derivatives of inputs for the next communication step; what has another order is
+   dropped, as an importer may offer whatever its own side knows. */
 Status set_slopes(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                   const double values[]) {
     if (count == 0) return OK;
-    if (!known(self, references, count) || check_orders(self, count, orders) != OK) return ERROR;
+    if (!known(self, references, count)) return ERROR;
+    if (!orders) return refuse(self, ERROR, "the orders are missing");
     if (!values) return refuse(self, ERROR, "there are no values");
     for (size_t i = 0; i < count; i++) {
         const VariableInfo *variable = &variables[references[i]];
@@ -76,9 +81,9 @@ Status set_slopes(Instance *self, const uint32_t references[], size_t count, con
         if (orders[i] == 1)
             self->state.slopes[references[i] - FIRST_INPUT] = values[i];
         else
-            status =
-                refuse(self, WARNING, "inputs move linearly; the derivative of order %d is dropped",
-                       (int)orders[i]);
+            status = refuse(self, WARNING,
+                            "inputs move linearly; the derivative of order %d of %s is dropped",
+                            (int)orders[i], variables[references[i]].name);
     return status;
 }
 

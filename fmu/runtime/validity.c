@@ -1,25 +1,43 @@
 /* Where a run leaves what its model is good for. */
 #include "validity.h"
 
+#include <math.h>
+
 #include "logging.h"
 
 _Static_assert(N_LIMITS <= 32, "a bit for each limit");
 
 /* Warn once for each crossing of a limit; the run goes on. What is not a number is outside. */
 void note_margins(Instance *self, const double margins[]) {
+    State *state = &self->state;
     for (int i = 0; i < N_LIMITS; i++) {
         const uint32_t bit = UINT32_C(1) << i;
         const bool inside = margins[i] > 0;
-        if (!inside && !(self->state.outside & bit))
+        if (!inside && !(state->outside & bit))
             log_text(self, WARNING, "from time %.9g on it is no longer true that %s",
-                     self->state.values[TIME], limits[i]);
-        self->state.outside = inside ? self->state.outside & ~bit : self->state.outside | bit;
+                     state->values[TIME], limits[i]);
+        state->outside = inside ? state->outside & ~bit : state->outside | bit;
+        if (isfinite(margins[i])) state->widest[i] = fmax(state->widest[i], margins[i]);
     }
 }
 
-/* What is no longer true, the first of it; NULL where the model holds. */
-const char *limit_left(const Instance *self) {
-    for (int i = 0; i < N_LIMITS; i++)
-        if (self->state.outside >> i & 1) return limits[i];
-    return NULL;
+/* The limit that a failure is likely to have to do with: one that is left, or the one whose margin
+   has shrunk most. Margins have units of their own; each is measured by its widest so far. */
+Hint nearest_limit(const Instance *self, const double margins[]) {
+    const char *nearest = NULL;
+    double least = INFINITY;
+    for (int i = 0; i < N_LIMITS; i++) {
+        const double widest = self->state.widest[i];
+        const double share = widest > 0 ? margins[i] / widest : margins[i];
+        if (!(share < least)) continue; /* nor where it is not a number */
+        least = share;
+        nearest = limits[i];
+    }
+    if (!nearest) {
+        for (int i = 0; i < N_LIMITS; i++)
+            if (self->state.outside >> i & 1)
+                return (Hint){"; before, it was no longer true that ", limits[i]};
+        return (Hint){"", ""};
+    }
+    return (Hint){least > 0 ? "; the nearest limit: " : "; it is no longer true that ", nearest};
 }

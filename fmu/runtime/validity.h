@@ -5,10 +5,15 @@
 #include "state.h"
 #include "visibility.h"
 
+/* What a message of failure goes on with: a joint and the limit, or two empty texts. */
+typedef struct {
+    const char *joint, *limit;
+} Hint;
+
 INSIDE_BEGIN
 
 void note_margins(Instance *self, const double margins[]);
-const char *limit_left(const Instance *self);
+Hint nearest_limit(const Instance *self, const double margins[]);
 
 INSIDE_END
 

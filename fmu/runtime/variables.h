@@ -37,6 +37,9 @@ enum {
     N_VARIABLES = FIRST_OUTPUT + NY
 };
 
+/* The margins of the limits, the last outputs of a model that tells whether it is valid. */
+enum { N_INDICATORS = HAS_VALID ? N_LIMITS : 0, FIRST_INDICATOR = N_VARIABLES - N_INDICATORS };
+
 INSIDE_BEGIN
 
 extern const VariableInfo variables[];

@@ -34,6 +34,7 @@ typedef struct {
     const long long *places; /* of what is recorded, among states and outputs */
     double *rows;            /* takes a row of these per time */
     long long *first;        /* see below */
+    double *margins;         /* takes a row of those of the limits per time; or NULL */
 } Watched;
 
 static inline void note(long long *first, long long points, M where, long long begin) {
@@ -69,7 +70,9 @@ LANES_SHARED void lanes_outputs(const Watched *self) {
             note(self->first + 1 + i, points, ~(known[NX + NY + i] > 0), j);
         for (int l = 0; l < LANES && j + l < points; ++l) {
             double *const row = self->rows + (j + l) * self->recorded;
+            double *const margins = self->margins ? self->margins + (j + l) * NL : NULL;
             for (long long i = 0; i < self->recorded; ++i) row[i] = known[self->places[i]][l];
+            for (int i = 0; i < NL && margins; ++i) margins[i] = known[NX + NY + i][l];
         }
     }
 }

@@ -12,16 +12,16 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
-from cosim.integrate.asked_times import AskedTimes, again, for_many_grids
-from cosim.integrate.outputs import wanted_names, watching
+from cosim.integrate.run.asked_times import AskedTimes, again
+from cosim.integrate.run.outputs import wanted_names, watching
+from cosim.integrate.run.stopping import run_until
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import SOLVERS
-from cosim.integrate.stopping import run_until
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load
 from cosim.model.driving import driven
 from cosim.model.quantities import quantity
-from cosim.model.values import A_DAE, assign, listed
+from cosim.model.values import A_DAE, assign, listed, plain_values
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
 from cosim.scene.roads import Road
@@ -119,7 +119,7 @@ def simulate(
         raise UsageError.of_type("a run", dae, A_DAE)
     fixed = {name: options.get(name) for name in (*OVERRULED, "drift_control")}
     refuse_contradiction(accuracy, budget, **fixed | {"solver": solver})
-    given = _numbers(dae, native.one_of(dae, start_values, options.pop("start", None)))
+    given = _numbers_of_texts(dae, native.one_of(dae, start_values, options.pop("start", None)))
     own_times, condition = options.pop("output_times", None), options.pop("stop_when", None)
     times = AskedTimes(dae, start_time, stop_time, output_interval, own_times)
     settled = driven(dae, inputs, times.grid)
@@ -177,7 +177,6 @@ def _until(
     """Run until a condition becomes true."""
     wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
     dae = watching(dae, wanted or ())
-    run = for_many_grids(dae, run)
 
     def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
         return native.simulate(watched, output_interval=grid, outputs=names, **run)
@@ -194,7 +193,7 @@ def _together(dae: Dae, given: Any, constants: Mapping[str, float]) -> Any:
     return {**(given or {}), **constants}
 
 
-def _numbers(dae: Dae, given: Any) -> Any:
+def _numbers_of_texts(dae: Dae, given: Any) -> Any:
     """Return what is given for starts, texts as numbers in the variables' units."""
     if not isinstance(given, Mapping) or not isinstance(dae, Dae):
         return given  # and refused with the rest
@@ -271,7 +270,8 @@ def run_scene(
     if not goal:
         return simulate(dae, **asked, **settings, **options)
     known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
-    start = {name: value for name, value in scene.values.items() if name in known}
+    values = plain_values(scene.dae, scene.values)
+    start = {name: value for name, value in values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
 
 

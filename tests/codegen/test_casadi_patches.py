@@ -5,6 +5,7 @@ import pytest
 from cosim.codegen.casadi_patches import (
     differential_errors,
     in_one_piece,
+    run_time_grid,
     run_time_tolerances,
     smallest_step,
     watched,
@@ -71,3 +72,22 @@ def test_entry_is_flattened():
 def test_driver_in_another_form_is_refused(code, change):
     with pytest.raises(UsageError, match=r"casadi .* in another form .*run without compiling"):
         change(code)
+
+
+def test_output_times_come_with_the_parameters():
+    code = run_time_grid(LOOP, 9)
+    assert "settings = arg[2] + 9" in code
+    assert "for (j = 0; j*passed < points; ++j) {" in code
+    assert "casadi_c5" not in code
+    assert "casadi_s0" not in code
+    with pytest.raises(UsageError, match="in another form"):
+        run_time_grid(LOOP.replace("casadi_c5[k]", "grid[k]"), 9)
+
+
+LOOP = """
+  /* Initial state, parameters */
+  for (j = 0; j < 2; ++j) {
+    casadi_ivp_reset(&d, j ? casadi_c5[casadi_s0[j]-1] : 0., uv, j == 0);
+    for (k = casadi_s0[j]; k < casadi_s0[j+1]; ++k) {
+      casadi_ivp_advance(&d, casadi_c5[k], casadi_c5[casadi_s0[j+1]-1], 0);
+"""

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ import pytest
 
 from cosim.codegen import compiler as compiling
 from cosim.codegen.compiler import cached_library, compile_library, find_compiler, has_compiler
-from cosim.errors import MissingTool
+from cosim.errors import CompilerExhausted, MissingTool
 
 CODE = "int answer(void) { return 42; }\n"
 
@@ -21,7 +22,7 @@ CODE = "int answer(void) { return 42; }\n"
 def cache(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     monkeypatch.setenv("COSIM_CACHE", str(folder))
-    monkeypatch.setattr(compiling, "_HIDDEN", ())  # CODE marks nothing for export
+    monkeypatch.setattr(compiling, "_HIDE_SYMBOLS", ())  # CODE marks nothing for export
     return folder
 
 
@@ -169,6 +170,74 @@ def test_hanging_compiler_is_stopped_with_its_children(cache, script, tmp_path, 
             assert time.monotonic() - began < 20
             time.sleep(0.05)
     assert names(cache) == []
+
+
+CALLER = """
+import os, sys
+from cosim.codegen.compiler import cached_library
+print(os.getpid(), flush=True)
+cached_library("key", lambda: "int answer(void) { return 42; }")
+"""
+signals = pytest.mark.parametrize(
+    "ending", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL], ids=lambda each: each.name
+)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@signals
+def test_compiler_ends_with_its_caller_and_the_next_one_cleans_up(ending, cache, script, tmp_path):
+    script(f"echo $$ > {tmp_path}/pid", f"sleep 60 & echo $! > {tmp_path}/child", "wait")
+    caller = subprocess.Popen([sys.executable, "-c", CALLER], stderr=subprocess.DEVNULL)
+    processes = [tmp_path / "pid", tmp_path / "child"]
+    wait_until(lambda: all(path.exists() and path.read_text() for path in processes))
+    caller.send_signal(ending)
+    assert caller.wait(20) != 0
+    wait_until(lambda: not any(runs(int(path.read_text())) for path in processes))
+    script('exec cc "$@"')
+    library = cached_library("key", lambda: CODE)
+    assert names(cache) == [library.name]
+
+
+def wait_until(condition, seconds=20):
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < seconds
+        time.sleep(0.05)
+
+
+def runs(process):
+    try:
+        return ") Z " not in Path("/proc", str(process), "stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+LONG = "double f(double x) {{ double a = x; {} return a; }}\n".format("a = a * x + 1.5;" * 3000)
+
+
+def test_compiler_without_memory_goes_on_without_optimising(cache, script):
+    script(
+        'case "$*" in *-O0*) exec cc "$@";; esac',
+        "echo cc1: out of memory allocating 65536 bytes >&2; exit 1",
+    )
+    with pytest.warns(RuntimeWarning, match="4 GB of memory; .*; it goes on without optimising"):
+        library = cached_library("key", lambda: CODE)
+    assert ctypes.CDLL(str(library)).answer() == 42
+
+
+def test_memory_of_the_compiler_is_bounded_and_the_limit_is_said(cache, monkeypatch):
+    monkeypatch.setenv("COSIM_COMPILER_MEMORY", str(70 * 10**6))
+    if "ziglang" in find_compiler() or "clang" in find_compiler()[0]:
+        pytest.skip("takes its memory in another way")
+    with (
+        pytest.warns(RuntimeWarning, match=r"more than 0\.07 GB of memory"),
+        pytest.raises(CompilerExhausted, match=r"COSIM_COMPILER_MEMORY.*--interpreted"),
+    ):
+        cached_library("key", lambda: LONG)
+    assert names(cache) == []
+    monkeypatch.setenv("COSIM_COMPILER_MEMORY", "much")
+    with pytest.raises(MissingTool, match="COSIM_COMPILER_MEMORY = much is not a number"):
+        cached_library("key", lambda: LONG)
 
 
 @pytest.mark.parametrize("place", ["/proc/cache", "/dev/null/cache"])

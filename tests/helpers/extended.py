@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import find_compiler
-from cosim.codegen.tableau import Tableau
+from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.integrate.integrator import start_vectors
 
 Long = np.longdouble

@@ -9,14 +9,14 @@ Made without the exporter, so that the contract is written down twice.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 
 import casadi as ca
 from casadi import MX, SX
 
-from cosim.codegen.runge_kutta_c import dop853_coefficients
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 
 GUID = "{toy-guid}"
 
@@ -98,8 +98,21 @@ def bare() -> Equations:
     return Equations(t, x, z, u, p, -x, nothing, nothing, nothing, calculated=None, margins=nothing)
 
 
-def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "step") -> None:
-    """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs."""
+def write(
+    folder: Path,
+    model: Equations,
+    table: Sequence[Row],
+    solver: str = "step",
+    *,
+    valid: bool = False,
+) -> None:
+    """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs.
+
+    With `valid`, the model tells whether it holds, and its margins are its last outputs.
+    """
+    if valid:
+        table = (*table, Row("margin", "OUTPUT", "CALCULATED"))
+        model = replace(model, y=ca.vertcat(model.y, model.margins))
     counts = {role: sum(row.role == role for row in table) for role in ROLES}
     header = [
         '#define MODEL_IDENTIFIER "toy"',
@@ -111,6 +124,7 @@ def write(folder: Path, model: Equations, table: Sequence[Row], solver: str = "s
         f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
         "#define LARGEST_STEP 0.5",
         f"#define N_LIMITS {model.margins.numel()}",
+        f"#define HAS_VALID {int(valid)}",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
     ]
     (folder / "model.h").write_text("\n".join(header) + "\n")

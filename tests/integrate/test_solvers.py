@@ -12,7 +12,8 @@ from helpers.oscillators import oscillator
 
 import cosim
 from cosim import solvers
-from cosim.codegen.tableau import Tableau
+from cosim.codegen import compiler
+from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate import simulate as native
 from cosim.integrate.families.fixed_step import FixedStep
@@ -260,3 +261,16 @@ def test_stats_are_attributes_and_a_mapping(ode):
     assert stats.get("invalid", ()) == ()
     with pytest.raises(KeyError):
         stats["invalid"]
+
+
+@pytest.mark.parametrize("solver", ["erk", "rosenbrock"])
+def test_nothing_is_compiled_anew_for_other_output_times(solver, monkeypatch):
+    dae = cosim.load("disk_two_bars/reduced")
+    options = {"solver": solver, "compiled": True}
+    once = cosim.simulate(dae, stop_time=0.4, output_interval=0.1, **options)
+    monkeypatch.setattr(compiler, "compile_library", lambda *_, **__: pytest.fail("compiled"))
+    times = [0.0, 0.17, 0.2, 0.4]
+    again = cosim.simulate(dae, output_times=times, **options)
+    assert again["theta1"][2] == once["theta1"][2]  # no step ends at an output
+    interpreted = cosim.simulate(dae, output_times=times, solver=solver, compiled=False)
+    np.testing.assert_allclose(again.values, interpreted.values, rtol=1e-6, atol=1e-6)

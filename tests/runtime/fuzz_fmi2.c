@@ -10,15 +10,38 @@ static struct {
 
 static long allocated, spoken;
 
-static void *allocate(size_t count, size_t size) {
-    void *memory = one_in(50) ? NULL : calloc(count, size);
+void *__real_calloc(size_t count, size_t size);
+void *__real_malloc(size_t size);
+void __real_free(void *memory);
+void *__wrap_calloc(size_t count, size_t size);
+void *__wrap_malloc(size_t size);
+void __wrap_free(void *memory);
+
+/* The runtime's memory is its own: the linker puts these before the C library's (--wrap). */
+void *__wrap_calloc(size_t count, size_t size) {
+    void *memory = one_in(50) ? NULL : __real_calloc(count, size);
     allocated += memory != NULL;
     return memory;
 }
 
-static void release(void *memory) {
+void *__wrap_malloc(size_t size) { /* the fuzzer's */
+    void *memory = __real_malloc(size);
+    allocated += memory != NULL;
+    return memory;
+}
+
+void __wrap_free(void *memory) {
     allocated -= memory != NULL;
-    free(memory);
+    __real_free(memory);
+}
+
+static void *never_allocate(size_t count, size_t size) {
+    demand(0, "the importer's functions rest");
+    return __real_calloc(count, size);
+}
+
+static void never_free(void *memory) {
+    demand(memory == NULL, "the importer's functions rest");
 }
 
 static void logger(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status,
@@ -32,7 +55,7 @@ static void create(unsigned k) {
     if (pool[k].component) return;
     static const char *const names[] = {"one", "%s%n", "", NULL};
     fmi2CallbackFunctions callbacks = {.logger = one_in(9) ? NULL : logger};
-    if (!one_in(9)) callbacks.allocateMemory = allocate, callbacks.freeMemory = release;
+    if (!one_in(9)) callbacks.allocateMemory = never_allocate, callbacks.freeMemory = never_free;
     pool[k].type = one_in(2) ? fmi2ModelExchange : fmi2CoSimulation;
     pool[k].component =
         fmi2Instantiate(one_in(9) ? names[below(4)] : "one", pool[k].type,

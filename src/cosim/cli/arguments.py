@@ -10,12 +10,13 @@ from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
+from cosim.model.start_outputs import overriding
 from cosim.scene.goals import GOALS, OVERRULED
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import with_solver, without_goal
 
-_SETTINGS = (
+_RUN_SETTINGS = (
     "start_time",
     "stop_time",
     "output_interval",
@@ -32,8 +33,8 @@ def scene_from(args: argparse.Namespace) -> Scene:
     Raises:
         CosimError: The model, the scene or an option is wrong; see `read_scene` and `load`.
     """
-    scene = _driven(args, named_scene(args.model))
-    given = {key: getattr(args, key, None) for key in _SETTINGS}
+    scene = _driven_scene(args, named_scene(args.model))
+    given = {key: getattr(args, key, None) for key in _RUN_SETTINGS}
     changes = {key: value for key, value in given.items() if value is not None}
     if getattr(args, "budget", None) is not None:
         changes["budget"] = 1e-3 * args.budget
@@ -50,18 +51,12 @@ def scene_from(args: argparse.Namespace) -> Scene:
     numbers = start_numbers(args, scene.dae) if "values" in args else {}
     varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
     inputs = scene.inputs and scene.inputs.only(varying)
-    return replace(scene, values={**scene.values, **numbers}, inputs=inputs)
+    return replace(scene, values=overriding(scene.dae, scene.values, numbers), inputs=inputs)
 
 
-def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
+def _driven_scene(args: argparse.Namespace, scene: Scene) -> Scene:
     """Return a scene with the formulas and time series that a command line gives for inputs."""
-    laws = []
-    for item in getattr(args, "laws", ()):
-        name, equals, text = item.partition("=")
-        if not equals:
-            raise UsageError(f"--input {item}: write NAME=FORMULA")
-        laws.append((name.strip(), text.strip()))
-    if laws:
+    if laws := _laws(args):
         names = {name for name, _ in laws}
         dae = with_laws(scene.dae, tuple(laws))
         left = {variable.name for variable in dae.inputs}
@@ -73,6 +68,31 @@ def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
         values = {n: v for n, v in scene.values.items() if n not in series.names}
         scene = replace(scene, inputs=series, values=values)
     return scene
+
+
+def inputs_in(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what a command line says of an FMU's inputs: formulas of time, and time series.
+
+    Raises:
+        UsageError: One is not written like that, or is given twice.
+    """
+    inputs: dict[str, Any] = dict(_laws(args))
+    if args.input_file is not None:
+        series = read_inputs(args.input_file)
+        if twice := inputs.keys() & set(series.names):
+            raise UsageError(f"{min(twice)} has a formula and a column; give one of them")
+        inputs |= dict.fromkeys(series.names, series)
+    return inputs
+
+
+def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
+    laws = []
+    for item in getattr(args, "laws", ()):
+        name, equals, text = item.partition("=")
+        if not equals:
+            raise UsageError(f"--input {item}: write NAME=FORMULA")
+        laws.append((name.strip(), text.strip()))
+    return laws
 
 
 def times_in(option: str, text: str) -> list[float]:
@@ -115,12 +135,14 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
         numbers[name] = (
-            _plain(name, text) if dae is None else quantity(name, text, _unit(dae, name))
+            _plain_number(name, text)
+            if dae is None
+            else quantity(name, text, _unit_of_name(dae, name))
         )
     return numbers
 
 
-def _plain(name: str, text: str) -> float:
+def _plain_number(name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
@@ -129,7 +151,7 @@ def _plain(name: str, text: str) -> float:
         ) from None
 
 
-def _unit(dae: Dae, name: str) -> str:
+def _unit_of_name(dae: Dae, name: str) -> str:
     try:
         return dae.variable(name).unit
     except KeyError:

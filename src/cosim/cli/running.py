@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from cosim.api import run_scene
-from cosim.cli.arguments import names_in, scene_from, start_numbers, times_in
+from cosim.cli.arguments import inputs_in, names_in, scene_from, start_numbers, times_in
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.scene.goals import GOALS
 from cosim.scene.scene import Scene
@@ -35,7 +35,7 @@ def refuse_timeout(args: argparse.Namespace) -> None:
 def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
     """Return a run and its exit code; of a failed run, what was computed."""
     try:
-        run = _run(args, scene)
+        run = _road_run(args, scene)
         for text in run.stats.get("invalid", ()):
             print(f"warning: {run.model}: {text}", file=sys.stderr)
         if "error_estimate" in run.stats and not args.quiet:
@@ -55,7 +55,7 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
         return error.partial, 130
 
 
-def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
+def _road_run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     if scene is not None:
         if args.interface_type is not None:
             raise UsageError("--interface-type is for FMUs; a model takes --solver")
@@ -80,13 +80,10 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         "drift_control",
         "interpreted",
         "stop_when",
-        "input_file",
     )
     for option in (*own, *GOALS):
         if getattr(args, option) not in (None, False):
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
-    if args.laws:
-        raise UsageError("--input is for models; an FMU takes constant inputs with -p")
     start = start_numbers(args, None)
     require_trust(args.model, trusted=args.trust)
     master = getattr(args, "master", None)
@@ -100,5 +97,6 @@ def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
         output_interval=args.output_interval,
         relative_tolerance=args.relative_tolerance,
         start=start,
+        inputs=inputs_in(args),
         outputs=None if args.outputs is None else names_in(args.outputs),
     )

@@ -24,7 +24,7 @@ def run_time_tolerances(code: str, relative: str, absolute: str) -> str:
     Raises:
         UsageError: This version of CasADi generates the driver in another form.
     """
-    return _replace(
+    return _replace_each(
         code,
         {
             r"p\.reltol = [^;]+;": f"p.reltol = {relative};",
@@ -39,7 +39,7 @@ def smallest_step(code: str) -> str:
     Raises:
         UsageError: See `run_time_tolerances`.
     """
-    return _replace(
+    return _replace_each(
         code,
         {
             r"p\.h_min = [^;]+;": "p.h_min = 1e-60;",
@@ -59,7 +59,7 @@ def differential_errors(code: str) -> str:
     Raises:
         UsageError: See `run_time_tolerances`.
     """
-    return _replace(code, {r"p\.nz_err = \d+;": "p.nz_err = 0;"})
+    return _replace_each(code, {r"p\.nz_err = \d+;": "p.nz_err = 0;"})
 
 
 def watched(code: str) -> str:
@@ -76,7 +76,7 @@ def watched(code: str) -> str:
     read = "d.n_steps, d.n_rhs, d.n_jac, d.status, d.t, d.h"
     kept = f"const double seen[{REPORT}] = {{{read}}};"
     copy = f"for (int i = 0; i < {REPORT}; ++i)"
-    code = _replace(
+    code = _replace_each(
         code,
         {
             r"if \(d\.status != IVP_SUCCESS\) return 1;": (
@@ -94,6 +94,40 @@ def watched(code: str) -> str:
     )
 
 
+def run_time_grid(code: str, constants: int) -> str:
+    """Let the output times come with the parameters, see fmu/solvers/casadi_driver.h.
+
+    Args:
+        code: What CasADi generated with an integrator over 0, 1 whose inputs may change there.
+        constants: Number of its parameters; `arg[2]` goes on with the number of output times, of
+            those that are passed without a stop, and with the times themselves.
+
+    Raises:
+        UsageError: See `run_time_tolerances`.
+    """
+    first, last = "(j*passed)", "((j+1)*passed)"
+    code = _replace_each(
+        code,
+        {
+            r"  /\* Initial state, parameters \*/\n": (
+                "  /* Initial state, parameters */\n"
+                f"  const casadi_real *settings = arg[2] + {constants}, *times = settings + 2;\n"
+                "  const casadi_int points = (casadi_int) settings[0];\n"
+                "  const casadi_int passed = (casadi_int) settings[1];\n"
+            ),
+            r"for \(j = 0; j < \d+; \+\+j\) \{": "for (j = 0; j*passed < points; ++j) {",
+            r"j \? casadi_c\d+\[casadi_s\d+\[j\]-1\]": f"j ? times[{first}-1]",
+            r"for \(k = casadi_s\d+\[j\]; k < casadi_s\d+\[j\+1\]; \+\+k\)": (
+                f"for (k = {first}; k < {last}; ++k)"
+            ),
+            r"casadi_c\d+\[k\], casadi_c\d+\[casadi_s\d+\[j\+1\]-1\]": (
+                f"times[k], times[{last}-1]"
+            ),
+        },
+    )
+    return f"{code}\n{solver_source('casadi_driver.h')}"
+
+
 def in_one_piece(code: str) -> str:
     """Have driver and equations compiled as one function: a fifth less time per run of `erk`.
 
@@ -101,10 +135,10 @@ def in_one_piece(code: str) -> str:
         UsageError: See `run_time_tolerances`.
     """
     entry = "static int casadi_f0("
-    return _replace(code, {re.escape(entry): f"__attribute__((flatten)) {entry}"})
+    return _replace_each(code, {re.escape(entry): f"__attribute__((flatten)) {entry}"})
 
 
-def _replace(code: str, replacements: Mapping[str, str]) -> str:
+def _replace_each(code: str, replacements: Mapping[str, str]) -> str:
     for pattern, text in replacements.items():
         code, found = re.subn(pattern, text.replace("\\", "\\\\"), code)
         if found != 1:

@@ -7,12 +7,12 @@ import ctypes
 import hashlib
 import os
 import platform
+import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
-import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.util import find_spec
@@ -20,22 +20,31 @@ from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
-from cosim.errors import MissingTool
+from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
+from cosim.host.bounded import physical_memory, run_bounded
 from cosim.host.temporary import temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
 TIMEOUT = 600  # s, for one compiler call
+MOST_MEMORY = 4 * 10**9  # bytes, of one compiler; three quarters of the machine's where it has less
 
 # Of generated code; hidden symbols can be inlined. In one long function, a Jacobian, -O2 takes
 # five times as long to compile as -O1 and gains nothing.
 _SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
-_HIDDEN = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
+_HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
 
 # Products and sums stay apart, so that a processor with fused instructions computes the numbers of
 # one without. GCC fuses alternating sums and differences of products (vfmaddsub) in straight-line
 # code whatever -ffp-contract says; its vectorizer of such code is what has to be switched off.
 _APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
+
+# What compilers say, or their driver of them, when there is no more memory
+_EXHAUSTED = re.compile(
+    r"out of memory|memory exhausted|cannot allocate memory|bad_alloc|OutOfMemory"
+    r"|Killed signal|signal 9",
+    re.IGNORECASE,
+)
 
 _HOW = "install gcc or clang, or the bundled one: pip install 'cosim-rigid[zig]'"
 
@@ -48,7 +57,7 @@ def find_compiler() -> tuple[str, ...]:
     """
     if chosen := os.environ.get("CC"):
         try:
-            command = _words(chosen)
+            command = _split_command(chosen)
         except ValueError as error:
             raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
         if not command or shutil.which(command[0]) is None:
@@ -108,20 +117,61 @@ def compile_library(
         flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
     arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
+    memory = most_memory()
     try:
-        failed, output = _call(call)
+        failed, output = run_bounded(call, TIMEOUT, memory)
     except subprocess.TimeoutExpired as error:
-        raise MissingTool(
+        raise CompilerTimeout(
             f"{compiler[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"
         ) from error
     except OSError as error:
         raise MissingTool(f"{compiler[0]} could not be run: {error}; {_HOW}") from error
+    if failed and _EXHAUSTED.search(output):
+        raise CompilerExhausted(
+            f"{compiler[0]} needs more than {memory / 1e9:.3g} GB of memory; give it more "
+            "(COSIM_COMPILER_MEMORY, in bytes)"
+        )
     if failed or not target.exists():
         tail = "\n".join(output.splitlines()[-20:])
         raise MissingTool(
             f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
         )
     return target
+
+
+def compile_with_less(
+    sources: Sequence[Path],
+    target: Path,
+    *,
+    include: Sequence[Path] = (),
+    options: Sequence[str] = (),
+    command: Sequence[str] | None = None,
+) -> Path:
+    """Compile as `compile_library` does, without optimising where that takes too much memory.
+
+    Raises:
+        MissingTool: See `compile_library`.
+    """
+    try:
+        return compile_library(sources, target, include=include, options=options, command=command)
+    except CompilerTimeout:
+        raise
+    except CompilerExhausted as error:
+        warnings.warn(f"{error}; it goes on without optimising", RuntimeWarning, stacklevel=2)
+    options = [*options, "-O0"]
+    return compile_library(sources, target, include=include, options=options, command=command)
+
+
+def most_memory() -> int:
+    """Return the memory that a compiler may take, bytes.
+
+    Raises:
+        MissingTool: $COSIM_COMPILER_MEMORY is not a number.
+    """
+    chosen = os.environ.get("COSIM_COMPILER_MEMORY", "")
+    if chosen and not chosen.isdecimal():
+        raise MissingTool(f"COSIM_COMPILER_MEMORY = {chosen} is not a number of bytes; unset it")
+    return int(chosen) if chosen else min(MOST_MEMORY, physical_memory() * 3 // 4)
 
 
 def cached_library(key: str, generate: Callable[[], str]) -> Path:
@@ -136,7 +186,7 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
     """
     command = find_compiler()
     own, processor = _own_processor()
-    settings = (*command, *FLAGS, *_HIDDEN, *own, processor, _SHORT, _LONG, str(_LENGTH))
+    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _SHORT, _LONG, str(_LENGTH))
     digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
     folder = cache_folder()
     try:
@@ -150,10 +200,10 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             source, library = build / "code.c", build / f"code{SUFFIX}"
             code = generate()
             source.write_text(code, encoding="utf-8")
-            options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
-            compile_library([source], library, options=options, command=command)
+            options = (*_HIDE_SYMBOLS, *own, _SHORT if len(code) < _LENGTH else _LONG)
+            compile_with_less([source], library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
-            _keep(library, target)
+            _keep_library(library, target)
         prune()
     except MissingTool as error:
         raise type(error)(f"{error}, or do not compile (--interpreted)") from error
@@ -202,7 +252,7 @@ def processor_abilities() -> str:
     return abilities if platform.machine() == "x86_64" else ""
 
 
-def _words(command: str) -> list[str]:
+def _split_command(command: str) -> list[str]:
     """Split a command as the machine's shell does; Windows writes paths with backslashes."""
     if sys.platform == "win32":
         return [word.strip('"') for word in shlex.split(command, posix=False)]
@@ -217,7 +267,7 @@ def _refuse_noexec(folder: Path) -> None:
         )
 
 
-def _keep(library: Path, target: Path) -> None:
+def _keep_library(library: Path, target: Path) -> None:
     try:
         library.replace(target)
     except PermissionError:  # of Windows, where another process has made and loaded it meanwhile
@@ -232,26 +282,3 @@ def _loads(library: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-def _call(command: Sequence[str]) -> tuple[int, str]:
-    """Run a compiler; return its exit code and what it printed. Its children end with it."""
-    with tempfile.TemporaryFile() as output:  # a pipe would stay open as long as a child holds it
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            process.wait(TIMEOUT)
-        except BaseException:  # too late, or interrupted
-            if sys.platform == "win32":
-                process.kill()
-            else:
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            raise
-        output.seek(0)
-        return process.returncode, output.read().decode(errors="replace")

@@ -12,7 +12,7 @@ import numpy as np
 from casadi import MX
 
 from casadi_models.dae import Dae
-from cosim.codegen.explicit_library import (
+from cosim.codegen.runge_kutta.explicit_library import (
     dop853_method,
     explicit_function,
     explicit_library,
@@ -25,7 +25,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.families.plugin import COMMON, tolerances
 from cosim.integrate.solver import AdaptiveSolver, Solver
 
-MOST_NUMBERS = 3_000_000  # in the Jacobian of a whole run
+MOST_JACOBIAN_NUMBERS = 3_000_000  # in the Jacobian of a whole run
 FEW_EQUATIONS = 150  # for which an implicit method is worth its linear equations, interpreted
 
 

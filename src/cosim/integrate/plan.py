@@ -11,7 +11,7 @@ from cosim.codegen.compiler import has_compiler, where_compilers_are
 from cosim.errors import UsageError
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
-from cosim.integrate.outputs import all_columns, recorded, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_names, watching
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, chosen_solver
 from cosim.memo import kept_per_thread
@@ -113,10 +113,11 @@ def _plan(dae: Dae, asked: Asked) -> Plan:
     if not isinstance(compiled, bool | None):
         raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
     solver = Dop853.name if asked.project and asked.solver is None else asked.solver
-    chosen = chosen_solver(dae, solver, **dict(zip(NUMBERS, asked.numbers, strict=True)))
+    numbers = dict(zip(NUMBERS, asked.numbers, strict=True))
+    chosen = chosen_solver(dae, solver, projected=asked.project, **numbers)
     if compiled is None:
         compiled = has_compiler()
     problem = Problem(
         dae, grid.tobytes(), asked.inputs, compiled, sensitivities=False, project=asked.project
     )
-    return Plan(problem, chosen, *recorded(dae, names))
+    return Plan(problem, chosen, *recorded_columns(dae, names))

@@ -9,21 +9,22 @@ import numpy as np
 from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
-from cosim.integrate.call import INTERRUPTED
+from cosim.integrate.diagnosis.kinks import nearest_kink
+from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
-from cosim.integrate.kinks import nearest_kink
+from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.plan import Asked, Times, plan
-from cosim.integrate.run_stats import RunStats
-from cosim.integrate.solution import Solution, solve
+from cosim.integrate.run.call import INTERRUPTED
+from cosim.integrate.run.run_stats import RunStats
+from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, SOLVERS
-from cosim.integrate.validity import ON_INVALID
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values, assign, listed, numbers_of
 from cosim.trajectory import Trajectory
 
-T = TypeVar("T")
+Given = TypeVar("Given")
 
 
 class Shorthand(TypedDict, total=False):
@@ -70,10 +71,11 @@ def simulate(
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
         shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
-            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in SI
-            units, a hundredth of the relative one when None; `step_size`, largest step of `rk4`
-            and `ode8`, s, the output interval when None. And `start`, another name of
-            `start_values`.
+            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in the
+            nominal value of each unknown, which is 1 SI unit where the model says nothing; when
+            None, a hundredth of the relative one, in nominal values that are found from the start
+            and the run where the model says nothing; `step_size`, largest step of `rk4` and
+            `ode8`, s, the output interval when None. And `start`, another name of `start_values`.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
@@ -129,6 +131,8 @@ def simulate(
     if first.reason:
         others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
         which = f" ({', '.join(others)})" if dae.algebraics else ""
+        if dae.algebraics and dae.invariants and not project:
+            which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
         kink = _kink(dae, time, solution.last, values)
         raise SolverError(
             f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "
@@ -151,8 +155,8 @@ def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
 
 
 def one_of(
-    dae: Dae, start_values: Mapping[str, T] | None, start: Mapping[str, T] | None
-) -> Mapping[str, T] | None:
+    dae: Dae, start_values: Mapping[str, Given] | None, start: Mapping[str, Given] | None
+) -> Mapping[str, Given] | None:
     """Return the start values, given by one of their two names.
 
     Raises:

@@ -13,7 +13,10 @@ from cosim.model.values import number
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Error per step that an adaptive solver may make: relative, and absolute in SI units."""
+    """Error per step that an adaptive solver may make: relative, and absolute.
+
+    The absolute one counts in the nominal value of each unknown.
+    """
 
     relative: float = 1e-8
     absolute: float | None = None
@@ -49,7 +52,6 @@ class Solver(ABC):
         adaptive: Whether it chooses its steps.
         compiled_only: Whether it needs a compiler.
         projects: Whether it can end a step elsewhere than the step led to; compiled.
-        code_per_grid: Whether its compiled code is for one grid of output times only.
         uses_jacobian: Whether it solves equations with the Jacobian, which takes long to compile.
     """
 
@@ -59,7 +61,6 @@ class Solver(ABC):
     adaptive: ClassVar[bool] = True
     compiled_only: ClassVar[bool] = False
     projects: ClassVar[bool] = False
-    code_per_grid: ClassVar[bool] = False
     uses_jacobian: ClassVar[bool] = False
 
     @property
@@ -84,7 +85,8 @@ class AdaptiveSolver(Solver):
 
     Args:
         relative_tolerance: Error per step relative to each state's size (1).
-        absolute_tolerance: Error per step in SI units; a hundredth of the relative when None.
+        absolute_tolerance: Error per step in nominal values: SI units where a variable has none;
+            a hundredth of the relative one when None.
 
     Raises:
         ParameterError: A tolerance is out of its range.

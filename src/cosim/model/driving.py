@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Real
 from typing import Any
 
@@ -15,7 +16,7 @@ from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.memo import kept_per_thread
 from cosim.model.formula import expression
-from cosim.model.inputs import InputSeries
+from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
 
 Law = str | Callable[[Any], Any]
@@ -72,10 +73,61 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
         elif isinstance(value, str) or (callable(value) and _is_symbolic(dae, value, times())):
             laws.append((name, value))
         else:
-            pieces.append(_samples(dae, name, value, times()))
+            pieces.append(_samples(dae.full_name, name, value, times()))
     if laws:
         dae = with_laws(dae, tuple(laws))
-    return Driven(dae, constants, _joined(pieces))
+    return Driven(dae, constants, _joined_series(pieces))
+
+
+def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
+    """Return the inputs of a run whose equations cannot be changed: an FMU's.
+
+    Formulas and functions of time are followed wherever the FMU is told a time.
+
+    Args:
+        owner: Who asks, for messages.
+        inputs: An `InputSeries`; or by name a number, a formula or a function of time, samples at
+            the output times (n,), or an `InputSeries` with that input.
+        times: Output times, s, (n,).
+
+    Raises:
+        UnknownName, ParameterError, UsageError: See `driven`.
+    """
+    if inputs is None or isinstance(inputs, InputSeries):
+        return inputs
+    if not isinstance(inputs, Mapping):
+        wanted = "what cosim.read_inputs returns, or values by name, e.g. {'u': 'sin(t)'}"
+        raise UsageError.of_type(f"{owner}: inputs", inputs, wanted)
+    laws, pieces = dict[str, Callable[[Vector], Vector]](), list[InputSeries]()
+    ends = times[[0, -1]] if len(times) > 1 else times[0] + np.array([0.0, 1.0])
+    for name, value in inputs.items():
+        if isinstance(value, InputSeries):
+            pieces.append(_column(name, value))
+            continue
+        law: Callable[[Any], Any] | None = value if callable(value) else None
+        if isinstance(value, str):
+            law = _function_of_time(f"{owner}: {name}", value)
+        elif isinstance(value, Real):
+            law = partial(_constant, float(value))
+        if law is not None:
+            laws[name] = _on_arrays(law)
+        pieces.append(_samples(owner, name, law or value, ends if law else times))
+    joined = _joined_series(pieces)
+    return joined and FollowedInputs(joined.names, joined.time, joined.values, laws)
+
+
+def _function_of_time(owner: str, text: str) -> Callable[[float], float]:
+    time = SX.sym("time")
+    function = ca.Function("law", [time], [expression(owner, text, {"t": time, "time": time})])
+    return lambda t: float(function(t))
+
+
+def _constant(value: float, _time: float) -> float:
+    return value
+
+
+def _on_arrays(law: Callable[[Any], Any]) -> Callable[[Vector], Vector]:
+    return lambda times: np.array([law(float(t)) for t in times], dtype=float)
 
 
 @kept_per_thread(16)
@@ -151,18 +203,18 @@ def _symbolic(dae: Dae, law: Callable[[Any], Any]) -> SX:
         return SX(law(dae.t))
 
 
-def _samples(dae: Dae, name: str, value: Any, grid: Vector) -> InputSeries:
+def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
     try:
         samples = [value(float(t)) for t in grid] if callable(value) else value
         array = np.array(samples, dtype=float)
     except Exception as error:
         raise ParameterError(
-            f"{dae.full_name}: {name} = {value!r} gives no samples ({error}); give a number, a "
+            f"{owner}: {name} = {value!r} gives no samples ({error}); give a number, a "
             "text with a unit, a formula or function of time, or samples at the output times"
         ) from error
     if array.shape != grid.shape:
         raise ParameterError(
-            f"{dae.full_name}: {name} has samples of shape {array.shape}; the run has "
+            f"{owner}: {name} has samples of shape {array.shape}; the run has "
             f"{len(grid)} output times; give as many, or an InputSeries"
         )
     return InputSeries((name,), grid, array[:, None])
@@ -178,7 +230,7 @@ def _column(name: str, series: InputSeries) -> InputSeries:
     raise UnknownName.among("the input series", "column", name, series.names)
 
 
-def _joined(pieces: Sequence[InputSeries]) -> InputSeries | None:
+def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
     """Return one series at the times of all; between their samples each stays a straight line."""
     if len(pieces) < 2:
         return pieces[0] if pieces else None

@@ -3,8 +3,8 @@
 import csv
 import io
 import os
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
@@ -51,9 +51,9 @@ class InputSeries:
             raise ParameterError(
                 f"input series: time {i} ({time[i]:g} s) is not after the one before it"
             )
-        for field, array in (("time", time), ("values", values)):
+        for what, array in (("time", time), ("values", values)):
             array.setflags(write=False)
-            object.__setattr__(self, field, array)
+            object.__setattr__(self, what, array)
 
     def at(self, times: Vector) -> Vector:
         """Return the values at some times, (len(names), n)."""
@@ -66,7 +66,25 @@ class InputSeries:
         return InputSeries(kept, self.time, self.values[:, left]) if left else None
 
 
-def read_inputs(path: str | os.PathLike[str], dae: Dae) -> InputSeries:
+@dataclass(frozen=True, eq=False)
+class FollowedInputs(InputSeries):
+    """Inputs of which some follow functions of time instead of their samples.
+
+    Attributes:
+        laws: Functions by name, times (n,) to values (n,).
+    """
+
+    laws: Mapping[str, Callable[[Vector], Vector]] = field(default_factory=dict)
+
+    def at(self, times: Vector) -> Vector:
+        """Return the values at some times, (len(names), n)."""
+        rows = super().at(times)
+        for name, law in self.laws.items():
+            rows[self.names.index(name)] = law(times)
+        return rows
+
+
+def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSeries:
     """Read a time series of some of a model's inputs from a CSV file.
 
     The first line names the columns: `time`, then inputs. Numbers are in SI units, with a decimal
@@ -74,7 +92,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae) -> InputSeries:
 
     Args:
         path: The file.
-        dae: The model whose inputs the columns are.
+        dae: The model whose inputs the columns are; for those of an FMU, None.
 
     Raises:
         UsageError: The file cannot be read, or has no header or too few samples.
@@ -82,14 +100,16 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae) -> InputSeries:
         ParameterError: A cell is missing, no finite number, out of bounds, or a time does not
             increase; line and column are named.
     """
-    rows = _rows(Path(path))
+    rows = _table_rows(Path(path))
     names = _header(f"{path}, line 1", rows[0] if rows else [], dae)
     if len(rows) < 3:
         raise UsageError(
             f"{path}: {max(len(rows) - 1, 0)} sample(s); give two or more, "
             "or write a constant input as a number"
         )
-    table = [_numbers(f"{path}, line {i}", row, names, dae) for i, row in enumerate(rows[1:], 2)]
+    table = [
+        _row_numbers(f"{path}, line {i}", row, names, dae) for i, row in enumerate(rows[1:], 2)
+    ]
     for line, (before, after) in enumerate(pairwise(table), start=3):
         if after[0] <= before[0]:
             raise ParameterError(
@@ -100,7 +120,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae) -> InputSeries:
     return InputSeries(tuple(names[1:]), samples[:, 0], samples[:, 1:])
 
 
-def _rows(path: Path) -> list[list[str]]:
+def _table_rows(path: Path) -> list[list[str]]:
     try:
         text = read_plain(path, MOST_TEXT).decode("utf-8-sig")
     except OSError as error:
@@ -118,7 +138,7 @@ def _rows(path: Path) -> list[list[str]]:
     return rows
 
 
-def _header(where: str, cells: Sequence[str], dae: Dae) -> list[str]:
+def _header(where: str, cells: Sequence[str], dae: Dae | None) -> list[str]:
     names = [cell.strip() for cell in cells]
     if not names or names[0] != "time":
         found = f"'{names[0]}'" if names and names[0] else "nothing"
@@ -126,9 +146,9 @@ def _header(where: str, cells: Sequence[str], dae: Dae) -> list[str]:
             if names and mark in cells[0]:
                 found = f"columns separated by {word}"
         raise UsageError(f"{where}: the header begins with {found}; write 'time,INPUT,...'")
-    known = [variable.name for variable in dae.inputs]
+    known = [variable.name for variable in dae.inputs] if dae else []
     for i, name in enumerate(names[1:], start=2):
-        if name not in known:
+        if dae and name not in known:
             raise UnknownName.among(f"{where}, column {i}: {dae.full_name}", "input", name, known)
         if name in names[: i - 1]:
             raise UsageError(f"{where}, column {i}: '{name}' occurs twice; give each input once")
@@ -137,16 +157,20 @@ def _header(where: str, cells: Sequence[str], dae: Dae) -> list[str]:
     return names
 
 
-def _numbers(where: str, cells: Sequence[str], names: Sequence[str], dae: Dae) -> list[float]:
+def _row_numbers(
+    where: str, cells: Sequence[str], names: Sequence[str], dae: Dae | None
+) -> list[float]:
     if len(cells) != len(names):
         raise ParameterError(
             f"{where}: {len(cells)} cells under {len(names)} column names; separate the columns "
             "by commas, write numbers with a decimal point, and leave no cell out"
         )
     numbers = [
-        _number(f"{where}, column '{name}'", cell) for name, cell in zip(names, cells, strict=True)
+        _cell_number(f"{where}, column '{name}'", cell)
+        for name, cell in zip(names, cells, strict=True)
     ]
-    for name, value in zip(names[1:], numbers[1:], strict=True):
+    for name, value in zip(names[1:], numbers[1:], strict=True) if dae else ():
+        assert dae is not None
         variable = dae.variable(name)
         if not variable.minimum <= value <= variable.maximum:
             raise ParameterError(
@@ -156,7 +180,7 @@ def _numbers(where: str, cells: Sequence[str], names: Sequence[str], dae: Dae) -
     return numbers
 
 
-def _number(where: str, cell: str) -> float:
+def _cell_number(where: str, cell: str) -> float:
     text = cell.strip()
     if not text:
         raise ParameterError(f"{where}: the cell is empty; give a number in every cell")

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Truths, Vector
 from cosim.errors import CosimError, ParameterError, UsageError
+from cosim.model.start_outputs import refuse_twice, solved_starts
 from cosim.model.values import assign, inertias, settable, unphysical
 
 
@@ -85,16 +86,21 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
     known = settable(dae)
     kinds = ((dae.states, base.x), (dae.parameters, base.p), (dae.inputs, base.u))
     places = {v.name: (rows, i) for group, rows in kinds for i, v in enumerate(group)}
+    through = {way.variable.name for way in dae.start_outputs}
+    refuse_twice(dae, given)
     for name, column in given.items():
-        if name not in known or known[name].start_kind is Start.CALCULATED:
+        calculated = name in known and known[name].start_kind is Start.CALCULATED
+        if name not in known or (calculated and name not in through):
             assign(dae, {name: 0.0})  # says what is wrong
         variable = known[name]
         bad |= ~((column >= variable.minimum) & (column <= variable.maximum))
         bad |= ~np.isfinite(column)
-        rows, place = places[name]
-        table[id(rows)][:, place] = column
+        if name in places:
+            rows, place = places[name]
+            table[id(rows)][:, place] = column
     x, p, u = (table[id(rows)] for rows in (base.x, base.p, base.u))
-    bad |= _unphysical(dae, given, p)
+    x, solved = solved_starts(dae, given, x, p)
+    bad |= _unphysical(dae, given, p) | ~solved
     refused = {int(i): _reason(dae, given, int(i)) for i in np.flatnonzero(bad)}
     return ManyValues(given, x, p, u, refused)
 

@@ -14,6 +14,8 @@ from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import kept_per_thread
+from cosim.model.start_outputs import refuse_twice, solved_starts
+from cosim.text.lists import shortened
 
 A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
@@ -81,24 +83,52 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     if not isinstance(overrides, Mapping | None):
         raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
     usual, place = _usual(dae)
-    numbers = usual.copy()
-    for name, value in (overrides or {}).items():
+    numbers, given = usual.copy(), dict(overrides or {})
+    for name, value in given.items():
         if name not in place:
-            raise _unknown(dae, name, settable(dae))
+            raise _unknown_name(dae, name, settable(dae))
         row, variable = place[name]
-        numbers[row] = checked(dae, variable, value)
+        given[name] = checked(dae, variable, value)
+        if row is not None:
+            numbers[row] = given[name]
     nx, np_ = len(dae.states), len(dae.parameters)
     x, p, u = numbers[:nx], numbers[nx : nx + np_], numbers[nx + np_ :]
+    if given:
+        refuse_twice(dae, given)
     _check_inertias(dae, p.tobytes())
-    return Values(x, p, u)
+    if not given:
+        return Values(x, p, u)
+    columns = {name: np.array([value]) for name, value in given.items()}
+    starts, solved = solved_starts(dae, columns, x[None], p[None])
+    if not solved.all():
+        raise _no_such_start(dae, given)
+    return Values(starts[0], p, u)
 
 
 @kept_per_thread(64)
-def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int, Variable]]]:
-    """Return the model's own numbers of states, parameters and inputs, and where each one is."""
+def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int | None, Variable]]]:
+    """Return the model's own numbers of states, parameters and inputs, and where each one is.
+
+    Outputs by which starts may be given are nowhere.
+    """
     own = (*dae.x_start, *(v.start for v in (*dae.parameters, *dae.inputs)))
-    place = {name: (row, v) for row, (name, v) in enumerate(settable(dae).items())}
+    place = {
+        name: (row if row < len(own) else None, variable)
+        for row, (name, variable) in enumerate(settable(dae).items())
+    }
     return np.array(own, dtype=float), place
+
+
+def plain_values(dae: Dae, given: Mapping[str, float]) -> dict[str, float]:
+    """Return numbers of states, parameters and inputs alone: outputs become the starts they give.
+
+    Raises:
+        CosimError: See `assign`.
+    """
+    ways = {way.variable.name: way.state for way in dae.start_outputs if way.variable.name in given}
+    x = assign(dae, given).x if ways else ()
+    plain = {name: value for name, value in given.items() if name not in ways}
+    return plain | {dae.states[row].name: float(x[row]) for row in ways.values()}
 
 
 def checked(dae: Dae, variable: Variable, value: Any) -> float:
@@ -111,7 +141,8 @@ def checked(dae: Dae, variable: Variable, value: Any) -> float:
     Warns:
         UserWarning: An angle is of a size that degrees have, and radians hardly ever.
     """
-    if variable.start_kind is Start.CALCULATED:
+    through = any(way.variable.name == variable.name for way in dae.start_outputs)
+    if variable.start_kind is Start.CALCULATED and not through:
         raise _calculated(dae, variable)
     result = number(dae.full_name, f"{variable.name} [{variable.unit}]", value)
     if not variable.minimum <= result <= variable.maximum:
@@ -135,14 +166,25 @@ def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
     used = {symbol.name() for symbol in ca.symvar(rule.expression)}
     free = (v.name for v in (*dae.states, *dae.parameters) if v.start_kind is Start.EXACT)
     causes = [name for name in free if name in used]
-    shown = ", ".join(causes[:8]) + (", ..." if len(causes) > 8 else "")
+    shown = shortened(causes, 8)
     return InitialConditionError(
         f"{dae.full_name}: the start of {variable.name} is calculated ({rule.meaning}); "
         f"set some of {shown} instead"
     )
 
 
-def _unknown(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
+def _no_such_start(dae: Dae, given: Mapping[str, float]) -> InitialConditionError:
+    ways = [way for way in dae.start_outputs if way.variable.name in given]
+    states = ", ".join(dae.states[way.state].name for way in ways)
+    told = ", ".join(
+        f"{v.name} = {given[v.name]:g} {v.unit}" for v in (way.variable for way in ways)
+    )
+    return InitialConditionError(
+        f"{dae.full_name}: no start of {states} was found that gives {told}; give {states} itself"
+    )
+
+
+def _unknown_name(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
     if any(v.name == name for v in dae.variables):
         return UnknownName(
             f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "
@@ -152,8 +194,12 @@ def _unknown(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
 
 
 def settable(dae: Dae) -> dict[str, Variable]:
-    """Return what can be given a number, by name: states, parameters, inputs."""
-    return {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs)}
+    """Return what can be given a number, by name: states, parameters, inputs.
+
+    And the outputs by which starts may be given.
+    """
+    through = (way.variable for way in dae.start_outputs)
+    return {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs, *through)}
 
 
 @kept_per_thread(16)

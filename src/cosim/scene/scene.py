@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from casadi_models.dae import Dae, Start, Variable
 from cosim.errors import ParameterError
 from cosim.model.inputs import InputSeries
-from cosim.model.values import assign, number
+from cosim.model.values import assign, number, plain_values
 from cosim.scene.goals import OVERRULED, refuse_contradiction
 from cosim.text.tables import html_table, text_table
 
@@ -20,7 +20,7 @@ class Settings:
     Attributes:
         start_time, stop_time, output_interval: s.
         solver: A name of `SOLVERS`.
-        relative_tolerance, absolute_tolerance: Error per step; the absolute one in SI units.
+        relative_tolerance, absolute_tolerance: Error per step; the absolute one in nominal values.
         step_size: Largest step of the fixed-step solvers, s.
         accuracy: Instead of these: largest global error of the outputs, in nominal values.
         budget: Instead of these: time that the solver may take, s.
@@ -150,19 +150,21 @@ class Scene:
         if settings.output_interval is not None:
             experiment = replace(experiment, output_interval=settings.output_interval)
         starts = zip(dae.states, dae.x_start, strict=True)
+        values = plain_values(dae, self.values)
         return replace(
             dae,
-            states=self._started(dae.states),
-            parameters=self._started(dae.parameters),
-            inputs=self._started(dae.inputs),
-            x_start=tuple(self.values.get(v.name, start) for v, start in starts),
+            states=_with_starts(dae.states, values),
+            parameters=_with_starts(dae.parameters, values),
+            inputs=_with_starts(dae.inputs, values),
+            x_start=tuple(values.get(v.name, start) for v, start in starts),
             experiment=experiment,
         )
 
-    def _started(self, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-        return tuple(
-            replace(v, start=self.values[v.name])
-            if v.name in self.values and v.start_kind is Start.EXACT
-            else v
-            for v in variables
-        )
+
+def _with_starts(
+    variables: tuple[Variable, ...], values: Mapping[str, float]
+) -> tuple[Variable, ...]:
+    return tuple(
+        replace(v, start=values[v.name]) if v.name in values and v.start_kind is Start.EXACT else v
+        for v in variables
+    )

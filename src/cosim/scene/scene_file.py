@@ -51,7 +51,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     constants, series = _inputs(file, dae)
     values = {
         **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
-        **_values(file, "start", _table(file, "start"), dae, dae.states),
+        **_values(file, "start", _table(file, "start"), dae, _startable(dae)),
         **constants,
     }
     settings = _settings(file)
@@ -103,6 +103,10 @@ def _outputs(file: TomlFile, dae: Dae) -> tuple[str, ...]:
         if name in names[:i]:
             raise UsageError(f"{file.at('outputs')}: '{name}' is named twice; name it once")
     return names
+
+
+def _startable(dae: Dae) -> tuple[Variable, ...]:
+    return (*dae.states, *(way.variable for way in dae.start_outputs))
 
 
 def _values(

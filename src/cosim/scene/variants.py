@@ -71,6 +71,7 @@ def in_formulation(scene: Scene, model: str) -> Scene:
         if name not in observable(dae):
             raise no_such_output(dae, name)
     exact = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs) if v.start is not None}
+    exact |= {way.variable.name for way in dae.start_outputs}
     for name in scene.values:
         if name not in exact:
             raise UnknownName(f"{model} cannot be given '{name}', which {scene.name} sets")

@@ -142,6 +142,7 @@ def test_clocks_and_scheduled_execution_are_no_fault(exported, tmp_path):
         variables = root.find("ModelVariables")
         last = max(int(v.get("valueReference")) for v in variables)
         clock = {"name": "tick", "valueReference": str(last + 1), "causality": "output"}
+        clock["intervalVariability"] = "triggered"
         variables.append(ET.Element("Clock", clock, variability="discrete"))
         output = ET.Element("Output", {"valueReference": str(last + 1)})
         root.find("ModelStructure").insert(len(root.findall("ModelStructure/Output")), output)

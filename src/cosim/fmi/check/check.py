@@ -5,11 +5,12 @@ import zipfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import PurePosixPath
-from xml.etree import ElementTree as ET
 
-from cosim.fmi.archive import DESCRIPTION, Source, content_of, opened
-from cosim.fmi.check.description import description_problems
-from cosim.fmi.check.parsed import Description, parse
+from cosim.fmi.archive import DESCRIPTION, Source, entry_content, opened
+from cosim.fmi.check import rules
+from cosim.fmi.check.description import description_findings
+from cosim.fmi.check.finding import Finding, Rule
+from cosim.fmi.check.parsed import Description, fmi_version, listed_sources, parse
 from cosim.fmi.export.build import fmi_headers
 from cosim.fmi.platforms import PLATFORMS, Target
 from cosim.fmi.shared_library import read_libraries
@@ -36,52 +37,53 @@ def check_fmu(source: Source) -> list[str]:
         FmuError, SecurityError: The file is no FMU or dangerous, see `cosim.fmi.archive`.
     """
     with opened(source) as archive:
-        return list(problems_of(archive))
+        return [finding.sentence for finding in findings_of(archive)]
 
 
-def problems_of(archive: zipfile.ZipFile) -> Iterator[str]:
-    """Tell the problems of an opened FMU, one sentence each."""
+def findings_of(archive: zipfile.ZipFile) -> Iterator[Finding]:
+    """Tell what is wrong with an opened FMU, by the FMI and by the rules of this house."""
     yield from _archive(archive)
+    content = entry_content(archive, DESCRIPTION)
     try:
-        described = parse(content_of(archive, DESCRIPTION))
+        described = parse(content)
     except ValueError as error:
-        yield f"{DESCRIPTION}: {error}"
+        rule = rules.VERSION if fmi_version(content) else rules.XML
+        yield rule.about(DESCRIPTION, str(error)).within(DESCRIPTION)
         return
-    yield from (f"{DESCRIPTION}: {problem}" for problem in description_problems(described))
+    yield from (finding.within(DESCRIPTION) for finding in description_findings(described))
     yield from _sources(archive, described)
     yield from _binaries(archive, described)
 
 
-def _archive(archive: zipfile.ZipFile) -> Iterator[str]:
+def _archive(archive: zipfile.ZipFile) -> Iterator[Finding]:
     for entry in archive.infolist():
         name = entry.orig_filename
+        place = f"entry '{name}'"
         if "\\" in name or not name.isascii():
-            yield f"entry '{name}' has a backslash or is not ASCII"
+            told = "has a backslash or is not ASCII"
+            yield rules.ENTRY_NAME.at(place, told, f"{place} {told}")
         if entry.compress_type not in _COMPRESSIONS:
-            yield f"entry '{name}' is neither stored nor deflated"
+            told = "is neither stored nor deflated"
+            yield rules.COMPRESSION.at(place, told, f"{place} {told}")
     try:
         damaged = archive.testzip()
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-        yield f"the archive is damaged: {error}"
+        yield rules.ARCHIVE.about("archive", f"the archive is damaged: {error}")
         return
     if damaged:
-        yield f"entry '{damaged}' is damaged"
+        place = f"entry '{damaged}'"
+        yield rules.ARCHIVE.at(place, "is damaged", f"{place} is damaged")
 
 
-def _sources(archive: zipfile.ZipFile, described: Description) -> Iterator[str]:
-    if described.version == "2":
-        listed = [e.get("name", "") for e in described.root.iterfind("*/SourceFiles/File")]
-    elif "sources/buildDescription.xml" in archive.namelist():
-        build = ET.fromstring(content_of(archive, "sources/buildDescription.xml"))
-        listed = [e.get("name", "") for e in build.iter("SourceFile")]
-    else:
-        listed = []
-    for name in dict.fromkeys(listed):
+def _sources(archive: zipfile.ZipFile, described: Description) -> Iterator[Finding]:
+    listed = listed_sources(archive, described)
+    for name in dict.fromkeys(name for names in listed.values() for name in names):
         if f"sources/{name}" not in archive.namelist():
-            yield f"source file '{name}' is listed, but missing"
+            told = f"source file '{name}' is listed, but missing"
+            yield rules.SOURCES.about("archive", told)
 
 
-def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[str]:
+def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Finding]:
     """Every library exports all functions and holds the token that importers will pass."""
     identifiers = sorted({a.get("modelIdentifier", "") for a in described.interfaces.values()})
     present = {PurePosixPath(name).parent.as_posix() for name in archive.namelist()}
@@ -90,29 +92,33 @@ def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[str]
         for identifier in identifiers if f"binaries/{folder}" in present else ():
             name = f"binaries/{folder}/{identifier}{target.suffix}"
             if name not in archive.namelist():
-                yield f"{name} is missing"
+                yield rules.BINARY.at(name, "is missing", f"{name} is missing")
                 continue
-            content = content_of(archive, name)
+            content = entry_content(archive, name)
             if described.token.encode() not in content:
-                yield f"{name} was compiled for another GUID or instantiation token"
-            yield from (f"{name}: {p}" for p in _library(content, target, described))
+                told = "the library does not hold the GUID or token: "
+                told += "it reads it elsewhere, or is another's"
+                whole = f"{name} was compiled for another GUID or instantiation token"
+                yield rules.TOKEN_ELSEWHERE.at(name, told, whole)
+            for rule, told in _library(content, target, described):
+                yield rule.at(name, told)
 
 
-def _library(content: bytes, target: Target, described: Description) -> Iterator[str]:
+def _library(content: bytes, target: Target, described: Description) -> Iterator[tuple[Rule, str]]:
     version = described.version
     try:
         libraries = read_libraries(content)
     except ValueError as error:
-        yield str(error)
+        yield rules.BINARY, str(error)
         return
     for library in libraries:
         # FMI 2.0 names no processor but x86; others share its folders
         processors = ("x86_64", "aarch64") if version == "2" else (target.processor,)
         if library.system != target.system or library.processor not in processors:
-            yield f"it is for {library.processor}-{library.system}"
+            yield rules.PLATFORM, f"it is for {library.processor}-{library.system}"
         missing = sorted(_needed_functions(described) - library.exports)
         if missing:
-            yield f"{library.processor} lacks {', '.join(missing)}"
+            yield rules.FUNCTIONS, f"{library.processor} lacks {', '.join(missing)}"
 
 
 def _needed_functions(described: Description) -> frozenset[str]:

@@ -4,10 +4,14 @@ Variables are known by their position in the file. Texts stay texts: whether the
 for the checks to say.
 """
 
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
+from cosim.fmi.archive import entry_content
+
+BUILD = "sources/buildDescription.xml"
 _SECTIONS = {
     "2": {"Outputs": "Outputs", "Derivatives": "Derivatives", "InitialUnknowns": "InitialUnknowns"},
     "3": {
@@ -38,6 +42,11 @@ class Described:
     reference: str
     derivative_of: int | None
     texts: Mapping[str, str]
+
+    @property
+    def nominal(self) -> float:
+        """Nominal value, above 0; 1 where there is none."""
+        return abs(float(self.texts.get("nominal", "1"))) or 1.0
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,33 @@ class Description:
     token: str
     variables: tuple[Described, ...]
     sections: Mapping[str, tuple[Unknown, ...]]
+
+
+def fmi_version(content: bytes) -> str:
+    """Return what a model description names as its version; "" where it cannot be read."""
+    try:
+        return ET.fromstring(content).get("fmiVersion", "?")
+    except ET.ParseError:
+        return ""
+
+
+def listed_sources(archive: zipfile.ZipFile, described: Description) -> dict[str, list[str]]:
+    """Return the source files that an FMU lists by the identifier of their model."""
+    if described.version == "2":
+        return {
+            interface.get("modelIdentifier", ""): [
+                file.get("name", "") for file in interface.iterfind("SourceFiles/File")
+            ]
+            for interface in described.root
+            if interface.tag in described.interfaces
+        }
+    if BUILD not in archive.namelist():
+        return {}
+    build = ET.fromstring(entry_content(archive, BUILD))
+    return {
+        one.get("modelIdentifier", ""): [e.get("name", "") for e in one.iter("SourceFile")]
+        for one in build.iter("BuildConfiguration")
+    }
 
 
 def parse(content: bytes) -> Description:

@@ -10,11 +10,13 @@ from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import content_of, keep, private_folder
-from cosim.codegen.compiler import FLAGS, compile_library, find_compiler
+from cosim.codegen.compiler import FLAGS, compile_with_less, find_compiler
 from cosim.errors import CacheError, ExportError
 from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
 from cosim.host.temporary import temporary_folder
+
+LONG_FILE = 2_000_000  # characters of a file; beyond, -O2 takes several times as long as -O1
 
 
 def binaries(
@@ -85,11 +87,12 @@ def _compile(
 ) -> Path:
     for file, content in sources.items():
         (build / file).write_bytes(content)
-    return compile_library(
+    less = ["-O1"] if max(map(len, sources.values()), default=0) > LONG_FILE else []
+    return compile_with_less(
         sorted(build.glob("*.c")),
         build / library,
         include=[fmi_headers()],
-        options=[f"-ffile-prefix-map={build}=.", *options],
+        options=[f"-ffile-prefix-map={build}=.", *options, *less],
         command=command,
     )
 

@@ -13,20 +13,20 @@ from types import MappingProxyType
 
 from casadi_models.dae import Dae
 from cosim.codegen.c_sources import cache_folder, license_texts, runtime_sources, solver_sources
-from cosim.codegen.runge_kutta_c import dop853_coefficients
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.build_description import build_description
-from cosim.fmi.export.c_files import equations, model_header, variable_table
 from cosim.fmi.export.dependencies import dependencies
-from cosim.fmi.export.description import Identity, model_description
-from cosim.fmi.export.documentation import documentation_page
-from cosim.fmi.export.fmi2_xml import FMI2
-from cosim.fmi.export.fmi3_xml import FMI3
+from cosim.fmi.export.description.build_description import build_description
+from cosim.fmi.export.description.documentation import documentation_page
+from cosim.fmi.export.description.fmi2_xml import FMI2
+from cosim.fmi.export.description.fmi3_xml import FMI3
+from cosim.fmi.export.description.model_description import Identity, model_description
 from cosim.fmi.export.identifier import model_identifier
 from cosim.fmi.export.solver_choice import solver_for, uses_dop853
+from cosim.fmi.export.sources.c_files import equations_c, model_header, variable_table
 from cosim.fmi.export.tunable import tunable_parameters
 from cosim.fmi.export.variables import fmu_variables
 from cosim.fmi.platforms import NATIVE, targets
@@ -140,7 +140,7 @@ def source_files(
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
         "model.c": variable_table(dae, variables).encode(),
-        "equations.c": equations(dae, name, fmi, solver).encode(),
+        "equations.c": equations_c(dae, name, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
         code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}

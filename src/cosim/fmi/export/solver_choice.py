@@ -5,7 +5,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.errors import UnknownName, UsageError
-from cosim.fmi.export.sensitivities import jacobian_function
+from cosim.fmi.export.sources.sensitivities import jacobian_function
 
 # `dop853` is hand-written, in the runtime; the others are CasADi's.
 DOP853, ERK, ROSENBROCK = SOLVERS = ("dop853", "erk", "rosenbrock")

@@ -11,7 +11,7 @@ from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.interruptible import interruptible
-from cosim.codegen.runge_kutta_c import dop853_coefficients
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import FmuError
 from cosim.fmi.run.initialization import enter_continuous_time, initialize
 from cosim.memo import kept_per_thread

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import FmuError, UnknownName, UsageError
+from cosim.errors import FmuError
 from cosim.fmi.run import inputs
-from cosim.fmi.run.request import Span
+from cosim.fmi.run.request import Span, input_variables
 from cosim.model.inputs import InputSeries
 
 
 def driven(
-    path: object,
     instance: Any,
     description: Any,
     kind: str,
@@ -29,14 +28,9 @@ def driven(
     """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
     if series is None:
         return None
-    if not isinstance(series, InputSeries):
-        raise UsageError.of_type(f"{path}: inputs", series, "what cosim.read_inputs returns")
-    known = {v.name: v for v in description.modelVariables if v.causality == "input"}
-    for name in series.names:
-        if name not in known:
-            raise UnknownName.among(str(path), "input", name, known)
+    known = input_variables(description)
     references = [known[name].valueReference for name in series.names]
-    values |= inputs.start_values(series, start_time)
+    values |= inputs.inputs_at_start(series, start_time)
     if kind == "CoSimulation":
         inputs.drive_co_simulation(instance, series, references, description.coSimulation)
         return None

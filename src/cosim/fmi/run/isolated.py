@@ -11,17 +11,20 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
 
+import numpy as np
+
 from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
-from cosim.fmi.run.limits import VARIABLE, Limits
+from cosim.fmi.run.limits import LIMITS_VARIABLE, Limits
 from cosim.host.processes import MARK, end_all
 from cosim.host.temporary import temporary_folder
+from cosim.model.inputs import InputSeries
 from cosim.model.values import number
 from cosim.text.escaping import sentence, visible
 from cosim.trajectory import Trajectory
@@ -31,7 +34,7 @@ _SUNDIALS = "[ERROR][rank"  # how fmpy's solver begins what its error says, too
 MOST_OUTPUT = 10_000  # bytes of what an FMU prints
 ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
-    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", VARIABLE),
+    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", LIMITS_VARIABLE),
 )
 
 
@@ -46,7 +49,7 @@ def simulate_apart(
     Args:
         path: The FMU.
         timeout: Wall time, s, after which the child is ended; None for no limit.
-        options: Of `simulate_fmu`, but time series of inputs.
+        options: Of `simulate_fmu`; of inputs, formulas and series.
 
     Raises:
         FmuError: The FMU crashed, ended the process, or took too long.
@@ -55,20 +58,41 @@ def simulate_apart(
     if timeout is not None:
         number(str(path), "timeout", timeout, positive=True)
     Limits.chosen()  # refuses before anything has been started
+    inputs = options.pop("inputs", None) or {}
+    if isinstance(inputs, InputSeries):
+        inputs = dict.fromkeys(inputs.names, inputs)
     with ended_by_signals(), own_folder() as folder:
         place = str(Path(path).absolute())
-        (folder / _REQUEST).write_text(json.dumps({"path": place, "options": options}))
+        told = {"path": place, "options": options, "inputs": _written(inputs)}
+        (folder / _REQUEST).write_text(json.dumps(told))
         code, printed = _child(folder, timeout)
         if printed and sys.stderr is not None:
             sys.stderr.write(printed)
         if code is None:
             raise FmuError(f"{path}: the FMU did not end within {timeout:g} s and was stopped")
         try:
-            return _answer(folder, place, str(path))
+            return _read_answer(folder, place, str(path))
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise FmuError(
                 f"{path}: the FMU {how_it_ended(code)} while it ran; do not use it"
             ) from error
+
+
+def _written(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return inputs as JSON has them: a series as its column's times and values."""
+    columns = {name: (value, value.names.index(name)) for name, value in inputs.items()
+               if isinstance(value, InputSeries)}  # fmt: skip
+    lists = {n: [s.time.tolist(), s.values[:, i].tolist()] for n, (s, i) in columns.items()}
+    return {**inputs, **lists}
+
+
+def _read_back(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: InputSeries((name,), np.array(value[0]), np.array(value[1])[:, None])
+        if isinstance(value, list)
+        else value
+        for name, value in inputs.items()
+    }
 
 
 @contextmanager
@@ -153,7 +177,7 @@ class _Ended(BaseException):
         self.number = number
 
 
-def _answer(folder: Path, place: str, name: str) -> Trajectory:
+def _read_answer(folder: Path, place: str, name: str) -> Trajectory:
     answer = json.loads((folder / _ANSWER).read_text())
     if "error" in answer:
         kind = getattr(errors, answer["error"])
@@ -172,7 +196,7 @@ def how_it_ended(code: int) -> str:
         kind = signal.Signals(-code)
         limits = {"SIGXCPU": "time on the processor", "SIGXFSZ": "size of a file"}
         if kind.name in limits:
-            return f"exceeded the limit of the {limits[kind.name]} ({VARIABLE})"
+            return f"exceeded the limit of the {limits[kind.name]} ({LIMITS_VARIABLE})"
         return f"crashed ({kind.name})"
     return f"crashed (signal {-code})"
 
@@ -188,11 +212,11 @@ def _main(folder: Path) -> None:
     try:
         from cosim.fmi.run.simulate import simulate_fmu
 
-        run = simulate_fmu(path, **request["options"])
+        run = simulate_fmu(path, inputs=_read_back(request["inputs"]), **request["options"])
     except CosimError as error:
         answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
-        told = f"{path}: the FMU exceeded the limit of memory ({VARIABLE})"
+        told = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
         answer = {"error": "FmuError", "message": told}
     except BaseException as error:
         told = f"{path}: it cannot be run: {type(error).__name__}: {sentence(str(error))}"

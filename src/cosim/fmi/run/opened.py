@@ -26,9 +26,9 @@ from cosim.fmi.run.instance import (
 from cosim.fmi.run.request import (
     Span,
     column_of,
+    given_numbers,
     recorded,
     span_of,
-    start_numbers,
     tolerance_of,
 )
 from cosim.fmi.trust import is_made_here
@@ -76,7 +76,7 @@ class OpenedFmu:
 
     def settable(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return start values, or refuse them; see `simulate_fmu`."""
-        return start_numbers(self.path, self.variables, values)
+        return given_numbers(self.path, self.variables, values)
 
     def times(
         self, start_time: float | None, stop_time: float | None, output_interval: float | None

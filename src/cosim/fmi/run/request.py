@@ -4,11 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.instance import is_number, may_be_set
+from cosim.model.inputs import InputSeries
+from cosim.model.time_grid import time_grid
 from cosim.model.values import listed, number
 from cosim.trajectory import Column
 
+_CONTINUOUS = ("Real", "Float64")
 MOST_POINTS = 10_000_000  # output times; fmpy keeps them as Python objects
 
 
@@ -19,6 +23,11 @@ class Span:
     start: float
     stop: float
     interval: float
+
+    @property
+    def times(self) -> Vector:
+        """The output times, (n,)."""
+        return time_grid(self.start, self.stop, self.interval)
 
 
 def span_of(
@@ -63,7 +72,7 @@ def tolerance_of(path: object, relative: float | None) -> float | None:
     return float(relative)
 
 
-def start_numbers(
+def given_numbers(
     path: object, variables: Mapping[str, Any], start: Mapping[str, float]
 ) -> dict[str, float]:
     """Return start values by name, or refuse them."""
@@ -91,6 +100,30 @@ def recorded(
         if not is_number(variables[name]):
             raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
     return list(dict.fromkeys(wanted))
+
+
+def input_variables(description: Any) -> dict[str, Any]:
+    """Return the inputs by name."""
+    return {v.name: v for v in description.modelVariables if v.causality == "input"}
+
+
+def refuse_series(
+    path: object, description: Any, series: InputSeries | None, values: Mapping[str, float]
+) -> None:
+    """Refuse a series of what is no input, of no real number, or that has a constant value, too.
+
+    Raises:
+        UnknownName: There is no such input.
+        UsageError: It cannot follow a series.
+    """
+    known = input_variables(description)
+    for name in series.names if series else ():
+        if name not in known:
+            raise UnknownName.among(str(path), "input", name, known)
+        if known[name].type not in _CONTINUOUS or known[name].dimensions:
+            raise UsageError(f"{path}: {name} is no real number; give it a constant value")
+        if name in values:
+            raise UsageError(f"{path}: {name} is given a value and a series; give one of them")
 
 
 def column_of(variable: Any) -> Column:

@@ -17,8 +17,15 @@ from cosim.fmi.run.instance import (
     read_description,
 )
 from cosim.fmi.run.opened import FMPY, MASTERS, kept_open
-from cosim.fmi.run.request import column_of, recorded, span_of, start_numbers, tolerance_of
-from cosim.model.inputs import InputSeries
+from cosim.fmi.run.request import (
+    column_of,
+    given_numbers,
+    recorded,
+    refuse_series,
+    span_of,
+    tolerance_of,
+)
+from cosim.model.driving import followed
 from cosim.trajectory import Trajectory
 
 __all__ = ["INTERFACES", "simulate_fmu", "unpacked"]
@@ -33,7 +40,7 @@ def simulate_fmu(
     output_interval: float | None = None,
     relative_tolerance: float | None = None,
     start: Mapping[str, float] | None = None,
-    inputs: InputSeries | None = None,
+    inputs: Any = None,
     outputs: Sequence[str] | None = None,
     master: str = FMPY,
 ) -> Trajectory:
@@ -47,7 +54,9 @@ def simulate_fmu(
             last output is at `stop_time` in any case.
         relative_tolerance: Error per step; the FMU's default experiment when None.
         start: Start values, parameters and constant inputs by name, in the FMU's units.
-        inputs: Time series of some inputs, in the FMU's units.
+        inputs: What `read_inputs` returns; or by name a number, a formula of time ("2*sin(3*t)"),
+            a function of time, samples at the output times (n,), or an `InputSeries`; in the FMU's
+            units. Inputs rest, or are linear, within a step of an FMU that integrates itself.
         outputs: Names to record; the FMU's outputs when None.
         master: Who drives it. "fmpy" integrates with CVODE. "c" is compiled code, a tenth to a
             hundredth of the time: one call for the whole run, `dop853` in model exchange, in
@@ -86,11 +95,13 @@ def simulate_fmu(
         span = span_of(path, description, start_time, stop_time, output_interval)
         tolerance = tolerance_of(path, relative_tolerance)
         variables = by_name(description)
-        values = start_numbers(path, variables, {} if start is None else start)
+        values = given_numbers(path, variables, {} if start is None else start)
         names = recorded(path, variables, outputs)
+        series = followed(str(path), inputs, span.times)
+        refuse_series(path, description, series, values)
         with instantiated(folder, description, kind, path) as (instance, explained):
             calls = count_derivatives(instance) if kind == "ModelExchange" else None
-            table = driven(path, instance, description, kind, inputs, span.start, values)
+            table = driven(instance, description, kind, series, span.start, values)
             ready = perf_counter()
             result = simulated(
                 explained,

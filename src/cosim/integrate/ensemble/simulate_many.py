@@ -13,13 +13,13 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
+from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.variants import in_lanes, one_by_one
 from cosim.integrate.families.explicit import Dop853
-from cosim.integrate.outputs import wanted_names, watching
+from cosim.integrate.run.outputs import wanted_names, watching
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import chosen_solver
-from cosim.integrate.validity import ON_INVALID
 from cosim.model.inputs import InputSeries
 from cosim.model.many_values import assign_many
 from cosim.model.time_grid import checked_grid, time_grid

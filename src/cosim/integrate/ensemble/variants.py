@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.lane_library import lane_library, processor_lanes
+from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import (
     InitialConditionError,
     Interrupted,
@@ -27,7 +27,7 @@ from cosim.integrate.ensemble.lanes import (
     run_lanes,
 )
 from cosim.integrate.initial_values import start_values
-from cosim.integrate.outputs import all_columns
+from cosim.integrate.run.outputs import all_columns
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solver import Tolerance
 from cosim.memo import kept_per_thread

@@ -1,6 +1,5 @@
 """CasADi's own integrators; compiled, the whole integration is one C function."""
 
-import ctypes
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,63 +9,76 @@ from casadi import MX
 
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key
-from cosim.codegen.casadi_patches import in_one_piece, run_time_tolerances, smallest_step, watched
+from cosim.codegen.casadi_patches import (
+    in_one_piece,
+    run_time_grid,
+    run_time_tolerances,
+    smallest_step,
+    watched,
+)
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.functions import CALL, driven, prepared, symbols_of
+from cosim.codegen.functions import CALL, inputs_at, prepared, symbols_of
+from cosim.codegen.runge_kutta.explicit_library import explicit_function
 from cosim.integrate.engine import Engine, Problem, reported
 from cosim.integrate.families.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
-_NAMES = ("n_steps", "n_rhs", "n_jac")
+_CASADI_COUNTERS = ("n_steps", "n_rhs", "n_jac")
+_SETTINGS = 2  # of fmu/solvers/casadi_driver.h
 
 
 @dataclass(frozen=True, kw_only=True)
 class _OwnOfCasadi(AdaptiveSolver):
     order = 5
-    code_per_grid = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
         if problem.compiled:
             return self._generated(problem)
         options = COMMON | tolerances(self) | _grouped(problem)
-        return plugin_engine(problem, self.name, options, _NAMES)
+        return plugin_engine(problem, self.name, options, _CASADI_COUNTERS)
 
     def _generated(self, problem: Problem) -> Engine:
-        """CasADi's generated integrator on the unit interval; span and tolerances come with `p`."""
+        """CasADi's generated integrator on the unit interval; all numbers come with `p`."""
         dae, grid, inputs = problem.dae, problem.grid, problem.inputs
         start, length = grid[0], grid[-1] - grid[0]
-        unit_grid = _unit_grid(grid)
         function, constants = prepared(dae)
         s, x, z, u, c = symbols_of(function)
         span = MX.sym("span", 4)  # start, length, relative and absolute tolerance
         t = span[0] + span[1] * s
-        ode, alg = function(t, x, z, driven(dae, inputs, t, u), c)
-        symbols = [s, x, z, u, ca.vertcat(c, span)]
+        ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), c)
+        known = ca.vertcat(c, span)
+        symbols = [s, x, z, u, known]
         system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
-        options: dict[str, Any] = COMMON | _grouped(problem)
+        options: dict[str, Any] = dict(COMMON)
         if inputs is not None:
             options["max_step_size"] = float(np.diff(inputs.time).min() / length)
         original = ca.Function("driven", symbols, [system["ode"], alg])
+        sizes = {"NX": x, "NZ": z, "NU": u, "NC": known}
+        head = "".join(f"#define {name} {symbol.numel()}\n" for name, symbol in sizes.items())
 
         def generate() -> str:
-            run = ca.integrator("run", self.name, system, 0.0, list(unit_grid), options)
+            run = ca.integrator("stepper", self.name, system, 0.0, [0.0, 1.0], options)
             generator = ca.CodeGenerator("code", {"with_header": False})
             generator.add(run)
             first = c.numel() + 2
             code = run_time_tolerances(
                 str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
             )
-            return self.finished(watched(smallest_step(code)))
+            code = run_time_grid(watched(smallest_step(code)), known.numel())
+            return f"{head}#define SETTINGS {_SETTINGS}\n{self.finished(code)}"
 
-        details = (unit_grid.tobytes(), repr(sorted(options.items())).encode())
-        key = cache_key(f"generated-7 {self.name}", original, *details)
+        key = cache_key(
+            f"generated-8 {self.name}", original, repr(sorted(options.items())).encode()
+        )
         path = str(cached_library(key, generate))
+        points = len(grid)
+        run, library = explicit_function(path, points, 0, points if problem.piecewise else 1)
         p = MX.sym("p", dae.p.numel())
-        extended = ca.vertcat(constants(p), start, length, *self.tolerance.pair)
-        library = ctypes.CDLL(path)
+        settings = (points, 1 if problem.piecewise else points)
+        numbers = (start, length, *self.tolerance.pair, *settings)
+        extended = ca.vertcat(constants(p), *numbers, ca.DM(_unit_grid(grid)))
         parameters = ca.Function("parameters", [p], [extended])
-        run = ca.external("run", path)
         return Engine(
             run, parameters, problem.piecewise, reported(library, start, length), True, library
         )

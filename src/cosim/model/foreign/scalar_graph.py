@@ -63,7 +63,7 @@ def scalar_graph(
     flat = ca.Function("f", list(symbols), list(expressions))
     refuse_calls(who, flat)
     scalars = [SX.sym(symbol.name(), symbol.shape[0], symbol.shape[1]) for symbol in symbols]
-    results = _evaluated(who, flat, list(symbols), list(expressions), scalars)
+    results = _scalar_values(who, flat, list(symbols), list(expressions), scalars)
     return ca.Function("f", scalars, results)
 
 
@@ -81,7 +81,7 @@ def refuse_calls(who: str, function: ca.Function) -> None:
             raise UsageError(f"{who} calls '{called.name()}', {what}: {told}")
 
 
-def _evaluated(
+def _scalar_values(
     who: str, flat: ca.Function, symbols: list[MX], expressions: list[MX], scalars: list[SX]
 ) -> list[SX]:
     """Evaluate with scalars, linear systems solved by elimination in their order."""
@@ -102,14 +102,14 @@ def _evaluated(
         parts = (
             ca.graph_substitute([matrix, right], solves[:i], places[:i]) if i else [matrix, right]
         )
-        A, b = _call(who, [*symbols, *places[:i]], parts, [*scalars, *solved])
+        A, b = _inlined_call(who, [*symbols, *places[:i]], parts, [*scalars, *solved])
         solved.append(ca.solve(A.T if node.info()["tr"] else A, b))
     if solves:
         expressions = ca.graph_substitute(expressions, solves, places)
-    return _call(who, [*symbols, *places], expressions, [*scalars, *solved])
+    return _inlined_call(who, [*symbols, *places], expressions, [*scalars, *solved])
 
 
-def _call(who: str, symbols: list[MX], expressions: list[MX], values: list[SX]) -> list[SX]:
+def _inlined_call(who: str, symbols: list[MX], expressions: list[MX], values: list[SX]) -> list[SX]:
     try:
         results: list[SX] = ca.Function("f", symbols, expressions).expand().call(values)
     except RuntimeError as error:

@@ -31,6 +31,10 @@ def frozen_at_start(dae: Dae, names: Collection[str]) -> Dae:
         replace(rule, expression=ca.substitute(rule.expression, dae.p, values))
         for rule in dae.start_rules
     )
+    ways = tuple(
+        replace(way, expression=ca.substitute(way.expression, dae.p, values))
+        for way in dae.start_outputs
+    )
     closing = dae.closing and replace(
         dae.closing, residual=ca.substitute(dae.closing.residual, dae.p, values)
     )
@@ -48,6 +52,7 @@ def frozen_at_start(dae: Dae, names: Collection[str]) -> Dae:
         alg=alg,
         outputs=outputs,
         start_rules=rules,
+        start_outputs=ways,
         limits=limits,
         invariants=invariants,
         closing=closing,

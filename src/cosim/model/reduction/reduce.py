@@ -10,11 +10,11 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae import Dae, Invariant, StartRule, Variable
+from casadi_models.dae import Dae, Invariant, StartRule, StartThrough, Variable
 from cosim.errors import UsageError
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.reduction.freeze import frozen_at_start
-from cosim.model.reduction.report import report
+from cosim.model.reduction.report import reduction_report
 from cosim.model.reduction.structure import closure, used
 from cosim.model.values import A_DAE, listed
 
@@ -57,10 +57,10 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     ode, alg, shared = _shared(frozen.ode[states], frozen.alg[equations], observed)
     small = replace(
         frozen,
-        x=_rows(frozen.x, states),
-        z=_rows(frozen.z, unknowns),
-        u=_rows(frozen.u, inputs),
-        p=_rows(frozen.p, parameters),
+        x=_chosen_rows(frozen.x, states),
+        z=_chosen_rows(frozen.z, unknowns),
+        u=_chosen_rows(frozen.u, inputs),
+        p=_chosen_rows(frozen.p, parameters),
         ode=ode,
         alg=alg,
         outputs=shared,
@@ -70,6 +70,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         parameters=_pick(frozen.parameters, parameters),
         output_variables=_pick(frozen.output_variables, kept_y),
         start_rules=tuple(_renumbered(rule, states) for rule in rules),
+        start_outputs=(),
         inertias=_kept_inertias(frozen, parameters),
         observed=tuple(outputs),
         x_start=tuple(frozen.x_start[i] for i in states),
@@ -79,8 +80,9 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         closing=frozen.closing
         and replace(frozen.closing, residual=frozen.closing.residual[equations]),
     )
-    small = replace(small, limits=_kept_limits(small))
-    return replace(small, report=tuple(report(dae, small, freeze)))
+    ways = tuple(_kept_ways(small, frozen, states))
+    small = replace(small, limits=_kept_limits(small), start_outputs=ways)
+    return replace(small, report=tuple(reduction_report(dae, small, freeze)))
 
 
 def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
@@ -103,7 +105,7 @@ def _renumbered(rule: StartRule, states: Sequence[int]) -> StartRule:
 
 
 def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX], ...]:
-    kept = _rows(dae.p, parameters)
+    kept = _chosen_rows(dae.p, parameters)
     names = {symbol.name() for symbol in ca.vertsplit(kept)}
     return tuple(
         (body, matrix)
@@ -114,13 +116,22 @@ def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX],
 
 def _kept_limits(small: Dae) -> tuple[tuple[SX, str], ...]:
     """Return the limits that can still be evaluated: they keep no variable alive."""
+    return tuple(
+        (margin, meaning) for margin, meaning in small.limits if _computable(small, margin)
+    )
+
+
+def _kept_ways(small: Dae, full: Dae, states: Sequence[int]) -> Iterator[StartThrough]:
+    """Yield the outputs that still give a start; they keep no variable alive, either."""
+    for way in full.start_outputs:
+        if way.state in states and _computable(small, way.expression):
+            yield replace(way, state=states.index(way.state))
+
+
+def _computable(small: Dae, expression: SX) -> bool:
     symbols = ca.symvar(ca.vertcat(small.t, small.x, small.z, small.u, small.p))
     known = {symbol.element_hash() for symbol in symbols}
-    return tuple(
-        (margin, meaning)
-        for margin, meaning in small.limits
-        if all(symbol.element_hash() in known for symbol in ca.symvar(margin))
-    )
+    return all(symbol.element_hash() in known for symbol in ca.symvar(expression))
 
 
 def _kept_invariants(
@@ -138,7 +149,7 @@ def _shared(*columns: SX) -> list[SX]:
     return [ca.densify(ca.reshape(column, -1, 1)) for column in ca.cse(list(columns))]
 
 
-def _rows(column: SX, rows: Sequence[int]) -> SX:
+def _chosen_rows(column: SX, rows: Sequence[int]) -> SX:
     return ca.vertcat(SX(0, 1), *(column[i] for i in rows))
 
 

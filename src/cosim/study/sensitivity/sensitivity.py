@@ -16,7 +16,7 @@ from cosim.integrate.simulate import simulate
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction.reduce import reduce
-from cosim.model.values import assign, checked, listed, number
+from cosim.model.values import assign, checked, listed, number, plain_values
 from cosim.study.sensitivity.differences import differences
 from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.study.sensitivity.variational import (
@@ -28,8 +28,8 @@ from cosim.study.sensitivity.variational import (
 )
 from cosim.trajectory import Column, Trajectory
 
-TOLERANCE = 1e-8
-BOUND = 1e-5  # of two methods, scaled
+DERIVATIVE_TOLERANCE = 1e-8
+AGREEMENT_BOUND = 1e-5  # of two methods, scaled
 CHECK_TOLERANCE = 1e-12  # of the runs whose differences are taken
 
 
@@ -41,9 +41,9 @@ def sensitivity(
     start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     solver: str | None = None,
-    relative_tolerance: float = TOLERANCE,
+    relative_tolerance: float = DERIVATIVE_TOLERANCE,
     check: bool = True,
-    bound: float = BOUND,
+    bound: float = AGREEMENT_BOUND,
     **times: Any,
 ) -> Sensitivity:
     """Differentiate a run: d(output)/d(parameter, start value, constant input) over time.
@@ -74,6 +74,7 @@ def sensitivity(
         SolverError: A run failed, or the second method disagrees.
     """
     number("sensitivity", "bound", bound, positive=True)
+    start_values = plain_values(dae, start_values or {})
     values = assign(dae, start_values)
     names = [v.name for v in dae.states] if of is None else listed("sensitivity: of", of)
     by = [v.name for v in dae.parameters]
@@ -90,7 +91,7 @@ def sensitivity(
     task = _Task(
         small,
         names,
-        {name: value for name, value in (start_values or {}).items() if name in known},
+        {name: value for name, value in start_values.items() if name in known},
         {"solver": solver, "inputs": felt, **times},
     )
     targets = [own for name in by if (own := Target.of(small, name)) is not None]

@@ -1,0 +1,119 @@
+"""CasADi functions printed once more, for vectors of doubles: one system in each lane.
+
+What is printed stands behind fmu/solvers/lanes.h. Every operation works on each lane by itself.
+"""
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from cosim.errors import UsageError
+
+_LANE_FORMS = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "every(1) / {0}",
+    ca.OP_SQRT: "root({0})",
+    ca.OP_SIN: "vector_sin({0})",
+    ca.OP_COS: "vector_cos({0})",
+    ca.OP_FABS: "magnitude({0})",
+    ca.OP_SIGN: "sign_of({0})",
+    ca.OP_COPYSIGN: "with_sign({0}, {1})",
+    ca.OP_FMIN: "smaller({0}, {1})",
+    ca.OP_FMAX: "larger({0}, {1})",
+    ca.OP_LT: "truth({0} < {1})",
+    ca.OP_LE: "truth({0} <= {1})",
+    ca.OP_EQ: "truth({0} == {1})",
+    ca.OP_NE: "truth({0} != {1})",
+    ca.OP_NOT: "truth({0} == every(0))",
+    ca.OP_AND: "truth(({0} != every(0)) & ({1} != every(0)))",
+    ca.OP_OR: "truth(({0} != every(0)) | ({1} != every(0)))",
+    ca.OP_IF_ELSE_ZERO: "pick({0} != every(0), {1}, every(0))",
+    ca.OP_LIFT: "{0}",
+}
+_PARTNER = {ca.OP_SIN: ca.OP_COS, ca.OP_COS: ca.OP_SIN}
+_ONE_BY_ONE = (
+    *("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+    *("exp", "expm1", "log", "log1p", "erf", "floor", "ceil"),
+)
+_TWO_BY_TWO = ("pow", "fmod", "remainder", "atan2", "hypot")
+_LANE_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}})" for name in _ONE_BY_ONE}
+_LANE_FORMS |= {
+    getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})" for name in _TWO_BY_TWO
+}
+_LANE_FORMS[ca.OP_CONSTPOW] = _LANE_FORMS[ca.OP_POW]
+
+
+def vector_text(function: ca.Function, name: str) -> str:
+    """Return `static void name(const V *const *in, V *const *out)` with a function's equations.
+
+    Args:
+        function: Of dense columns, made of `SX`.
+        name: Of the C function.
+
+    Raises:
+        UsageError: It has an operation that lanes do not have.
+    """
+    held: dict[int, str] = {}  # what each place of CasADi's work space stands for now
+    waiting: dict[tuple[int, str], tuple[int, int]] = {}  # angular ones: line, instruction
+    lines: list[str] = []
+    for i in range(function.n_instructions()):
+        code = function.instruction_id(i)
+        into, of = function.instruction_output(i), function.instruction_input(i)
+        if code == ca.OP_OUTPUT:
+            lines.append(f"    out[{into[0]}][{into[1]}] = {held[of[0]]};")
+            continue
+        if code == ca.OP_CONST:
+            text = f"every({_literal(function.instruction_constant(i))})"
+        elif code == ca.OP_INPUT:
+            text = f"in[{of[0]}][{of[1]}]"
+        elif code in _LANE_FORMS:
+            text = _LANE_FORMS[code].format(*(held[place] for place in of))
+        else:
+            raise UsageError(f"{name}: lanes have no operation with CasADi's number {code}")
+        if code in _PARTNER:
+            angle = held[of[0]]
+            if found := waiting.pop((_PARTNER[code], angle), None):
+                line, other = found
+                sine, cosine = (i, other) if code == ca.OP_SIN else (other, i)
+                call = f"sine_and_cosine({angle}, &a{sine}, &a{cosine});"
+                lines[line] = f"    V a{sine}, a{cosine};\n    {call}"
+                held[into[0]] = f"a{i}"
+                continue
+            waiting[code, angle] = len(lines), i
+        held[into[0]] = f"a{i}"
+        lines.append(f"    const V a{i} = {text};")
+    body = "\n".join(lines)
+    return (
+        f"static void {name}(const V *const *in, V *const *out) {{\n"
+        f"    (void)in, (void)out;\n{body}\n}}"
+    )
+
+
+def vector_sums(name: str, rows: Sequence[Sequence[tuple[int, float]]]) -> str:
+    """Return `name(row, k, sum)`: of each row (stage, weight) the sum of slopes, stages from 1."""
+    cases = "".join(f"    case {i}: {_lane_loop(row)} break;\n" for i, row in enumerate(rows))
+    head = f"static void {name}(int row, V (*k)[NX], V *sum) {{"
+    return f"{head}\n    switch (row) {{\n{cases}    }}\n}}"
+
+
+def vector_sum(name: str, row: Sequence[tuple[int, float]]) -> str:
+    """Return `name(k, sum)`: the sum of slopes of one row (stage, weight)."""
+    return f"static void {name}(V (*k)[NX], V *sum) {{ {_lane_loop(row)} }}"
+
+
+def _lane_loop(row: Sequence[tuple[int, float]]) -> str:
+    terms = " + ".join(f"every({weight!r}) * k[{stage - 1}][i]" for stage, weight in row)
+    return f"for (int i = 0; i < NX; ++i) sum[i] = {terms or 'every(0)'};"
+
+
+def _literal(value: float) -> str:
+    if value != value:
+        return "NAN"
+    return {float("inf"): "INFINITY", float("-inf"): "-INFINITY"}.get(value, repr(float(value)))

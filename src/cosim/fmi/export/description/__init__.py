@@ -1,0 +1,1 @@
+"""`modelDescription.xml`, `buildDescription.xml` and the page about the model."""

@@ -1,0 +1,68 @@
+"""How FMI 2.0 writes a model description."""
+
+from xml.etree import ElementTree as ET
+
+from cosim.fmi.export.description.model_description import Dialect, Identity, Structure
+
+
+def _root(identity: Identity) -> dict[str, str]:
+    return {"fmiVersion": "2.0", "guid": identity.guid, "numberOfEventIndicators": "0"}
+
+
+def _interfaces(identity: Identity) -> list[ET.Element]:
+    common = {
+        "modelIdentifier": identity.identifier,
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "true",
+    }
+    exchange = {"completedIntegratorStepNotNeeded": "true"}
+    stepping = {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canInterpolateInputs": "true",
+        "maxOutputDerivativeOrder": "1",
+    }
+    elements = [
+        ET.Element("ModelExchange", common | exchange),
+        ET.Element("CoSimulation", common | stepping),
+    ]
+    for element in elements:
+        files = ET.SubElement(element, "SourceFiles")
+        for name in identity.sources:
+            ET.SubElement(files, "File", name=name)
+    return elements
+
+
+def _quantity(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
+    element = ET.Element("SimpleType", general)
+    ET.SubElement(element, "Real", facts)
+    return element
+
+
+def _variable(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
+    element = ET.Element("ScalarVariable", general)
+    if "derivative" in facts:  # an index, the value reference plus one
+        facts = facts | {"derivative": str(int(facts["derivative"]) + 1)}
+    ET.SubElement(element, "Real", facts)
+    return element
+
+
+def _structure(structure: Structure) -> ET.Element:
+    """Return the unknowns by index, which is the value reference plus one."""
+    element = ET.Element("ModelStructure")
+    sections = {
+        "Outputs": structure.outputs,
+        "Derivatives": structure.derivatives,
+        "InitialUnknowns": structure.initial_unknowns,
+    }
+    for tag, unknowns in sections.items():
+        if unknowns:
+            section = ET.SubElement(element, tag)
+            for unknown in unknowns:
+                needs = " ".join(str(reference + 1) for reference in unknown.dependencies)
+                index = str(unknown.reference + 1)
+                ET.SubElement(section, "Unknown", index=index, dependencies=needs)
+    return element
+
+
+FMI2 = Dialect(_root, _interfaces, _quantity, _variable, _structure, fixed_are_knowns=False)

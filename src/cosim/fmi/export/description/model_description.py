@@ -1,0 +1,262 @@
+"""`modelDescription.xml`: all but what the versions of FMI say in different ways."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from xml.etree import ElementTree as ET
+
+from casadi_models.dae import Dae, Start
+from casadi_models.units import UNITS, Unit
+from cosim.fmi.export.dependencies import Dependencies
+from cosim.fmi.export.description.quantities import QUANTITIES
+from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
+from cosim.model.reduction.structure import Pattern
+
+LOG_CATEGORIES = {
+    "logStatusWarning": "what was done although it may not be meant",
+    "logStatusDiscard": "evaluations that gave no finite result",
+    "logStatusError": "calls that were refused, and why",
+}
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What an FMU says of itself.
+
+    Attributes:
+        identifier, guid, tool, tolerance: C identifier, GUID, exporting tool, relative tolerance.
+        sources: Files to compile, by name.
+        adjoint: Whether it offers adjoint derivatives (FMI 3.0).
+        about: author, license and generationDateAndTime, as far as they are given.
+    """
+
+    identifier: str
+    guid: str
+    tool: str
+    sources: tuple[str, ...]
+    tolerance: float
+    adjoint: bool = False
+    about: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DependentVariable:
+    """A variable that the equations determine, and what it depends on, as value references."""
+
+    reference: int
+    dependencies: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The unknowns that an importer asks for, by FMI's sections, in ascending order."""
+
+    outputs: tuple[DependentVariable, ...]
+    derivatives: tuple[DependentVariable, ...]
+    initial_unknowns: tuple[DependentVariable, ...]
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Where the versions of FMI differ.
+
+    Attributes:
+        root: Attributes of the whole, from the identity.
+        interfaces: Elements of model exchange and co-simulation.
+        quantity: Element of a declared type, likewise.
+        variable: Element of a variable, from its attributes and those of its type.
+        structure: Element of the model structure.
+        fixed_are_knowns: Whether unknowns depend on fixed parameters, too.
+    """
+
+    root: Callable[[Identity], dict[str, str]]
+    interfaces: Callable[[Identity], list[ET.Element]]
+    quantity: Callable[[dict[str, str], dict[str, str]], ET.Element]
+    variable: Callable[[dict[str, str], dict[str, str]], ET.Element]
+    structure: Callable[[Structure], ET.Element]
+    fixed_are_knowns: bool
+
+
+def model_description(
+    dae: Dae,
+    identity: Identity,
+    variables: Sequence[FmuVariable],
+    depends: Dependencies,
+    dialect: Dialect,
+) -> bytes:
+    """Return the content of `modelDescription.xml`."""
+    common = {
+        "modelName": identity.identifier,
+        "description": dae.description,
+        "version": "1",
+        **identity.about,
+        "generationTool": identity.tool,
+        "variableNamingConvention": "structured",
+    }
+    root = ET.Element("fmiModelDescription", dialect.root(identity) | common)
+    root.extend(dialect.interfaces(identity))
+    root.append(unit_definitions(variables))
+    root.append(_type_definitions(variables, dialect))
+    root.append(log_categories())
+    root.append(default_experiment(dae, identity.tolerance))
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        listed.append(dialect.variable(*_attributes(reference, variable)))
+    structure = model_structure(variables, depends, fixed_are_knowns=dialect.fixed_are_knowns)
+    root.append(dialect.structure(structure))
+    return to_bytes(root)
+
+
+def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.Element:
+    """Return a declared type for each quantity in use."""
+    element = ET.Element("TypeDefinitions")
+    for unit in sorted({v.unit for v in variables} & set(QUANTITIES), key=QUANTITIES.__getitem__):
+        name = QUANTITIES[unit]
+        element.append(dialect.quantity({"name": name}, {"quantity": name, "unit": unit}))
+    return element
+
+
+def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the attributes of a variable, and those that FMI 2.0 gives to its type."""
+    general = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.meaning,
+        "causality": causality(variable),
+        "variability": variability(variable),
+    }
+    if initial := initial_of(variable):
+        general["initial"] = initial
+    facts = {"unit": variable.unit}
+    if variable.unit in QUANTITIES:
+        facts["declaredType"] = QUANTITIES[variable.unit]
+    if variable.display_unit:
+        facts["displayUnit"] = variable.display_unit
+    if variable.derivative_of is not None:
+        facts["derivative"] = str(variable.derivative_of)
+    for name, bound in (("min", variable.minimum), ("max", variable.maximum)):
+        if isfinite(bound):
+            facts[name] = shortest(bound)
+    if variable.nominal != 1:
+        facts["nominal"] = shortest(variable.nominal)
+    if variable.start is not None and initial in ("exact", "approx", None):
+        facts["start"] = shortest(variable.start)
+    return general, facts
+
+
+def model_structure(
+    variables: Sequence[FmuVariable], depends: Dependencies, *, fixed_are_knowns: bool
+) -> Structure:
+    """Return outputs, derivatives and initial unknowns with their true dependencies."""
+    positions = {role: [i for i, v in enumerate(variables) if v.role is role] for role in Role}
+    time, states = positions[Role.TIME], positions[Role.STATE]
+    inputs, parameters = positions[Role.INPUT], positions[Role.PARAMETER]
+    computed = [*positions[Role.DERIVATIVE], *positions[Role.ALGEBRAIC], *positions[Role.OUTPUT]]
+    knowns = [*time, *states, *inputs, *parameters]
+    running = _lists(computed, depends.running, knowns)
+    if not fixed_are_knowns:
+        fixed = {i for i in parameters if not variables[i].tunable}
+        running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
+    running |= {i: (i,) for i in states}
+    initial = _lists([*states, *computed], depends.initial, knowns)
+    observed = [i for i, v in enumerate(variables) if v.observed]
+    unknown = {i for i in (*observed, *states) if variables[i].start_kind is not Start.EXACT}
+    unknown |= set(positions[Role.DERIVATIVE])
+
+    def section(
+        members: Sequence[int], table: dict[int, tuple[int, ...]]
+    ) -> tuple[DependentVariable, ...]:
+        return tuple(DependentVariable(i, table[i]) for i in sorted(members))
+
+    return Structure(
+        section(observed, running),
+        section(positions[Role.DERIVATIVE], running),
+        section([*unknown], initial),
+    )
+
+
+def _lists(
+    rows: Sequence[int], pattern: Pattern, columns: Sequence[int]
+) -> dict[int, tuple[int, ...]]:
+    return {
+        row: tuple(sorted(c for c, needed in zip(columns, line, strict=True) if needed))
+        for row, line in zip(rows, pattern, strict=True)
+    }
+
+
+def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
+    """Return the units in use, each with its base units and the display units in use."""
+    element = ET.Element("UnitDefinitions")
+    displays: dict[str, set[str]] = {}
+    for variable in variables:
+        displays.setdefault(variable.unit, set())
+        if variable.display_unit:
+            displays[variable.unit].add(variable.display_unit)
+    rates = dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
+    for name in sorted(displays):
+        unit = rates.get(name) or UNITS[name]
+        entry = ET.SubElement(element, "Unit", name=name)
+        ET.SubElement(entry, "BaseUnit", _base_unit(unit))
+        for display in sorted(displays[name]):
+            factor = unit.factor / UNITS[display].factor
+            ET.SubElement(entry, "DisplayUnit", name=display, factor=shortest(factor))
+    return element
+
+
+def _base_unit(unit: Unit) -> dict[str, str]:
+    attributes = {name: str(exponent) for name, exponent in unit.base}
+    return attributes | ({} if unit.factor == 1 else {"factor": shortest(unit.factor)})
+
+
+def default_experiment(dae: Dae, tolerance: float) -> ET.Element:
+    """Return the run that an importer makes without being told more."""
+    return ET.Element(
+        "DefaultExperiment",
+        startTime="0",
+        stopTime=shortest(dae.experiment.stop_time),
+        tolerance=shortest(tolerance),
+        stepSize=shortest(dae.experiment.output_interval),
+    )
+
+
+def log_categories() -> ET.Element:
+    """Return the categories of the runtime's messages."""
+    element = ET.Element("LogCategories")
+    for name, meaning in LOG_CATEGORIES.items():
+        ET.SubElement(element, "Category", name=name, description=meaning)
+    return element
+
+
+def to_bytes(root: ET.Element) -> bytes:
+    """Return an XML file's content, indented."""
+    ET.indent(root)
+    content: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return content + b"\n"
+
+
+def initial_of(variable: FmuVariable) -> str | None:
+    """Return FMI's initial: a calculated state begins near a number, others are results."""
+    if variable.role in (Role.TIME, Role.INPUT):
+        return None
+    if variable.start_kind is Start.EXACT:  # algebraic guesses stay inside
+        return "exact"
+    calculated = variable.role is Role.STATE and variable.start is not None
+    return "approx" if calculated else "calculated"
+
+
+def variability(variable: FmuVariable) -> str:
+    """Return FMI's variability."""
+    if variable.role is not Role.PARAMETER:
+        return "continuous"
+    return "tunable" if variable.tunable else "fixed"
+
+
+def shortest(value: float) -> str:
+    """Write a number with the fewest digits that are read as the same number."""
+    return repr(float(value))
+
+
+def causality(variable: FmuVariable) -> str:
+    """Return FMI's causality; what is not observed is local."""
+    plain = {Role.TIME: "independent", Role.INPUT: "input", Role.PARAMETER: "parameter"}
+    return plain.get(variable.role, "output" if variable.observed else "local")

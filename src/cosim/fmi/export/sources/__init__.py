@@ -1,0 +1,1 @@
+"""The C files inside an FMU, generated from the equations of its model."""

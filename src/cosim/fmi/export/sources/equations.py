@@ -1,0 +1,80 @@
+"""C code of a DAE's equations, under the names that the runtime calls.
+
+Every function follows CasADi's calling convention; fmu/runtime/equations.h declares them.
+"""
+
+from math import log2
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae import Dae
+from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
+from cosim.codegen.initialization import algebraic_function, start_function
+from cosim.fmi.export.solver_choice import DOP853, uses_dop853
+from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
+
+_ARGUMENTS = ["t", "x", "z", "u", "p"]
+
+
+def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
+    """Return the generated C code of everything that the runtime calls.
+
+    Args:
+        dae: The model.
+        identifier: What its inner names begin with.
+        fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
+        solver: Of `SOLVERS`.
+    """
+    generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
+    for function in (
+        start_function(dae),
+        algebraic_function(dae),
+        _plain_function(dae, "model_ode", dae.ode),
+        _plain_function(dae, "model_outputs", dae.outputs, _margins(dae)),
+        *sensitivity_functions(dae, adjoint=fmi == 3),
+    ):
+        generator.add(function)
+    if not uses_dop853(dae, solver):
+        generator.add(solver_step(dae, solver))
+    code = str(generator.dump())
+    if not dae.states or solver == DOP853:
+        return code
+    code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
+    return differential_errors(code) if dae.algebraics else code
+
+
+def _margins(dae: Dae) -> SX:
+    return ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
+
+
+def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
+    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    names = ["value", "margins"][: len(expressions)]
+    return ca.Function(name, symbols, [*expressions], _ARGUMENTS, names, {"cse": True})
+
+
+def solver_step(dae: Dae, plugin: str) -> ca.Function:
+    """Return `model_step(x, z, q) -> (x_end, z_end)`, the co-simulation solver.
+
+    q = (t0, h, relative tolerance, u0, du, p): integrates over h with inputs u0 + s du, s from 0 to
+    1, by CasADi's `erk` or `rosenbrock`. The states are scaled by their nominal values, so that one
+    tolerance fits all of them.
+    """
+    s, scaled = SX.sym("s"), SX.sym("scaled", dae.x.numel())
+    t0, h, rtol = SX.sym("t0"), SX.sym("h"), SX.sym("rtol")
+    u0, du = SX.sym("u0", dae.u.numel()), SX.sym("du", dae.u.numel())
+    q = ca.vertcat(t0, h, rtol, u0, du, dae.p)
+    x, z, parameters = argument_like(dae.x), argument_like(dae.z), argument_like(q)
+    if not dae.states:  # nothing moves, and CasADi integrates nothing
+        return ca.Function("model_step", [x, z, parameters], [x, z])
+    # a power of two: scaling there and back changes no bit
+    scale = ca.DM([2.0 ** round(log2(state.nominal)) for state in dae.states])
+    moving = [t0 + s * h, u0 + s * du, scale * scaled]
+    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
+    problem = {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
+    # So many that a step of seconds passes, so few that an absurd one fails within a second
+    options = {"show_eval_warnings": False, "max_num_steps": 10_000 if plugin == "erk" else 4000}
+    run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
+    end = run(x0=x / scale, z0=z, p=parameters)
+    return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])

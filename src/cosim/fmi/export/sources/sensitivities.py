@@ -1,0 +1,171 @@
+"""Analytic derivatives of a DAE's equations, along seeds and backwards, for C code.
+
+Algebraic unknowns and implicit start values follow the implicit function theorem.
+"""
+
+import casadi as ca
+from casadi import MX, SX
+
+from casadi_models.dae import Dae, StartRule
+from cosim.codegen.directional_jacobian import (
+    derivative_along,
+    has_long_jacobian,
+    jacobian_in_a_loop,
+)
+from cosim.memo import kept_per_thread
+
+
+def sensitivity_functions(dae: Dae, *, adjoint: bool) -> list[ca.Function]:
+    """Return the functions that fmu/runtime/equations.h declares beside the equations."""
+    return [
+        directional_function(dae),
+        jacobian_function(dae),
+        start_directional_function(dae),
+        *([adjoint_function(dae)] if adjoint else []),
+    ]
+
+
+def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
+    """Return `model_directional(t, x, z, u, p, seed_x, seed_u, seed_p, seed_t)`.
+
+    Its results are the derivatives of dx/dt, z and the outputs along the seeds.
+
+    Args:
+        dae: The model.
+        in_a_loop: See `jacobian_function`, which then calls the same derivative of the laws.
+    """
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    known = [dae.x, dae.u, dae.p, dae.t]
+    seeds = [SX.sym("seed", symbol.numel()) for symbol in known]
+    seed_z = SX.sym("seed_z", dae.z.numel())
+    variables, seed = ca.vertcat(*known), ca.vertcat(*seeds)
+    implicit = ca.Function(
+        "along",
+        [*call, *seeds],
+        [ca.jacobian(dae.alg, dae.z), -ca.jtimes(dae.alg, variables, seed)],
+        {"cse": True},
+    )
+    variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
+    looped = _is_large(dae) if in_a_loop is None else in_a_loop
+    explicit = ca.Function(
+        "along_all",
+        [*call, *seeds, seed_z],
+        [ca.jtimes(e, variables, seed) for e in (dae.ode, dae.outputs)[looped:]],
+        {"cse": True},
+    )
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
+    matrix, right = implicit(*arguments)
+    sens_z = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
+    *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
+    if looped:
+        seed_x, seed_u, seed_p, seed_t = arguments[len(call) :]
+        moved = ca.vertcat(seed_x, seed_u, sens_z, seed_p, seed_t)
+        sens_ode = [_along_laws(dae)(ca.vertcat(*arguments[: len(call)]), moved)[: dae.x.numel()]]
+    return ca.Function("model_directional", arguments, [*sens_ode, sens_z, sens_outputs])
+
+
+@kept_per_thread(4)
+def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
+    """Return `model_jacobian(t, x, z, u, p)`: of dx/dt and of z with respect to (x, u), dense.
+
+    Args:
+        dae: The model.
+        in_a_loop: Whether it is a loop over directional derivatives instead of formulas; where
+            these are too long when None.
+    """
+    call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
+    arguments = [argument_like(symbol) for symbol in call]
+    if _is_large(dae) if in_a_loop is None else in_a_loop:
+        laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
+        pattern = ca.jacobian_sparsity(laws, unknowns)
+        looped = jacobian_in_a_loop("blocks", _along_laws(dae), pattern)
+        whole, nx, n = looped(ca.vertcat(*arguments)), dae.x.numel(), known.numel()
+        (ode_known, ode_z), (alg_known, alg_z) = ca.blocksplit(
+            whole, [0, nx, whole.size1()], [0, n, whole.size2()]
+        )
+    else:
+        blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+        written_out = ca.Function("blocks", call, blocks, {"cse": True})
+        ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
+    if not dae.algebraics:
+        return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
+    z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
+    total = ca.densify(ode_known + ode_z @ z_known)
+    return ca.Function("model_jacobian", arguments, [total, z_known])
+
+
+@kept_per_thread(4)
+def _is_large(dae: Dae) -> bool:
+    """Tell whether the formulas of the Jacobian are too long."""
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    return has_long_jacobian(call, ca.vertcat(dae.ode, dae.alg), ca.vertcat(dae.x, dae.u, dae.z))
+
+
+@kept_per_thread(4)
+def _along_laws(dae: Dae) -> ca.Function:
+    """Return the derivative of dx/dt and the algebraic equations along (x, u, z, p, t)."""
+    laws, unknowns = (dae.ode, dae.alg), (dae.x, dae.u, dae.z, dae.p, dae.t)
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    return derivative_along("along_laws", call, ca.vertcat(*laws), ca.vertcat(*unknowns))
+
+
+def adjoint_function(dae: Dae) -> ca.Function:
+    """Return `model_adjoint(t, x, z, u, p, seed_dx, seed_z, seed_y)`.
+
+    Its results are the gradients of the seeded sum with respect to x, u, p, t.
+    """
+    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    seeds = [SX.sym("seed", symbol.numel()) for symbol in (dae.ode, dae.z, dae.outputs)]
+    weight = SX.sym("weight", dae.z.numel())
+    explicit, seed = ca.vertcat(dae.ode, dae.outputs), ca.vertcat(seeds[0], seeds[2])
+    on_z = ca.jtimes(explicit, dae.z, seed, True) + seeds[1]
+    implicit = ca.Function(
+        "back", [*call, *seeds], [ca.jacobian(dae.alg, dae.z).T, -on_z], {"cse": True}
+    )
+    everything, all_seeds = ca.vertcat(explicit, dae.alg), ca.vertcat(seed, weight)
+    gradients = ca.Function(
+        "back_all",
+        [*call, *seeds, weight],
+        [ca.jtimes(everything, v, all_seeds, True) for v in (dae.x, dae.u, dae.p, dae.t)],
+        {"cse": True},
+    )
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
+    matrix, right = implicit(*arguments)
+    solved = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
+    return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
+
+
+def start_directional_function(dae: Dae) -> ca.Function:
+    """Return `model_start_directional(x, p, seed_x, seed_p)`: of settled starts, along seeds."""
+    x, p, seed_x, seed_p = (argument_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
+    moved = _along_starts(dae, x, p, seed_x, seed_p)
+    return ca.Function("model_start_directional", [x, p, seed_x, seed_p], [moved])
+
+
+def _along_starts(dae: Dae, x: MX, p: MX, seed_x: MX, seed_p: MX) -> MX:
+    """Push a seed of exact starts and parameters through the start rules."""
+    calculated = {row for rule in dae.start_rules for row in rule.states}
+    rows = [MX(0) if i in calculated else seed for i, seed in enumerate(ca.vertsplit(seed_x))]
+    for i, rule in enumerate(dae.start_rules):
+        solved = _rule_derivative(dae, rule, f"start_along_{i}")
+        moved = solved(x, p, ca.vertcat(*rows), seed_p)
+        if rule.implicit:
+            matrix, right = moved
+            moved = ca.solve(matrix, right, "qr")
+        for row, value in zip(rule.states, ca.vertsplit(moved), strict=True):
+            rows[row] = value
+    return ca.vertcat(MX(0, 1), *rows)
+
+
+def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
+    seeds = [SX.sym("seed", dae.x.numel()), SX.sym("seed", dae.p.numel())]
+    moved = ca.jtimes(rule.expression, ca.vertcat(dae.x, dae.p), ca.vertcat(*seeds))
+    results = [moved]
+    if rule.implicit:
+        results = [ca.jacobian(rule.expression, dae.x)[:, list(rule.states)], -moved]
+    return ca.Function(name, [dae.x, dae.p, *seeds], results, {"cse": True})
+
+
+def argument_like(symbol: SX) -> MX:
+    """Return a symbol of the same sparsity, as functions around others take it."""
+    return MX.sym("argument", symbol.sparsity())

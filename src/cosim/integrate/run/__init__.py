@@ -1,0 +1,1 @@
+"""One run: the call of an engine, what is recorded of it, and where it stops."""

@@ -1,0 +1,37 @@
+"""Large models: the same derivatives by a loop, the same bits in pieces."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from casadi import SX
+
+import cosim
+from cosim.codegen.directional_jacobian import has_long_jacobian
+from cosim.fmi.export.sources.sensitivities import directional_function, jacobian_function
+
+MODELS = ("bicycle/independent", "bicycle/multipliers", "double_pendulum/multipliers")
+
+
+def at_random(function: ca.Function, seed: int = 3) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [rng.uniform(0.2, 1.0, function.size_in(i)) for i in range(function.n_in())]
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("derivative", [jacobian_function, directional_function])
+def test_derivatives_of_an_fmu_are_the_same_on_both_sides_of_the_limit(name, derivative):
+    dae = cosim.load(name)
+    formulas, loop = (derivative(dae, in_a_loop=looped) for looped in (False, True))
+    arguments = at_random(formulas)
+    for expected, found in zip(formulas(*arguments), loop(*arguments), strict=True):
+        size = max(1.0, float(ca.norm_inf(ca.vec(expected)))) if expected.numel() else 1.0
+        # 6 x 6 to 30 x 30 linear equations stand between both
+        np.testing.assert_allclose(found.full(), expected.full(), rtol=1e-9, atol=1e-11 * size)
+
+
+def test_banded_jacobian_takes_as_many_directions_as_its_band_is_wide():
+    x = SX.sym("x", 2000)
+    banded = ca.vertcat(x[1:], 0) * x - ca.vertcat(0, x[:-1])
+    dense = x * ca.sum1(x)
+    assert not has_long_jacobian([x], banded, x)
+    assert has_long_jacobian([x], dense, x)
