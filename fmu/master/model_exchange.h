@@ -14,8 +14,8 @@
 
 enum { MOST_TRIALS = 100000, MOST_STANDSTILLS = 1000 }; /* per output interval; events at a time */
 
-#ifndef NZ
-#define NZ 1 /* room for event indicators; see NX in ode.h */
+#if !defined NX || !defined NZ /* room for states and event indicators */
+#error "define NX and NZ before solvers are included"
 #endif
 
 typedef struct {

@@ -7,15 +7,9 @@
 
 #include "lanes.h"
 
-#ifndef NX
-#define NX 1 /* states; generated code says how many */
-#endif
-#ifndef NP
-#define NU 1 /* inputs */
-#define NP 1 /* parameters */
-#define NC 1 /* constants: what depends on parameters alone */
-#define NY 1 /* outputs */
-#define NL 1 /* limits */
+/* States, inputs, parameters, constants (what depends on parameters alone), outputs and limits. */
+#if !defined NX || !defined NU || !defined NP || !defined NC || !defined NY || !defined NL
+#error "define NX, NU, NP, NC, NY and NL before solvers are included"
 #endif
 
 /* The model; generated code fills it. */

@@ -1,6 +1,7 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -8,7 +9,9 @@ import numpy as np
 
 from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
+from cosim.codegen.compiler import time_compiling
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
+from cosim.host.progress import doing
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
@@ -111,7 +114,9 @@ def simulate(
     )
     own = plan(dae, asked)
     dae, problem, chosen = own.problem.dae, own.problem, own.solver
-    solution = first = solve(problem, chosen, values, on_invalid, own.places)
+    before = time_compiling()
+    with doing(dae.full_name):
+        solution = first = solve(problem, chosen, values, on_invalid, own.places)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
@@ -123,9 +128,20 @@ def simulate(
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, problem.compiled, perf_counter() - began)
-    drawing = _drawing(dae, values.p.tobytes(), values.u.tobytes())
+    if (compiling := time_compiling() - before) > 0:
+        stats = replace(stats, compile_time=compiling)
+    numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
     table = solution.table
-    run = Trajectory(dae.full_name, time, own.columns, table, stats, status, drawing=drawing)
+    run = Trajectory(
+        dae.full_name,
+        time,
+        own.columns,
+        table,
+        stats,
+        status,
+        drawing=drawing,
+        numbers=dict(numbers),
+    )
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
@@ -178,10 +194,10 @@ def _kink(dae: Dae, time: Vector, last: tuple[Vector, Vector], values: Values) -
 
 
 @kept_per_thread(64)
-def _drawing(dae: Dae, p: bytes, u: bytes) -> Drawing:
-    """Return what the model looks like with these parameters and inputs."""
-    numbers = Values(np.empty(0), np.frombuffer(p), np.frombuffer(u))
-    return dae.drawing.with_numbers(numbers_of(dae, numbers))
+def _numbers(dae: Dae, p: bytes, u: bytes) -> tuple[dict[str, float], Drawing]:
+    """Return parameters and inputs by name, and what the model looks like with them."""
+    numbers = numbers_of(dae, Values(np.empty(0), np.frombuffer(p), np.frombuffer(u)))
+    return numbers, dae.drawing.with_numbers(numbers)
 
 
 def _stats(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cosim.errors import FmuError
 from cosim.fmi.run import inputs
 from cosim.fmi.run.request import Span, input_variables
+from cosim.host.progress import doing
 from cosim.model.inputs import InputSeries
 
 
@@ -42,19 +43,24 @@ def driven(
     return inputs.drive_model_exchange(instance, series, references, constants)
 
 
-def _moving(start: float, interrupts: Sequence[int]) -> Callable[[float, Any], bool]:
-    """Return what stops fmpy after Ctrl-C, or where time stands still.
+def _moving(
+    start: float, stop: float, interrupts: Sequence[int]
+) -> tuple[Callable[[float, Any], bool], Callable[[], float]]:
+    """Return what stops fmpy after Ctrl-C, or where time stands still; and how far it is.
 
     Where an FMU discards a step, fmpy repeats it for ever.
     """
     last = start
+
+    def done() -> float:
+        return (last - start) / (stop - start) if stop > start else 0.0
 
     def moves(time: float, _recorder: Any) -> bool:
         nonlocal last
         last, before = time, last
         return time > before and not interrupts
 
-    return moves
+    return moves, done
 
 
 def simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
@@ -62,9 +68,10 @@ def simulated(explained: Callable[[Exception], FmuError], start: float, **argume
     from fmpy import simulate_fmu as run
 
     with _noticed_interrupts() as interrupts, _noticed_errors() as errors:
-        moving = _moving(start, interrupts)
+        moving, done = _moving(start, arguments["stop_time"], interrupts)
         try:
-            result = run(start_time=start, step_finished=moving, **arguments)
+            with doing("running the FMU", done):
+                result = run(start_time=start, step_finished=moving, **arguments)
         except Exception as error:
             if interrupts:
                 raise KeyboardInterrupt from error

@@ -27,6 +27,7 @@ from cosim.fmi.run.request import (
     Span,
     column_of,
     given_numbers,
+    numbers_of_run,
     recorded,
     span_of,
     tolerance_of,
@@ -117,7 +118,8 @@ class OpenedFmu:
         stats["solve_time"] = perf_counter() - (began if master == FMPY else ready)
         stats["wall_time"] = perf_counter() - began
         columns = self.columns(names)
-        return Trajectory(self.description.modelName, time, columns, rows, stats)
+        numbers = numbers_of_run(self.variables, values)
+        return Trajectory(self.description.modelName, time, columns, rows, stats, numbers=numbers)
 
     def _through_fmpy(
         self,

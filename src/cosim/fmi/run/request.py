@@ -6,7 +6,7 @@ from typing import Any
 
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.fmi.run.instance import is_number, may_be_set
+from cosim.fmi.run.instance import by_name, is_number, may_be_set
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import time_grid
 from cosim.model.values import listed, number
@@ -82,9 +82,9 @@ def given_numbers(
     for name in start:
         if name not in variables:
             raise UnknownName.among(str(path), "start value", name, settable)
-        if name not in settable:
+        if variables[name].name not in settable:
             raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
-    return {name: number(str(path), name, value) for name, value in start.items()}
+    return {variables[name].name: number(str(path), name, value) for name, value in start.items()}
 
 
 def recorded(
@@ -92,19 +92,23 @@ def recorded(
 ) -> list[str]:
     """Return the names to record, each once; the FMU's outputs when None."""
     if outputs is None:
-        return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
+        return [
+            n
+            for n, v in variables.items()
+            if v.causality == "output" and is_number(v) and n == v.name
+        ]
     wanted = listed(f"{path}: outputs", outputs)
     for name in wanted:
         if name not in variables:
             raise UnknownName.among(str(path), "output", name, variables)
         if not is_number(variables[name]):
             raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(wanted))
+    return list(dict.fromkeys(variables[name].name for name in wanted))
 
 
 def input_variables(description: Any) -> dict[str, Any]:
     """Return the inputs by name."""
-    return {v.name: v for v in description.modelVariables if v.causality == "input"}
+    return {n: v for n, v in by_name(description).items() if v.causality == "input"}
 
 
 def refuse_series(
@@ -136,3 +140,19 @@ def column_of(variable: Any) -> Column:
         float(variable.nominal or 1.0),
         variable.description or "",
     )
+
+
+def numbers_of_run(variables: Mapping[str, Any], given: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters and inputs that an FMU is run with: what is given, else its own."""
+    kinds = ("parameter", "input")
+    found = {n: v.start for n, v in variables.items() if v.causality in kinds and is_number(v)}
+    own = {name: float(start) for name, start in found.items() if _is_float(start)}
+    return own | {name: value for name, value in given.items() if name in found}
+
+
+def _is_float(text: Any) -> bool:
+    try:
+        float(text)
+    except (TypeError, ValueError):  # there is none, it is an array, or true
+        return False
+    return True

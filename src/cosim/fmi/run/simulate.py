@@ -20,6 +20,7 @@ from cosim.fmi.run.opened import FMPY, MASTERS, kept_open
 from cosim.fmi.run.request import (
     column_of,
     given_numbers,
+    numbers_of_run,
     recorded,
     refuse_series,
     span_of,
@@ -73,6 +74,13 @@ def simulate_fmu(
         UsageError, ParameterError: A variable cannot be set or recorded, a number is wrong, or the
             master does not take what is given.
         MissingTool: The master "c" is asked for, and no compiler works.
+
+    Example:
+        >>> import cosim
+        >>> path = cosim.export_fmu(cosim.load("crank_shaft"), "crank.fmu")
+        >>> run = simulate_fmu(path, start={"omega": 10.0}, stop_time=1)
+        >>> round(run.final["omega"], 6)  # 10 rad/s2 for a second
+        20.0
     """
     if master not in MASTERS:
         raise UnknownName.among("cosim", "master", str(master), MASTERS)
@@ -125,4 +133,5 @@ def simulate_fmu(
     if calls is not None:
         stats["rhs_calls"] = calls[0]
     columns = tuple(column_of(variables[name]) for name in names)
-    return Trajectory(description.modelName, time, columns, rows, stats)
+    numbers = numbers_of_run(variables, values)
+    return Trajectory(description.modelName, time, columns, rows, stats, numbers=numbers)

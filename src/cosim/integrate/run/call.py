@@ -4,6 +4,7 @@ import io
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
 import casadi as ca
@@ -11,6 +12,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.codegen.interruptible import interruptible
+from cosim.host.progress import doing
 from cosim.integrate.engine import Counts, Engine
 
 INTERRUPTED = "interrupted"
@@ -47,7 +49,8 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
     with redirect_stderr(told), interruptible(engine.library) as interrupts:
         try:
-            succeeded = _evaluated(engine, x0, z0, p, u, states, algebraics)
+            with doing("solving", partial(_filled, states)):
+                succeeded = _evaluated(engine, x0, z0, p, u, states, algebraics)
         except RuntimeError as error:  # CasADi has no narrower type
             reason = _flag(str(error))
         else:
@@ -81,6 +84,12 @@ def _evaluated(
         call_on_arrays(engine.parameters, [p], [extended])
         p = extended
     return call_on_arrays(engine.function, (x0, z0, p, u), (states, algebraics))
+
+
+def _filled(rows: Vector) -> float:
+    """Return how much of a table has been written, from its start on, while it is."""
+    first = rows.reshape(len(rows), -1)[:, 0]
+    return float(np.argmax(~np.isfinite(first)) / len(first)) if len(first) else 0.0
 
 
 def call_on_arrays(
