@@ -88,14 +88,12 @@ def _law(dae: Dae) -> ca.Function:
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:
     """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
-    if len(rank) < 4:
-        return []
-    steps, falls = np.diff(time), -np.diff(rank)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        before, after = falls[:-2] / steps[:-2], -falls[2:] / steps[2:]
+    falls, length = -np.diff(rank), np.diff(time)
+    with np.errstate(divide="ignore", invalid="ignore"):  # at a time that stands twice
+        before, after = falls[:-2] / length[:-2], -falls[2:] / length[2:]
         reach = rank[1:-2] / before + rank[2:-1] / after
-        near = (before > 0) & (after > 0) & (reach <= SUSPECTED * steps[1:-1])
-    return [int(k) + 1 for k in np.flatnonzero(near)]
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[1:-1])
+    return [int(k) for k in 1 + np.flatnonzero(touched)]
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:
