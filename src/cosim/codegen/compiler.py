@@ -7,19 +7,22 @@ import ctypes
 import hashlib
 import os
 import platform
-import shlex
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
+from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
 from cosim.host.bounded import physical_memory, run_bounded
 from cosim.host.temporary import temporary_folder
@@ -169,6 +172,23 @@ def most_memory() -> int:
     return int(chosen) if chosen else min(MOST_MEMORY, physical_memory() * 3 // 4)
 
 
+class NotKept(MissingTool):
+    """A library that the cache does not hold, where nothing shall be compiled."""
+
+
+_only_kept = ContextVar("only_kept", default=False)
+
+
+@contextmanager
+def only_kept() -> Iterator[None]:
+    """Let `cached_library` refuse what it would have to compile, with `NotKept`."""
+    before = _only_kept.set(True)
+    try:
+        yield
+    finally:
+        _only_kept.reset(before)
+
+
 def cached_library(key: str, generate: Callable[[], str]) -> Path:
     """Return the shared library of some C code from the cache, made first where it is missing.
 
@@ -188,18 +208,22 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         private_folder()
         if found := _kept(folder, digest):
             return found
+        if _only_kept.get():
+            raise NotKept(f"{folder} does not hold {key.partition(' ')[0]}")
         _refuse_noexec(folder)
         with alone(folder, digest), temporary_folder(folder) as build:
             if found := _kept(folder, digest):  # made by another process meanwhile
                 return found
             source, library = build / "code.c", build / f"code{SUFFIX}"
-            code = generate()
+            code = in_pieces(generate())
             source.write_text(code, encoding="utf-8")
             options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
             compile_with_less([source], library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
             _keep(library, target)
         prune()
+    except NotKept:
+        raise
     except MissingTool as error:
         raise type(error)(f"{error}, or do not compile (--interpreted)") from error
     except OSError as error:

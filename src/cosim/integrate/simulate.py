@@ -1,6 +1,8 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -8,8 +10,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
-from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
+from cosim.errors import CompilerExhausted, Interrupted, SolverError, UnknownName, UsageError
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
@@ -19,8 +20,9 @@ from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.outputs import all_columns, recorded, wanted_names, watching
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
+from cosim.integrate.run.worthwhile import Choice, worthwhile
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
+from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver, engine_of
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import Values, assign, listed, number, numbers_of
@@ -66,7 +68,8 @@ def simulate(
         start_values: Values by name that replace starts of states, parameters, or inputs.
         inputs: Time series of some inputs, piecewise linear; the others keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
-        compiled: Whether to compile the equations; if a compiler is there when None.
+        compiled: Whether to compile the equations. When None, small ones are, and large ones once
+            that pays for the runs so far; `stats["note"]` says where it does not yet.
         on_invalid: What happens where a run leaves the model's limits, or a fixed step is too long
             for the motion: "warn" says so in `stats["invalid"]`, "stop" ends the run there,
             "ignore" looks at neither.
@@ -111,10 +114,20 @@ def simulate(
         solver = Dop853.name
     numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
     chosen = chosen_solver(dae, solver, **numbers)  # type: ignore[arg-type]  # all are numbers
+    problem = Problem(dae, grid.tobytes(), inputs, True, sensitivities=False, project=project)
+    choice = Choice(bool(compiled))
     if compiled is None:
-        compiled = has_compiler()
-    problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
-    solution = first = solve(problem, chosen, values, on_invalid)
+        choice = worthwhile(dae, chosen, len(grid), partial(engine_of, problem, chosen))
+    problem = replace(problem, compiled=choice.compiled)
+    try:
+        solution = first = solve(problem, chosen, values, on_invalid)
+    except CompilerExhausted as error:
+        if compiled or chosen.compiled_only or project:
+            raise
+        choice = Choice(False, f"interpreted: {error}")
+        problem = replace(problem, compiled=False)
+        solution = first = solve(problem, chosen, values, on_invalid)
+    choice.add(first.solve_time)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
@@ -125,7 +138,7 @@ def simulate(
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
-    stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
+    stats = _stats(chosen, first, solution, choice, perf_counter() - began)
     drawing = dae.drawing.with_numbers(numbers_of(dae, values))
     columns, places = recorded(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
@@ -203,7 +216,7 @@ def _kink(dae: Dae, time: Vector, table: Vector, values: Values) -> str:
 
 
 def _stats(
-    solver: Solver, first: Solution, last: Solution, compiled: bool, wall_time: float
+    solver: Solver, first: Solution, last: Solution, choice: Choice, wall_time: float
 ) -> RunStats:
     steps, rhs_calls, jacobian_calls, _ = last.counts
     return RunStats(
@@ -214,9 +227,9 @@ def _stats(
         steps=steps,
         rhs_calls=rhs_calls,
         jacobian_calls=jacobian_calls,
-        compiled=compiled,
+        compiled=choice.compiled,
         wall_time=wall_time,
         invalid=tuple(breach.text for breach in first.invalid),
-        note=first.note or None,
+        note="; ".join(filter(None, (first.note, choice.note))) or None,
         invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

@@ -68,7 +68,9 @@ class _OwnOfCasadi(AdaptiveSolver):
             code = run_time_grid(watched(smallest_step(code)), known.numel())
             return f"{head}#define SETTINGS {_SETTINGS}\n{self.finished(code)}"
 
-        key = cache_key(f"generated-8 {self.name}", original, repr(sorted(options.items())).encode())
+        key = cache_key(
+            f"generated-8 {self.name}", original, repr(sorted(options.items())).encode()
+        )
         path = str(cached_library(key, generate))
         points = len(grid)
         run, library = explicit_function(path, points, 0, points if problem.piecewise else 1)
