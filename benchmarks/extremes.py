@@ -22,7 +22,7 @@ from cosim.fmi.export.package import export_fmu
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.run.outputs import all_columns
 from cosim.model.catalogue import load
-from cosim.study.extremes.campaign import explore, select_cases, serve
+from cosim.study.extremes.campaign import explore, select_cases, serve_cases
 from cosim.study.extremes.cases import Case
 from cosim.study.extremes.oracles import OUTCOMES
 from cosim.trajectory import Trajectory
@@ -88,7 +88,7 @@ def _fmu(model: str) -> str:
 
 def serve_baseline(tool: str) -> None:
     warnings.simplefilter("ignore")
-    serve({"casadi": run_casadi, "fmpy": run_fmpy}[tool])
+    serve_cases({"casadi": run_casadi, "fmpy": run_fmpy}[tool])
 
 
 def main(models: list[str]) -> None:

@@ -24,11 +24,10 @@ FOLDERS = {
 # know each other; names without one between them are one part. A name stands for all modules of
 # its folder ("cosim" does not).
 TABLE = """
-cosim._fmu
-casadi_models
-cosim.text
+cosim._fmu | casadi_models | cosim.text
 cosim.errors | cosim.memo | cosim.arrays
-cosim.files | cosim.plotting | cosim.series | cosim.host
+cosim.host
+cosim.files | cosim.plotting | cosim.series
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi
@@ -51,7 +50,7 @@ CONTRACT = {
     (
         "cosim.trajectory",
         "cosim.present.playback.animate",
-    ): "run.animate(): loaded when it is called",
+    ): "run.animate(), loaded when it is called: a hook would hide from readers where it goes",
 }
 
 

@@ -41,6 +41,7 @@ typedef struct {
     LaneFunction *rhs;       /* t, x, u, c -> dx/dt */
     LaneFunction *observe;   /* t, needed states, u, c -> outputs, margins of the limits */
     const int *needed;
+    const double *nominal; /* of each state */
     const double *node;
     LaneRow *stage, *dense;
     LaneSum *error_5, *error_3;
@@ -81,14 +82,14 @@ static M is_finite(const V *values) {
     return sum == every(0);
 }
 
-static V scale(const Batch *batch, V x) {
-    return every(batch->absolute) + every(batch->relative) * magnitude(x);
+static V scale(const Batch *batch, int i, V x) {
+    return every(batch->absolute * model.nominal[i]) + every(batch->relative) * magnitude(x);
 }
 
 static V norm(const Batch *batch, const V *values, const V *x) {
     V sum = every(0);
     for (int i = 0; i < NX; ++i) {
-        const V ratio = values[i] / scale(batch, x[i]);
+        const V ratio = values[i] / scale(batch, i, x[i]);
         sum += ratio * ratio;
     }
     return root(sum / every(NX));
@@ -231,7 +232,7 @@ static V errors(Lanes *self, const Batch *batch) {
     model.error_3(self->k, third);
     for (int i = 0; i < NX; ++i) {
         const V size = larger(magnitude(self->x[i]), magnitude(self->end[i]));
-        const V unit = scale(batch, size), a = self->sum[i] / unit, b = third[i] / unit;
+        const V unit = scale(batch, i, size), a = self->sum[i] / unit, b = third[i] / unit;
         sum_5 += a * a;
         sum_3 += b * b;
     }

@@ -119,7 +119,7 @@ def simulate(
         raise UsageError.of_type("a run", dae, A_DAE)
     fixed = {name: options.get(name) for name in (*OVERRULED, "drift_control")}
     refuse_contradiction(accuracy, budget, **fixed | {"solver": solver})
-    given = _numbers(dae, native.one_of(dae, start_values, options.pop("start", None)))
+    given = _numbers_of_texts(dae, native.one_of(dae, start_values, options.pop("start", None)))
     own_times, condition = options.pop("output_times", None), options.pop("stop_when", None)
     times = AskedTimes(dae, start_time, stop_time, output_interval, own_times)
     settled = driven(dae, inputs, times.grid)
@@ -193,7 +193,7 @@ def _together(dae: Dae, given: Any, constants: Mapping[str, float]) -> Any:
     return {**(given or {}), **constants}
 
 
-def _numbers(dae: Dae, given: Any) -> Any:
+def _numbers_of_texts(dae: Dae, given: Any) -> Any:
     """Return what is given for starts, texts as numbers in the variables' units."""
     if not isinstance(given, Mapping) or not isinstance(dae, Dae):
         return given  # and refused with the rest

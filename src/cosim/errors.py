@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from casadi_models import CATALOG
 from cosim.text.escaping import visible
+from cosim.text.lists import shortened
 
 
 class PartialRun(Protocol):
@@ -62,7 +63,11 @@ class UnknownName(CosimError):
         """Say what does not exist and which names come nearest."""
         names = list(dict.fromkeys(known))
         near = _near(str(name), names)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"it has {_some(names)}"
+        hint = (
+            f"did you mean {' or '.join(near)}?"
+            if near
+            else f"it has {shortened(names, 12) or 'none'}"
+        )
         return cls(f"{owner} has no {kind} '{name}'; {hint}")
 
     @classmethod
@@ -132,7 +137,3 @@ def _near(name: str, names: list[str], most: int = 3) -> list[str]:
         folded.setdefault(known.lower(), []).append(known)
     found = get_close_matches(name.lower(), folded, n=most, cutoff=0.5)
     return [known for key in found for known in folded[key]][:most]
-
-
-def _some(names: list[str], most: int = 12) -> str:
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "") if names else "none"

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import re
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
@@ -16,11 +14,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cosim.arrays import Vector
-from cosim.errors import MissingTool, UnknownName, UsageError
+from cosim.arrays import Vector, frozen
+from cosim.errors import UnknownName, UsageError
 from cosim.series.column import Column, summary_rows
-from cosim.series.csv_file import in_si, read_samples, repr_17, write_csv
+from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
+from cosim.series.frames import data_frame, data_set
 from cosim.series.interpolation import resample, times_within
+from cosim.series.npz_file import npz_bytes, read_npz
 from cosim.text.tables import MOST_LINES, Table, html_table, text_table
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from casadi_models.dae import Drawing
 
 SHOWN_PANELS = 6  # of the picture in a notebook
-KINDS = ("si", "book")  # of units in files
 
 __all__ = ["Column", "Trajectory", "repr_17"]
 
@@ -77,10 +76,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
-            given = getattr(self, name)
-            array = given if _is_settled(given) else np.array(given, dtype=float)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.time.ndim != 1 or self.values.shape != (len(self.time), len(self.columns)):
             raise UsageError(
                 f"{self.model}: {len(self.columns)} variables, but time of shape {self.time.shape} "
@@ -163,7 +159,7 @@ class Trajectory:
             UnknownName: One was not recorded.
             UsageError: One is named twice.
         """
-        wanted = tuple(_listed(names))
+        wanted = (names,) if isinstance(names, str) else tuple(names)
         own = self.names
         if wanted == own:
             return replace(self)
@@ -242,7 +238,7 @@ class Trajectory:
             ParameterError: A cell is no number, or the time falls.
         """
         place = Path(path)
-        samples = read_samples(place)
+        samples = read_csv_samples(place)
         known = {} if like is None else {column.name: column for column in like.columns}
         wanted = {name: column.unit for name, column in known.items()}
         pairs, values = in_si(place, samples, units or {}, wanted)
@@ -299,17 +295,15 @@ class Trajectory:
             UsageError: The target is neither.
             UnknownName: There is no such kind of units.
         """
-        if units not in KINDS:
-            raise UnknownName.among("to_csv", "kind of units", units, KINDS)
         if not isinstance(target, str | os.PathLike):
             if not hasattr(target, "write"):
                 raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
-            self._write_csv(target, units)
+            write_columns(target, self.columns, self.time, self.values, units)
             return
         from cosim.files import write_atomically  # only where a file is wanted
 
         text = io.StringIO(newline="")
-        self._write_csv(text, units)
+        write_columns(text, self.columns, self.time, self.values, units)
         write_atomically(target, text.getvalue().encode())
 
     def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
@@ -321,20 +315,14 @@ class Trajectory:
         Raises:
             ExportError: The file cannot be written.
         """
-        facts = {
-            "model": self.model,
-            "columns": [asdict(column) for column in self.columns],
-            "stats": dict(self.stats),
-            "status": self.status,
-        }
-        content = io.BytesIO()
-        np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
+        facts = {"model": self.model, "stats": dict(self.stats), "status": self.status}
+        content = npz_bytes(self.columns, self.time, self.values, facts)
         if not isinstance(target, str | os.PathLike):
-            target.write(content.getvalue())
+            target.write(content)
             return
         from cosim.files import write_atomically  # only where a file is wanted
 
-        write_atomically(target, content.getvalue())
+        write_atomically(target, content)
 
     @classmethod
     def from_npz(cls, source: str | os.PathLike[str] | BinaryIO) -> Trajectory:
@@ -343,40 +331,21 @@ class Trajectory:
         Raises:
             UsageError: It is no such file.
         """
+        columns, time, values, facts = read_npz(source)
         try:
-            if isinstance(source, str | os.PathLike):
-                with Path(source).open("rb") as file:  # numpy leaves a damaged one open
-                    return cls.from_npz(file)
-            with np.load(source, allow_pickle=False) as stored:
-                facts = json.loads(str(stored["facts"]))
-                columns = tuple(Column(**column) for column in facts.pop("columns"))
-                return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            return cls(time=time, columns=columns, values=values, **facts)
+        except TypeError as error:
             raise UsageError(f"{source} holds no trajectory: {error}") from error
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""
-        pandas = optional_package("pandas")
-        frame = pandas.DataFrame(self.values, columns=self.names, index=self.time)
-        frame.index.name = "time"
-        frame.attrs = {"model": self.model, "units": self.units, "status": self.status}
-        return frame
+        attrs = {"model": self.model, "units": self.units, "status": self.status}
+        return data_frame(self.columns, self.time, self.values, attrs)
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset` over time; unit and meaning in each variable's `attrs`."""
-        xarray = optional_package("xarray")
-        variables = {
-            column.name: (
-                "time",
-                self.values[:, i],
-                {"units": column.unit, "long_name": column.meaning},
-            )
-            for i, column in enumerate(self.columns)
-        }
-        time = ("time", self.time, {"units": "s"})
         attrs = {"model": self.model, "status": self.status}
-        dataset: xr.Dataset = xarray.Dataset(variables, {"time": time}, attrs)
-        return dataset
+        return data_set(self.columns, self.time, self.values, attrs)
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draw variables over time in their display units, a panel each.
@@ -418,14 +387,6 @@ class Trajectory:
         except ValueError:
             raise UnknownName.among(f"{self.model}: run", "variable", name, self.names) from None
 
-    def _write_csv(self, stream: TextIO, units: str) -> None:
-        shown = self.values
-        if units == "book":
-            columns = zip(self.columns, self.values.T, strict=True)
-            shown = np.column_stack([column.shown(values) for column, values in columns])
-        second = ("s", *(c.shown_unit for c in self.columns)) if units == "book" else None
-        write_csv(stream, ("time", *self.names), second, np.column_stack((self.time, shown)))
-
     def _headline(self) -> str:
         times = "no time" if not len(self) else "1 time" if len(self) == 1 else f"{len(self)} times"
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self) else ""
@@ -434,30 +395,3 @@ class Trajectory:
         solver = f", {self.stats['solver']}" if "solver" in self.stats else ""
         variables = f"{count} variable{'s' * (count != 1)}"
         return f"{self.model}: {times}{span}, {variables}{solver}, {self.status}{stop}"
-
-
-def _is_settled(array: object) -> bool:
-    """Tell whether these are doubles that nobody can change any more: no copy is needed."""
-    if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.flags.writeable:
-        return False
-    return array.base is None or _is_settled(array.base)
-
-
-def _listed(names: str | Sequence[str]) -> Sequence[str]:
-    return (names,) if isinstance(names, str) else names
-
-
-def optional_package(package: str) -> Any:
-    """Return a package of the extra `data`.
-
-    Raises:
-        MissingTool: It is not installed.
-    """
-    from importlib import import_module
-
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise MissingTool(
-            f"{package} is not installed; bring it with: pip install 'cosim-rigid[data]'"
-        ) from error

@@ -22,7 +22,7 @@ posix = pytest.mark.skipif(os.name == "nt", reason="owners and permissions of PO
 def folder(tmp_path, monkeypatch):
     chosen = tmp_path / "cache"
     monkeypatch.setenv("COSIM_CACHE", str(chosen))
-    monkeypatch.setattr(compiler, "_HIDDEN", ())  # CODE marks nothing for export
+    monkeypatch.setattr(compiler, "_HIDE_SYMBOLS", ())  # CODE marks nothing for export
     return chosen
 
 
@@ -259,7 +259,7 @@ def test_folders_of_other_names_are_left_alone(tmp_path, name):
 def test_twenty_processes_with_a_cold_cache_compile_once(folder, tmp_path):
     program = f"""
 from cosim.codegen import compiler
-compiler._HIDDEN = ()
+compiler._HIDE_SYMBOLS = ()
 def generate():
     with open({str(tmp_path / "calls")!r}, "a") as file:
         file.write("x")

@@ -22,7 +22,7 @@ CODE = "int answer(void) { return 42; }\n"
 def cache(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     monkeypatch.setenv("COSIM_CACHE", str(folder))
-    monkeypatch.setattr(compiling, "_HIDDEN", ())  # CODE marks nothing for export
+    monkeypatch.setattr(compiling, "_HIDE_SYMBOLS", ())  # CODE marks nothing for export
     return folder
 
 

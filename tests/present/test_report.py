@@ -9,7 +9,7 @@ from helpers.scenes import spinning
 
 import cosim
 from cosim.cli.main import main
-from cosim.present.report import Contents, printed_rows, report
+from cosim.present.report import ReportContents, printed_rows, report
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_printed_number_that_is_not_met_is_marked():
 def test_invalid_run_is_called_so_at_the_top():
     dae = spinning(4.0, limit=2.0)
     run = cosim.simulate(dae, stop_time=1.0, compiled=False)
-    page = report(Contents(cosim.Scene("x", dae), dae, run, None, [], "cosim report x"))
+    page = report(ReportContents(cosim.Scene("x", dae), dae, run, None, [], "cosim report x"))
     head = page[: page.index("<h2>")]
     assert "From 0.5 s on this run is outside its model" in head
     assert "shaded: INVALID" in page

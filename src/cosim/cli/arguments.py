@@ -16,7 +16,7 @@ from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import with_solver, without_goal
 
-_SETTINGS = (
+_RUN_SETTINGS = (
     "start_time",
     "stop_time",
     "output_interval",
@@ -33,8 +33,8 @@ def scene_from(args: argparse.Namespace) -> Scene:
     Raises:
         CosimError: The model, the scene or an option is wrong; see `read_scene` and `load`.
     """
-    scene = _driven(args, named_scene(args.model))
-    given = {key: getattr(args, key, None) for key in _SETTINGS}
+    scene = _driven_scene(args, named_scene(args.model))
+    given = {key: getattr(args, key, None) for key in _RUN_SETTINGS}
     changes = {key: value for key, value in given.items() if value is not None}
     if getattr(args, "budget", None) is not None:
         changes["budget"] = 1e-3 * args.budget
@@ -54,7 +54,7 @@ def scene_from(args: argparse.Namespace) -> Scene:
     return replace(scene, values=overriding(scene.dae, scene.values, numbers), inputs=inputs)
 
 
-def _driven(args: argparse.Namespace, scene: Scene) -> Scene:
+def _driven_scene(args: argparse.Namespace, scene: Scene) -> Scene:
     """Return a scene with the formulas and time series that a command line gives for inputs."""
     if laws := _laws(args):
         names = {name for name, _ in laws}
@@ -135,12 +135,14 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
         numbers[name] = (
-            _plain(name, text) if dae is None else quantity(name, text, _unit(dae, name))
+            _plain_number(name, text)
+            if dae is None
+            else quantity(name, text, _unit_of_name(dae, name))
         )
     return numbers
 
 
-def _plain(name: str, text: str) -> float:
+def _plain_number(name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
@@ -149,7 +151,7 @@ def _plain(name: str, text: str) -> float:
         ) from None
 
 
-def _unit(dae: Dae, name: str) -> str:
+def _unit_of_name(dae: Dae, name: str) -> str:
     try:
         return dae.variable(name).unit
     except KeyError:

@@ -7,17 +7,18 @@ from typing import Any
 import numpy as np
 
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.model.quantities import quantity
-from cosim.study.sweep.extra import extra
-from cosim.study.sweep.subject import Opened, as_subject, opened
+from cosim.study.sweep.subjects.opening import as_subject, opened_subject
+from cosim.study.sweep.subjects.subject import Opened
 
-_CALL = re.compile(r"(\w+)\((.*)\)")
+_DISTRIBUTION = re.compile(r"(\w+)\((.*)\)")
 _DISTRIBUTIONS = {  # arguments as people say them
     "normal": ("mean", "deviation"),
     "uniform": ("low", "high"),
     "loguniform": ("low", "high"),
 }
-_FORMS = "A,B,C or A:B:N or A"
+_AXIS_FORMS = "A,B,C or A:B:N or A"
 
 
 def read_axes(model: str, items: Sequence[str], *, ranges: bool) -> dict[str, Any]:
@@ -31,35 +32,35 @@ def read_axes(model: str, items: Sequence[str], *, ranges: bool) -> dict[str, An
     Raises:
         UsageError, ParameterError, UnknownName: Something is not written like that.
     """
-    thing = opened(as_subject(model))
+    thing = opened_subject(as_subject(model))
     axes: dict[str, Any] = {}
     for item in items:
         name, equals, text = (part.strip() for part in item.partition("="))
         if not equals:
-            raise UsageError(f"-p {item}: write NAME={_FORMS}")
+            raise UsageError(f"-p {item}: write NAME={_AXIS_FORMS}")
         if name in axes:
             raise UsageError(f"{name} is given twice; give it once")
-        axes[name] = _range(thing, name, text) if ranges else _values(thing, name, text)
+        axes[name] = _range(thing, name, text) if ranges else _listed_values(thing, name, text)
     return axes
 
 
-def _values(thing: Opened, name: str, text: str) -> list[float]:
+def _listed_values(thing: Opened, name: str, text: str) -> list[float]:
     parts = text.split(":")
     if len(parts) == 3:
-        low, high = (_quantity(thing, name, part) for part in parts[:2])
+        low, high = (_si_value(thing, name, part) for part in parts[:2])
         if not parts[2].strip().isdecimal() or int(parts[2]) < 2:
             raise ParameterError(f"-p {name}={text}: write {name}=A:B:N with N of 2 or more")
         return [float(value) for value in np.linspace(low, high, int(parts[2]))]
-    if len(parts) != 1 or _CALL.fullmatch(text):
-        raise UsageError(f"-p {name}={text}: write {_FORMS}; ranges are for --sample KIND:N")
-    return [_quantity(thing, name, part) for part in text.split(",")]
+    if len(parts) != 1 or _DISTRIBUTION.fullmatch(text):
+        raise UsageError(f"-p {name}={text}: write {_AXIS_FORMS}; ranges are for --sample KIND:N")
+    return [_si_value(thing, name, part) for part in text.split(",")]
 
 
 def _range(thing: Opened, name: str, text: str) -> Any:
-    if call := _CALL.fullmatch(text):
+    if call := _DISTRIBUTION.fullmatch(text):
         return _distribution(thing, name, call[1], call[2].split(","))
     parts = text.split(":")
-    numbers = tuple(_quantity(thing, name, part) for part in parts)
+    numbers = tuple(_si_value(thing, name, part) for part in parts)
     if len(numbers) > 2:
         raise UsageError(f"-p {name}={text}: a design takes A:B, a distribution, or one value")
     return numbers[0] if len(numbers) == 1 else numbers
@@ -70,8 +71,8 @@ def _distribution(thing: Opened, name: str, kind: str, words: Sequence[str]) -> 
         raise UnknownName.among(f"-p {name}", "distribution", kind, _DISTRIBUTIONS)
     if len(words) != 2:
         raise UsageError(f"-p {name}: write {kind}({', '.join(_DISTRIBUTIONS[kind])})")
-    first, second = (_quantity(thing, name, word) for word in words)
-    stats = extra("scipy.stats")
+    first, second = (_si_value(thing, name, word) for word in words)
+    stats = optional_module("scipy.stats", "sweep")
     if kind == "normal":
         if second <= 0:
             raise ParameterError(f"-p {name}: the deviation {second:g} is not positive")
@@ -85,7 +86,7 @@ def _distribution(thing: Opened, name: str, kind: str, words: Sequence[str]) -> 
     )
 
 
-def _quantity(thing: Opened, name: str, text: str) -> float:
+def _si_value(thing: Opened, name: str, text: str) -> float:
     unit = thing.unit(name)
     if unit is not None:
         return quantity(name, text.strip(), unit)

@@ -14,7 +14,7 @@ from typing import Any
 
 from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
-from cosim.cli.streams import NO_ROOM, mend_streams, settled
+from cosim.cli.streams import NO_ROOM, flushed, mend_streams
 from cosim.cli.supervised import can_supervise, supervised
 from cosim.errors import CosimError
 from cosim.text.escaping import sentence, visible
@@ -23,28 +23,28 @@ from cosim.text.escaping import sentence, visible
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `cosim VERB ...`; return the exit code."""
     if arguments is not None:
-        return _run(_arguments(arguments))
+        return _run_verb(_parsed_command(arguments))
     mend_streams()
     try:
-        args = _arguments(None)
-        own = next((w for w in _words(args) if ".py:" in w), None)
+        args = _parsed_command(None)
+        own = next((w for w in _named_words(args) if ".py:" in w), None)
         if own is None or not can_supervise():
-            code = _run(args)
+            code = _run_verb(args)
         else:
             timeout = getattr(args, "timeout", None)
-            code = supervised(lambda: _run(args), f"cosim {args.verb}: {own}", timeout)
+            code = supervised(lambda: _run_verb(args), f"cosim {args.verb}: {own}", timeout)
     except SystemExit as ended:  # of argparse
         code = ended.code if isinstance(ended.code, int) else 2
-    return settled(code)
+    return flushed(code)
 
 
-def _words(args: argparse.Namespace) -> Iterator[str]:
+def _named_words(args: argparse.Namespace) -> Iterator[str]:
     """Yield what a command line names: models above all."""
     for value in vars(args).values():
         yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
 
 
-def _run(args: argparse.Namespace) -> int:
+def _run_verb(args: argparse.Namespace) -> int:
     """Run a verb; return its exit code, every error told in a sentence."""
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that a terminal cannot show ends no run
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace) -> int:
         return 1
 
 
-def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
+def _parsed_command(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = command_line()
     args, unknown = parser.parse_known_args(arguments)
     if unknown:  # argparse itself would point to the help of all verbs

@@ -125,7 +125,9 @@ def add_solver(parser: Parser) -> None:
         help="of time t, states and parameters, e.g. 'steer_torque=2*sin(3*t)'",
     )
     parser.add_argument("--input-file", metavar="CSV", help="time series of inputs: time,NAME,...")
-    parser.add_argument("--absolute-tolerance", type=float, metavar="A", help="error per step, SI")
+    parser.add_argument(
+        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
+    )
     parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
     parser.add_argument(
         "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"

@@ -35,7 +35,7 @@ def refuse_timeout(args: argparse.Namespace) -> None:
 def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
     """Return a run and its exit code; of a failed run, what was computed."""
     try:
-        run = _run(args, scene)
+        run = _road_run(args, scene)
         for text in run.stats.get("invalid", ()):
             print(f"warning: {run.model}: {text}", file=sys.stderr)
         if "error_estimate" in run.stats and not args.quiet:
@@ -55,7 +55,7 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
         return error.partial, 130
 
 
-def _run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
+def _road_run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     if scene is not None:
         if args.interface_type is not None:
             raise UsageError("--interface-type is for FMUs; a model takes --solver")

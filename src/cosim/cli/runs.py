@@ -48,7 +48,7 @@ def runs_of(
                 scene = replace(scene, outputs=(), figures=())
             seconds = [second_of(scene, name) for name in names_in(one.compare or "") if name]
             run, code = run_or_partial(one, scene)
-            runs.append(_named(run, one.variation))
+            runs.append(_with_variation(run, one.variation))
             scenes.append(scene)
             for other in seconds:
                 runs.append(run_scene(*other, compiled=False if args.interpreted else None))
@@ -84,7 +84,7 @@ def _single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespac
         yield argparse.Namespace(**{**vars(args), **changes})
 
 
-def _named(run: Trajectory, variation: str) -> Trajectory:
+def _with_variation(run: Trajectory, variation: str) -> Trajectory:
     return replace(run, stats={**run.stats, "variation": variation}) if variation else run
 
 

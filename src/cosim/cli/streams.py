@@ -42,7 +42,7 @@ def mend_streams() -> None:
         sys.stderr = _Forgiving(sys.stderr.detach(), **settings, line_buffering=True)
 
 
-def settled(code: int) -> int:
+def flushed(code: int) -> int:
     """Flush standard output; return the exit code, 1 where results could not be written."""
     try:
         sys.stdout.flush()

@@ -19,10 +19,10 @@ from cosim.codegen.c_sources import cache_folder
 from cosim.errors import CacheError
 from cosim.host.temporary import remove_leftovers
 
-MOST_BYTES = 2 * 10**9  # unless $COSIM_CACHE_SIZE says otherwise, in bytes
+LARGEST_CACHE = 2 * 10**9  # unless $COSIM_CACHE_SIZE says otherwise, in bytes
 MOST_ENTRY = 2**30  # bytes
 IN_USE = 600  # s; what was used within stays, as somebody may be about to load it
-_HEAD = b"cosim-cache 1 "
+_ENTRY_HEAD = b"cosim-cache 1 "
 _LOCK = ".lock"
 _FOLDERS = ("references", "fronts", "tradeoffs", "binaries", "made")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -100,7 +100,7 @@ def content_of(name: str) -> bytes | None:
     if stored is None:
         return None
     head, _, content = stored.partition(b"\n")
-    if head != _HEAD + hashlib.sha256(content).hexdigest().encode():
+    if head != _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode():
         remove_damaged(place)
         return None
     return content
@@ -115,12 +115,12 @@ def keep(name: str, content: bytes) -> None:
     """
     place = private_folder() / name
     place.parent.mkdir(mode=0o700, exist_ok=True)
-    head = _HEAD + hashlib.sha256(content).hexdigest().encode() + b"\n"
-    _replace(place, head + content)
+    head = _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode() + b"\n"
+    _write_whole(place, head + content)
     prune()
 
 
-def _replace(place: Path, content: bytes) -> None:
+def _write_whole(place: Path, content: bytes) -> None:
     """Write a file, whole or not at all; a link of its name is not followed."""
     handle, name = tempfile.mkstemp(dir=place.parent, prefix=".new-")
     try:
@@ -232,7 +232,7 @@ def most_bytes() -> int:
     chosen = os.environ.get("COSIM_CACHE_SIZE", "")
     if chosen and not chosen.isdecimal():
         raise CacheError(f"COSIM_CACHE_SIZE = {chosen} is not a number of bytes; unset it")
-    return int(chosen) if chosen else MOST_BYTES
+    return int(chosen) if chosen else LARGEST_CACHE
 
 
 def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:

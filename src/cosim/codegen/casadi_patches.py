@@ -24,7 +24,7 @@ def run_time_tolerances(code: str, relative: str, absolute: str) -> str:
     Raises:
         UsageError: This version of CasADi generates the driver in another form.
     """
-    return _replace(
+    return _replace_each(
         code,
         {
             r"p\.reltol = [^;]+;": f"p.reltol = {relative};",
@@ -39,7 +39,7 @@ def smallest_step(code: str) -> str:
     Raises:
         UsageError: See `run_time_tolerances`.
     """
-    return _replace(
+    return _replace_each(
         code,
         {
             r"p\.h_min = [^;]+;": "p.h_min = 1e-60;",
@@ -59,7 +59,7 @@ def differential_errors(code: str) -> str:
     Raises:
         UsageError: See `run_time_tolerances`.
     """
-    return _replace(code, {r"p\.nz_err = \d+;": "p.nz_err = 0;"})
+    return _replace_each(code, {r"p\.nz_err = \d+;": "p.nz_err = 0;"})
 
 
 def watched(code: str) -> str:
@@ -76,7 +76,7 @@ def watched(code: str) -> str:
     read = "d.n_steps, d.n_rhs, d.n_jac, d.status, d.t, d.h"
     kept = f"const double seen[{REPORT}] = {{{read}}};"
     copy = f"for (int i = 0; i < {REPORT}; ++i)"
-    code = _replace(
+    code = _replace_each(
         code,
         {
             r"if \(d\.status != IVP_SUCCESS\) return 1;": (
@@ -106,7 +106,7 @@ def run_time_grid(code: str, constants: int) -> str:
         UsageError: See `run_time_tolerances`.
     """
     first, last = "(j*passed)", "((j+1)*passed)"
-    code = _replace(
+    code = _replace_each(
         code,
         {
             r"  /\* Initial state, parameters \*/\n": (
@@ -135,10 +135,10 @@ def in_one_piece(code: str) -> str:
         UsageError: See `run_time_tolerances`.
     """
     entry = "static int casadi_f0("
-    return _replace(code, {re.escape(entry): f"__attribute__((flatten)) {entry}"})
+    return _replace_each(code, {re.escape(entry): f"__attribute__((flatten)) {entry}"})
 
 
-def _replace(code: str, replacements: Mapping[str, str]) -> str:
+def _replace_each(code: str, replacements: Mapping[str, str]) -> str:
     for pattern, text in replacements.items():
         code, found = re.subn(pattern, text.replace("\\", "\\\\"), code)
         if found != 1:

@@ -35,7 +35,7 @@ MOST_MEMORY = 4 * 10**9  # bytes, of one compiler; three quarters of the machine
 # Of generated code; hidden symbols can be inlined. In one long function, a Jacobian, -O2 takes
 # five times as long to compile as -O1 and gains nothing.
 _SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
-_HIDDEN = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
+_HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what CasADi exports
 
 # Products and sums stay apart, so that a processor with fused instructions computes the numbers of
 # one without. GCC fuses alternating sums and differences of products (vfmaddsub) in straight-line
@@ -60,7 +60,7 @@ def find_compiler() -> tuple[str, ...]:
     """
     if chosen := os.environ.get("CC"):
         try:
-            command = _words(chosen)
+            command = _split_command(chosen)
         except ValueError as error:
             raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
         if not command or shutil.which(command[0]) is None:
@@ -201,7 +201,7 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
     """
     command = find_compiler()
     own, processor = _own_processor()
-    settings = (*command, *FLAGS, *_HIDDEN, *own, processor, _SHORT, _LONG, str(_LENGTH))
+    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _SHORT, _LONG, str(_LENGTH))
     digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
     folder = cache_folder()
     try:
@@ -217,10 +217,10 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             source, library = build / "code.c", build / f"code{SUFFIX}"
             code = in_pieces(generate())
             source.write_text(code, encoding="utf-8")
-            options = (*_HIDDEN, *own, _SHORT if len(code) < _LENGTH else _LONG)
+            options = (*_HIDE_SYMBOLS, *own, _SHORT if len(code) < _LENGTH else _LONG)
             compile_with_less([source], library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
-            _keep(library, target)
+            _keep_library(library, target)
         prune()
     except NotKept:
         raise
@@ -271,7 +271,7 @@ def processor_abilities() -> str:
     return abilities if platform.machine() == "x86_64" else ""
 
 
-def _words(command: str) -> list[str]:
+def _split_command(command: str) -> list[str]:
     """Split a command as the machine's shell does; Windows writes paths with backslashes."""
     if sys.platform == "win32":
         return [word.strip('"') for word in shlex.split(command, posix=False)]
@@ -286,7 +286,7 @@ def _refuse_noexec(folder: Path) -> None:
         )
 
 
-def _keep(library: Path, target: Path) -> None:
+def _keep_library(library: Path, target: Path) -> None:
     try:
         library.replace(target)
     except PermissionError:  # of Windows, where another process has made and loaded it meanwhile

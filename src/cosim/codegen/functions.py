@@ -44,7 +44,7 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     integration needs: a third to a half of the code.
     """
     known = [sensitivities, True, True, sensitivities, sensitivities]
-    return _function(dae, dae.p, dae.ode, dae.alg, known)
+    return _equations_function(dae, dae.p, dae.ode, dae.alg, known)
 
 
 @kept_per_thread(16)
@@ -58,7 +58,7 @@ def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.
     nx = dae.x.numel()
     rates = [True, True, True, True, sensitivities]
     c = ca.vertcat(dae.p, *symbols)
-    function = _function(dae, c, rows[:nx], rows[nx:], rates)
+    function = _equations_function(dae, c, rows[:nx], rows[nx:], rates)
     return function, ca.Function("constants", [dae.p], [ca.vertcat(dae.p, *values)], {"cse": True})
 
 
@@ -70,7 +70,7 @@ def is_large(dae: Dae) -> bool:
     return has_long_jacobian(symbols, ca.vertcat(dae.ode, dae.alg), unknowns)
 
 
-def driven(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
+def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
     """Return the inputs at a time: those of the series, and the constants for the others."""
     if inputs is None:
         return u
@@ -88,7 +88,7 @@ def symbols_of(function: ca.Function) -> list[MX]:
     return [MX.sym(name, function.sparsity_in(i)) for i, name in enumerate(CALL)]
 
 
-def _function(
+def _equations_function(
     dae: Dae, p: ca.SX, ode: ca.SX, alg: ca.SX, differentiable: list[bool]
 ) -> ca.Function:
     """Return the equations; of an argument that is not differentiable, CasADi takes the derivatives

@@ -61,7 +61,7 @@ def algebraic_function(dae: Dae) -> ca.Function:
         solution = ca.solve(slope, negated, "qr")
     else:
         known = [dae.t, dae.x, dae.u, dae.p]
-        root, left = _root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
+        root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
     return ca.Function("model_algebraic", [t, x, z, u, p], [solution], names, ["z_solved"])
 
@@ -73,10 +73,10 @@ def _solve_rule(dae: Dae, rule: StartRule, name: str, x: MX, p: MX) -> tuple[MX,
         filled[row] = unknown[i]
     expression = ca.substitute(rule.expression, dae.x, filled)
     guess = ca.vertcat(*(x[i] for i in rule.states))
-    return _root(name, unknown, expression, [dae.x, dae.p], guess, [x, p])
+    return _newton_root(name, unknown, expression, [dae.x, dae.p], guess, [x, p])
 
 
-def _root(
+def _newton_root(
     name: str, unknown: SX, expression: SX, known: list[SX], guess: MX, arguments: list[MX]
 ) -> tuple[MX, MX]:
     """Return the root of an expression, and the Newton step left before the last one."""

@@ -13,13 +13,13 @@ LONGEST = 500_000  # characters of a function that stays whole
 MOST_BRANCHES = 1000  # within one; each argument and result that is looked at has one
 PIECE = 15_000  # characters, some 500 operations
 
-_ASSIGNMENT = re.compile(r" +(a\d+)=(.*)")
-_VARIABLE = re.compile(r"\ba\d+\b")
-_DECLARATION = re.compile(r" +casadi_real a.*;")
-_STRAIGHT = re.compile(r" +(a\d+=.*|casadi_real a.*|if \(res\[\d+\].*|return 0);")
+_ASSIGNED = re.compile(r" +(a\d+)=(.*)")
+TEMPORARY = re.compile(r"\ba\d+\b")
+DECLARATION = re.compile(r" +casadi_real a.*;")
+STRAIGHT_LINE = re.compile(r" +(a\d+=.*|casadi_real a.*|if \(res\[\d+\].*|return 0);")
 _BEGIN = re.compile(r"static int (casadi_f\d+)\(.*\) ?\{")
-_HEADING = re.compile(r"/\* (\w+):.*")
-_APART = """#ifdef __GNUC__
+_NAME_COMMENT = re.compile(r"/\* (\w+):.*")
+_NOT_INLINED = """#ifdef __GNUC__
 #define APART __attribute__((noinline)) /* put together again, it would be long */
 #else
 #define APART
@@ -46,15 +46,15 @@ def in_pieces(code: str, longest: int = LONGEST, piece: int = PIECE) -> str:
             result.append(line)
         elif line == "}":
             body = lines[begin + 1 : i]
-            if _is_long(body, longest) and all(map(_STRAIGHT.fullmatch, body)):
-                heading = result.pop() if result and _HEADING.fullmatch(result[-1]) else ""
+            if _is_long(body, longest) and all(map(STRAIGHT_LINE.fullmatch, body)):
+                heading = result.pop() if result and _NAME_COMMENT.fullmatch(result[-1]) else ""
                 result += _divided(heading, lines[begin], body, piece)
                 divided = True
             else:
                 result += [lines[begin], *body]
             result.append(line)
             begin = None
-    return (_APART if divided else "") + "\n".join(result)
+    return (_NOT_INLINED if divided else "") + "\n".join(result)
 
 
 def _is_long(body: Sequence[str], longest: int) -> bool:
@@ -69,17 +69,17 @@ def _has_branch(line: str) -> bool:
 
 def _divided(heading: str, head: str, body: Sequence[str], size: int) -> Iterator[str]:
     """Yield the functions of the pieces, and the function that calls them up to its brace."""
-    steps = [line for line in body if not _DECLARATION.fullmatch(line) and "return 0;" not in line]
+    steps = [line for line in body if not DECLARATION.fullmatch(line) and "return 0;" not in line]
     pieces = list(_parts(steps, size))
-    taken, left = _crossing(pieces)
+    taken, left = _values_across(pieces)
     places = {name: f"kept[{i}]" for i, name in enumerate(sorted(set().union(*left)))}
     begin = _BEGIN.fullmatch(head)
     assert begin is not None
     arguments = "const casadi_real** arg, casadi_real** res, casadi_real* kept"
-    about = _HEADING.fullmatch(heading)
+    about = _NAME_COMMENT.fullmatch(heading)
     for n, part in enumerate(pieces):
         lines = list(_with_kept(part, taken[n], left[n], places))
-        own = sorted({name for line in lines for name in _VARIABLE.findall(line)})
+        own = sorted({name for line in lines for name in TEMPORARY.findall(line)})
         yield f"/* {about[1] if about else begin[1]}: part {n + 1} of {len(pieces)} */"
         yield f"static int APART {begin[1]}_{n + 1}({arguments}) {{"
         for i in range(0, len(own), 12):
@@ -116,12 +116,12 @@ def _with_kept(
     CasADi uses a variable for one value after the other: what crosses is the first that a piece
     reads without having set it, and the last that it sets.
     """
-    last = {found[1]: i for i, line in enumerate(part) if (found := _ASSIGNMENT.fullmatch(line))}
+    last = {found[1]: i for i, line in enumerate(part) if (found := _ASSIGNED.fullmatch(line))}
     outside = {name: places[name] for name in taken}
     for i, line in enumerate(part):
-        assignment = _ASSIGNMENT.fullmatch(line)
+        assignment = _ASSIGNED.fullmatch(line)
         text = assignment[2] if assignment else line
-        text = _VARIABLE.sub(lambda found: outside.get(found[0], found[0]), text)
+        text = TEMPORARY.sub(lambda found: outside.get(found[0], found[0]), text)
         if assignment is None:
             yield text
             continue
@@ -133,15 +133,15 @@ def _with_kept(
         yield f" {outside.get(name, name)}={text}"
 
 
-def _crossing(pieces: Sequence[Sequence[str]]) -> tuple[list[set[str]], list[set[str]]]:
+def _values_across(pieces: Sequence[Sequence[str]]) -> tuple[list[set[str]], list[set[str]]]:
     """Return for each piece which values it takes from earlier ones and which it leaves."""
     taken, sets = list[set[str]](), list[set[str]]()
     for part in pieces:
         before, here = set[str](), set[str]()
         for line in part:
-            assignment = _ASSIGNMENT.fullmatch(line)
+            assignment = _ASSIGNED.fullmatch(line)
             text = assignment[2] if assignment else line
-            before.update(name for name in _VARIABLE.findall(text) if name not in here)
+            before.update(name for name in TEMPORARY.findall(text) if name not in here)
             if assignment:
                 here.add(assignment[1])
         taken.append(before)

@@ -58,7 +58,7 @@ def opened(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[zipfile.
             _refuse_dangerous_entries(archive, most_bytes)
             for entry in _READ_BY_TOOLS:
                 if entry in archive.namelist():
-                    refuse_dangerous_xml(entry, content_of(archive, entry, MOST_XML_BYTES))
+                    refuse_dangerous_xml(entry, entry_content(archive, entry, MOST_XML_BYTES))
             if DESCRIPTION not in archive.namelist():
                 raise FmuError(f"it has no {DESCRIPTION}; give an FMU")
         except FmuError as error:
@@ -87,7 +87,7 @@ def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
         yield folder.resolve()
 
 
-def content_of(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:
+def entry_content(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:
     """Return an entry's content.
 
     Raises:

@@ -102,7 +102,7 @@ PLATFORMS: dict[str, tuple[Target, ...]] = {
     "aarch64-linux": (Target("aarch64", "linux", "aarch64-linux-gnu.2.17"),),
 }
 NATIVE = "native"
-ALL = "all"
+ALL_PLATFORMS = "all"
 
 
 def targets(names: Sequence[str], fmi: int) -> dict[str, tuple[Target, ...]]:
@@ -121,10 +121,12 @@ def targets(names: Sequence[str], fmi: int) -> dict[str, tuple[Target, ...]]:
     if not names:
         raise ExportError("an FMU needs a platform; name one, or leave the choice out")
     for name in dict.fromkeys(names):
-        if name not in (*PLATFORMS, NATIVE, ALL):
-            raise UnknownName.among("cosim export", "platform", name, (NATIVE, ALL, *PLATFORMS))
+        if name not in (*PLATFORMS, NATIVE, ALL_PLATFORMS):
+            raise UnknownName.among(
+                "cosim export", "platform", name, (NATIVE, ALL_PLATFORMS, *PLATFORMS)
+            )
         every = [n for n in PLATFORMS if fmi > 2 or n != "aarch64-linux"]
-        for one in every if name == ALL else [name]:
+        for one in every if name == ALL_PLATFORMS else [name]:
             if one == "aarch64-linux" and fmi == 2:
                 raise ExportError("FMI 2.0 has no folder for aarch64-linux; use --fmi 3")
             for target in (native_target(),) if one == NATIVE else PLATFORMS[one]:

@@ -1,4 +1,4 @@
-"""Shared libraries as files: which processor they are for, what they export, and fat ones.
+"""Shared libraries as files: processor, what they export and need, and fat ones.
 
 Libraries of other platforms cannot be loaded here, and those of strangers should not be.
 
@@ -17,7 +17,11 @@ _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _DYNAMIC_SYMBOLS = 11  # SHT_DYNSYM
 _DYNAMIC, _VERSIONS = 6, 0x6FFFFFFE  # SHT_DYNAMIC, SHT_GNU_verneed
 _NEEDED, _RPATH, _RUNPATH = 1, 15, 29  # DT_*
+_SYMBOL_VERSIONS, _GLOBAL = 0x6FFFFFFF, 1  # SHT_GNU_versym, STB_GLOBAL
 _SYMBOL_TABLE = 2  # LC_SYMTAB
+_LOADS = (0x0C, 0x80000018, 0x8000001F)  # LC_LOAD_DYLIB, LC_LOAD_WEAK_DYLIB, LC_REEXPORT_DYLIB
+_MACH_RPATH, _OLD_MINIMUM, _BUILD = 0x8000001C, 0x24, 0x32  # LC_RPATH, LC_VERSION_MIN_MACOSX, ...
+_IMPORTS, _DELAYED = 1, 13  # directories of a PE file
 
 
 @dataclass(frozen=True)
@@ -28,9 +32,10 @@ class Library:
         system: "linux", "windows" or "darwin".
         processor: "x86_64", "aarch64" or "x86".
         exports: Names of the functions and data that a program may look up.
-        needs: Libraries that are loaded with it; of Linux only, like what follows.
-        versions: Of what it takes from them, e.g. "GLIBC_2.17".
+        needs: Libraries that are loaded with it.
+        versions: Of what it takes from them, e.g. "GLIBC_2.17", "macOS_11.0".
         run_paths: Folders where the loader looks for them first.
+        undefined: Of Linux: names that must come from a library, but not from which version of it.
     """
 
     system: str
@@ -39,6 +44,7 @@ class Library:
     needs: frozenset[str] = frozenset()
     versions: frozenset[str] = frozenset()
     run_paths: tuple[str, ...] = ()
+    undefined: frozenset[str] = frozenset()
 
 
 def read_libraries(content: bytes) -> tuple[Library, ...]:
@@ -81,7 +87,7 @@ def fat_library(libraries: Sequence[bytes]) -> bytes:
     return header.ljust(page, b"\0") + body
 
 
-def _text(content: bytes, start: int) -> str:
+def _c_string(content: bytes, start: int) -> str:
     end = content.find(b"\0", start)
     if end < 0:
         raise IndexError(start)
@@ -106,14 +112,22 @@ def _elf(content: bytes) -> Library:
         for place in range(symbols[4], symbols[4] + symbols[5], 24):
             name, info, _, section = struct.unpack_from("<IBBH", content, place)
             if section and info >> 4:  # defined here, not local
-                yield _text(content, names + name)
+                yield _c_string(content, names + name)
+
+    def undefined() -> Iterator[str]:
+        marks = next((s[4] for s in sections if s[1] == _SYMBOL_VERSIONS), None)
+        for i in range(1, symbols[5] // 24):
+            name, info, _, section = struct.unpack_from("<IBBH", content, symbols[4] + 24 * i)
+            (mark,) = (0,) if marks is None else struct.unpack_from("<H", content, marks + 2 * i)
+            if not section and info >> 4 == _GLOBAL and mark & 0x7FFF < 2:
+                yield _c_string(content, names + name)
 
     def entries() -> Iterator[tuple[int, str]]:
         for section in (s for s in sections if s[1] == _DYNAMIC):
             for place in range(section[4], section[4] + section[5], 16):
                 tag, value = struct.unpack_from("<QQ", content, place)
                 if tag in (_NEEDED, _RPATH, _RUNPATH):
-                    yield tag, _text(content, sections[section[6]][4] + value)
+                    yield tag, _c_string(content, sections[section[6]][4] + value)
 
     def versions() -> Iterator[str]:
         for section in (s for s in sections if s[1] == _VERSIONS):
@@ -123,7 +137,7 @@ def _elf(content: bytes) -> Library:
                 inner = place + first
                 for _ in range(count):
                     _, _, _, name, step = struct.unpack_from("<IHHII", content, inner)
-                    yield _text(content, sections[section[6]][4] + name)
+                    yield _c_string(content, sections[section[6]][4] + name)
                     inner += step
                 place += following
 
@@ -135,6 +149,7 @@ def _elf(content: bytes) -> Library:
         frozenset(name for tag, name in dynamic if tag == _NEEDED),
         frozenset(versions()),
         tuple(p for tag, text in dynamic if tag != _NEEDED for p in text.split(":") if p),
+        frozenset(undefined()),
     )
 
 
@@ -145,7 +160,8 @@ def _pe(content: bytes) -> Library:
     machine, count = struct.unpack_from("<HH", content, start + 4)
     (optional,) = struct.unpack_from("<H", content, start + 20)
     (magic,) = struct.unpack_from("<H", content, start + 24)
-    (directory,) = struct.unpack_from("<I", content, start + 24 + (112 if magic == 0x20B else 96))
+    directories = start + 24 + (112 if magic == 0x20B else 96)
+    (amount,) = struct.unpack_from("<I", content, directories - 4)
     headers = start + 24 + optional
     sections = [struct.unpack_from("<4I", content, headers + 40 * i + 8) for i in range(count)]
 
@@ -155,12 +171,25 @@ def _pe(content: bytes) -> Library:
                 return int(address - virtual + raw)
         raise IndexError(address)
 
-    if not directory:
-        return Library("windows", _PE_PROCESSORS[machine], frozenset())
-    named, _, names = struct.unpack_from("<3I", content, place(directory) + 24)
-    table = struct.unpack_from(f"<{named}I", content, place(names))
-    exports = frozenset(_text(content, place(address)) for address in table)
-    return Library("windows", _PE_PROCESSORS[machine], exports)
+    def directory(index: int) -> int:
+        if index >= amount:
+            return 0
+        return int(struct.unpack_from("<I", content, directories + 8 * index)[0])
+
+    def needs(index: int, size: int, name: int) -> Iterator[str]:
+        address = directory(index)
+        entry = place(address) if address else 0
+        while address and (told := struct.unpack_from("<I", content, entry + name)[0]):
+            yield _c_string(content, place(told))
+            entry += size
+
+    exports: frozenset[str] = frozenset()
+    if address := directory(0):
+        named, _, names = struct.unpack_from("<3I", content, place(address) + 24)
+        table = struct.unpack_from(f"<{named}I", content, place(names) if named else 0)
+        exports = frozenset(_c_string(content, place(one)) for one in table)
+    loaded = frozenset((*needs(_IMPORTS, 20, 12), *needs(_DELAYED, 32, 4)))
+    return Library("windows", _PE_PROCESSORS[machine], exports, loaded)
 
 
 def _mach(content: bytes) -> Library:
@@ -168,6 +197,9 @@ def _mach(content: bytes) -> Library:
     if kind != 6:
         raise ValueError("it is not a shared library")
     exports: set[str] = set()
+    needs: set[str] = set()
+    versions: set[str] = set()
+    run_paths: list[str] = []
     place = 32
     for _ in range(count):
         command, size = struct.unpack_from("<2I", content, place)
@@ -179,6 +211,21 @@ def _mach(content: bytes) -> Library:
                 name, flags, _, _, _ = struct.unpack_from("<IBBHQ", content, symbols + 16 * i)
                 # external, not private to the library, defined in a section
                 if flags & 0x1F == 0x0F:
-                    exports.add(_text(content, names + name).removeprefix("_"))
+                    exports.add(_c_string(content, names + name).removeprefix("_"))
+        elif command in (*_LOADS, _MACH_RPATH):
+            (text,) = struct.unpack_from("<I", content, place + 8)
+            told = _c_string(content, place + text)
+            needs.update({told} if command != _MACH_RPATH else ())
+            run_paths += [told] if command == _MACH_RPATH else []
+        elif command in (_OLD_MINIMUM, _BUILD):
+            (least,) = struct.unpack_from("<I", content, place + (12 if command == _BUILD else 8))
+            versions.add(f"macOS_{least >> 16}.{least >> 8 & 0xFF}")
         place += size
-    return Library("darwin", _MACH_PROCESSORS[processor], frozenset(exports))
+    return Library(
+        "darwin",
+        _MACH_PROCESSORS[processor],
+        frozenset(exports),
+        frozenset(needs),
+        frozenset(versions),
+        tuple(run_paths),
+    )

@@ -43,7 +43,7 @@ def write_ssp(
         FmuError, ExportError: A file cannot be read or written.
     """
     described = {name: _described(path) for name, path in components.items()}
-    ends = [(_end(described, a, "output"), _end(described, b, "input")) for a, b in connections]
+    ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
     for prefix, uri in (("ssd", _SSD), ("ssc", _SSC), ("ssv", _SSV)):
         ET.register_namespace(prefix, uri)
     name = Path(target).stem
@@ -54,7 +54,7 @@ def write_ssp(
         own = {k: v for k, v in (values or {}).items() if k.partition(".")[0] == component}
         elements.append(_component(component, description, own))
     for key in values or {}:
-        _end(described, key, None)
+        _side(described, key, None)
     joints = ET.SubElement(system, f"{{{_SSD}}}Connections")
     for (source, output), (sink, entry) in ends:
         ET.SubElement(
@@ -111,7 +111,7 @@ def _component(name: str, description: Any, values: Mapping[str, float]) -> ET.E
     return component
 
 
-def _end(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:
+def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:
     component, dot, name = text.partition(".")
     if not dot or component not in described:
         raise UnknownName.among("the SSP", "component", component, described)

@@ -10,7 +10,7 @@ from cosim.errors import CacheError, FmuError, SecurityError, UsageError
 from cosim.files import read_plain
 from cosim.fmi.archive import opened
 
-VARIABLE = "COSIM_TRUST"
+TRUST_VARIABLE = "COSIM_TRUST"
 MADE, TRUSTED = "exported here", "trusted by its user"
 CHOICES = ("ask", "known", "all")
 _RISK = "was not exported here: its code will run with your rights, in a process of its own"
@@ -54,9 +54,9 @@ def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> Non
         SecurityError: The user says no.
         UsageError: $COSIM_TRUST is none of its values.
     """
-    choice = os.environ.get(VARIABLE) or "ask"
+    choice = os.environ.get(TRUST_VARIABLE) or "ask"
     if choice not in CHOICES:
-        raise UsageError(f"{VARIABLE} = {choice} is none of {', '.join(CHOICES)}; unset it")
+        raise UsageError(f"{TRUST_VARIABLE} = {choice} is none of {', '.join(CHOICES)}; unset it")
     try:
         if choice == "all" or is_trusted(path):
             return

@@ -25,7 +25,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.families.plugin import COMMON, tolerances
 from cosim.integrate.solver import AdaptiveSolver, Solver
 
-MOST_NUMBERS = 3_000_000  # in the Jacobian of a whole run
+MOST_JACOBIAN_NUMBERS = 3_000_000  # in the Jacobian of a whole run
 FEW_EQUATIONS = 150  # for which an implicit method is worth its linear equations, interpreted
 
 

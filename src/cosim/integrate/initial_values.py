@@ -10,6 +10,9 @@ from cosim.errors import InitialConditionError
 from cosim.memo import kept_per_thread
 from cosim.model.values import Values
 
+DEPENDENT = 1e-14  # least singular value, over the largest, of rows of length 1
+WILD = 1e10  # nominal values: unknowns of such a size are looked at twice
+
 
 def start_values(dae: Dae, values: Values) -> Vector:
     """Return the start of every state, (nx,).
@@ -49,13 +52,40 @@ def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
         z = np.array(algebraic_function(dae)(t, x, guess, values.u, values.p)).ravel()
     except RuntimeError:  # CasADi's factorization meets a singular matrix
         z = np.full(len(dae.algebraics), np.nan)
-    if not np.isfinite(z).all():
-        first = dae.algebraics[int(np.flatnonzero(~np.isfinite(z))[0])].name
+    finite = bool(np.isfinite(z).all())
+    wild = not finite or np.abs(z).max() > WILD * max(v.nominal for v in dae.algebraics)
+    dependent = _dependent(dae, t, x, guess, values) if wild else ""
+    if dependent or not finite:
+        first = dae.algebraics[int(np.argmin(np.isfinite(z)))].name
         raise InitialConditionError(
-            f"{dae.full_name}: the algebraic equations have no solution at the start ({first} is "
-            "not finite); start away from the singularity or use another formulation"
+            f"{dae.full_name}: the algebraic equations have no solution at the start "
+            f"({dependent or f'{first} is not finite'}); start away from the singularity, leave "
+            "out what is said twice, or use another formulation"
         )
     return z
+
+
+def _dependent(dae: Dae, t: float, x: Vector, z: Vector, values: Values) -> str:
+    """Say which algebraic equations depend on each other at a start; empty where none do."""
+    slopes = np.array(_slope_function(dae)(t, x, z, values.u, values.p))
+    if not np.isfinite(slopes).all():
+        return ""
+    for axis in (1, 0):  # rows, then columns of length 1
+        lengths = np.linalg.norm(slopes, axis=axis, keepdims=True)
+        slopes = slopes / np.where(lengths > 0, lengths, 1.0)
+    rows, sizes, _ = np.linalg.svd(slopes)
+    if sizes[-1] > DEPENDENT * sizes[0]:
+        return ""
+    shares = np.abs(rows[:, -1])
+    names = [str(i + 1) for i in np.flatnonzero(shares > 1e-3 * shares.max())]
+    if len(names) == 1:
+        return f"equation {names[0]} of {len(shares)} holds no unknown"
+    return f"equations {', '.join(names)} of {len(shares)} repeat each other"
+
+
+@kept_per_thread(8)
+def _slope_function(dae: Dae) -> ca.Function:
+    return ca.Function("slopes", dae.arguments, [ca.densify(ca.jacobian(dae.alg, dae.z))])
 
 
 def _no_start(dae: Dae, x: Vector, values: Values) -> InitialConditionError:

@@ -13,10 +13,11 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import initial_values
-from cosim.integrate.derivatives import MOST_NUMBERS, jacobian_of_run, size_of_jacobian
+from cosim.integrate.derivatives import MOST_JACOBIAN_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.solver import Solver
+from cosim.integrate.nominal import Nominal, scaled
+from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import chosen_solver, engine_of
 from cosim.model.time_grid import checked_grid
 from cosim.model.values import assign
@@ -65,11 +66,12 @@ def integrator(
     compiled = has_compiler() if compiled is None else compiled
     own = isinstance(chosen, FixedStep) and not compiled  # CasADi's are those of the very steps
     problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
-    built = engine_of(problem, chosen)
+    nominal = Nominal.declared(dae) if isinstance(chosen, AdaptiveSolver) else Nominal.none(dae)
+    built = engine_of(replace(problem, dae=scaled(dae, nominal)), chosen)
     size = size_of_jacobian(dae, len(times))
-    if own or derivatives is False or (derivatives is None and size > MOST_NUMBERS):
-        return _function(dae, built, len(times), {})
-    if size > MOST_NUMBERS:
+    if own or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
+        return _bare_function(dae, built, nominal, len(times), {})
+    if size > MOST_JACOBIAN_NUMBERS:
         raise UsageError(
             f"{dae.full_name}: derivatives over {len(times)} output times are {size:.0e} numbers; "
             "give fewer times, or chain runs"
@@ -77,10 +79,12 @@ def integrator(
     jacobian = jacobian_of_run(problem, chosen)
     options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
     options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
-    return _function(dae, built, len(times), options)
+    return _bare_function(dae, built, nominal, len(times), options)
 
 
-def _function(dae: Dae, built: Engine, n: int, options: dict[str, Any]) -> ca.Function:
+def _bare_function(
+    dae: Dae, built: Engine, nominal: Nominal, n: int, options: dict[str, Any]
+) -> ca.Function:
     x0, z0, p = (
         MX.sym(name, symbol.numel())
         for name, symbol in (("x0", dae.x), ("z0", dae.z), ("p", dae.p))
@@ -88,9 +92,11 @@ def _function(dae: Dae, built: Engine, n: int, options: dict[str, Any]) -> ca.Fu
     u = MX.sym("u", dae.u.numel(), n)
     parameters = p if built.parameters is None else built.parameters(p)
     inputs = {"u": u} if dae.inputs else {}  # CasADi maps over columns of nothing
-    result = built.function(x0=x0, z0=z0, p=parameters, **inputs)
+    x, z = ca.DM(nominal.x), ca.DM(nominal.z)
+    result = built.function(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
     names = ["x0", "z0", "p", "u"]
-    columns = [ca.densify(result["xf"]), ca.densify(result["zf"])]
+    unscaled = [ca.densify(result[name]) for name in ("xf", "zf")]
+    columns = [rows * ca.repmat(size, 1, n) for rows, size in zip(unscaled, (x, z), strict=True)]
     return ca.Function("integrator", [x0, z0, p, u], columns, names, ["xf", "zf"], options)
 
 

@@ -17,7 +17,7 @@ from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.run.call import INTERRUPTED
-from cosim.integrate.run.outputs import all_columns, recorded, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_names, watching
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.run.worthwhile import Choice, worthwhile
@@ -28,7 +28,7 @@ from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import Values, assign, listed, number, numbers_of
 from cosim.trajectory import Trajectory
 
-T = TypeVar("T")
+Given = TypeVar("Given")
 
 
 class Shorthand(TypedDict, total=False):
@@ -76,10 +76,11 @@ def simulate(
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
         shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
-            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in SI
-            units, a hundredth of the relative one when None; `step_size`, largest step of `rk4`
-            and `ode8`, s, the output interval when None. And `start`, another name of
-            `start_values`.
+            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in the
+            nominal value of each unknown, which is 1 SI unit where the model says nothing; when
+            None, a hundredth of the relative one, in nominal values that are found from the start
+            and the run where the model says nothing; `step_size`, largest step of `rk4` and
+            `ode8`, s, the output interval when None. And `start`, another name of `start_values`.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit.
@@ -113,7 +114,7 @@ def simulate(
     if project and solver is None:
         solver = Dop853.name
     numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, **numbers)  # type: ignore[arg-type]  # all are numbers
+    chosen = chosen_solver(dae, solver, projected=project, **numbers)  # type: ignore[arg-type]
     problem = Problem(dae, grid.tobytes(), inputs, True, sensitivities=False, project=project)
     choice = Choice(bool(compiled))
     if compiled is None:
@@ -140,7 +141,7 @@ def simulate(
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, choice, perf_counter() - began)
     drawing = dae.drawing.with_numbers(numbers_of(dae, values))
-    columns, places = recorded(dae, names)
+    columns, places = recorded_columns(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
     table = solution.table if everything else solution.table[:, places]
     run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
@@ -149,6 +150,8 @@ def simulate(
     if first.reason:
         others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
         which = f" ({', '.join(others)})" if dae.algebraics else ""
+        if dae.algebraics and dae.invariants and not project:
+            which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
         kink = _kink(dae, time, solution.table, values)
         raise SolverError(
             f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "
@@ -171,8 +174,8 @@ def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
 
 
 def one_of(
-    dae: Dae, start_values: Mapping[str, T] | None, start: Mapping[str, T] | None
-) -> Mapping[str, T] | None:
+    dae: Dae, start_values: Mapping[str, Given] | None, start: Mapping[str, Given] | None
+) -> Mapping[str, Given] | None:
     """Return the start values, given by one of their two names.
 
     Raises:

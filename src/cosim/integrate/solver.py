@@ -13,7 +13,10 @@ from cosim.model.values import number
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Error per step that an adaptive solver may make: relative, and absolute in SI units."""
+    """Error per step that an adaptive solver may make: relative, and absolute.
+
+    The absolute one counts in the nominal value of each unknown.
+    """
 
     relative: float = 1e-8
     absolute: float | None = None
@@ -82,7 +85,8 @@ class AdaptiveSolver(Solver):
 
     Args:
         relative_tolerance: Error per step relative to each state's size (1).
-        absolute_tolerance: Error per step in SI units; a hundredth of the relative when None.
+        absolute_tolerance: Error per step in nominal values: SI units where a variable has none;
+            a hundredth of the relative one when None.
 
     Raises:
         ParameterError: A tolerance is out of its range.

@@ -30,18 +30,24 @@ SOLVERS: dict[str, type[Solver]] = {
 
 # MATLAB's names; ode15s is what a model's own default does
 ALIASES = {"ode45": "erk", "ode113": "cvodes_adams", "ode4": "rk4"}
-STIFF = "ode15s"
+STIFF_DEFAULT = "ode15s"
 
 
 def solver_name(dae: Dae, name: str) -> str:
     """Return the name of a solver for itself or an alias."""
-    if name == STIFF:
+    if name == STIFF_DEFAULT:
         return Idas.name if dae.algebraics else Cvodes.name
     return ALIASES.get(name, name)
 
 
-def solver_class(dae: Dae, solver: str | Solver | None) -> type[Solver]:
+def solver_class(dae: Dae, solver: str | Solver | None, *, projected: bool = False) -> type[Solver]:
     """Return the class of a solver: CVODES for an ODE, IDAS for a DAE when None.
+
+    Args:
+        dae: The model.
+        solver: A solver, or the name of one.
+        projected: Whether its steps are to be projected. Fixed steps take algebraic unknowns then:
+            without error control, drift would be all that one sees of them.
 
     Raises:
         UnknownName: There is no such solver.
@@ -60,11 +66,12 @@ def solver_class(dae: Dae, solver: str | Solver | None) -> type[Solver]:
         found = SOLVERS[solver]
     else:
         raise UnknownName.among("cosim", "solver", str(solver), SOLVERS)
-    if dae.algebraics and not found.solves_dae:
+    if dae.algebraics and not (found.solves_dae or (projected and found.projects)):
         able = " or ".join(key for key, value in SOLVERS.items() if value.solves_dae)
+        also = ", or drift control by projection" if found.projects and dae.invariants else ""
         raise UsageError(
             f"{dae.full_name} has algebraic unknowns, which {found.name} cannot integrate; "
-            f"use {able}"
+            f"use {able}{also}"
         )
     return found
 
@@ -75,6 +82,8 @@ def chosen_solver(
     relative_tolerance: float | None = None,
     absolute_tolerance: float | None = None,
     step_size: float | None = None,
+    *,
+    projected: bool = False,
 ) -> Solver:
     """Return a solver as a value: itself, or what a name and its numbers stand for.
 
@@ -82,7 +91,7 @@ def chosen_solver(
         UnknownName, UsageError: See `solver_class`; or the numbers are not those of the solver.
         ParameterError: A number is out of its range.
     """
-    found = solver_class(dae, solver)
+    found = solver_class(dae, solver, projected=projected)
     numbers = (relative_tolerance, absolute_tolerance, step_size)
     given = {k: v for k, v in zip(NUMBERS, numbers, strict=True) if v is not None}
     if isinstance(solver, Solver):

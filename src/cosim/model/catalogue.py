@@ -36,7 +36,7 @@ def load(name: str) -> Dae:
     try:
         return casadi_models.load(name)
     except KeyError:
-        raise _unknown(name) from None
+        raise _unknown_model(name) from None
 
 
 def formulations(model: str) -> tuple[str, ...]:
@@ -47,7 +47,7 @@ def formulations(model: str) -> tuple[str, ...]:
     """
     found = tuple(e for e in casadi_models.CATALOG if model in (e, e.partition("/")[0]))
     if not found:
-        raise _unknown(model)
+        raise _unknown_model(model)
     return found
 
 
@@ -66,7 +66,7 @@ def no_such_output(dae: Dae, name: str) -> UnknownName:
     return UnknownName.of_model(dae.full_name, "output", name, observable(dae))
 
 
-def _unknown(name: str) -> UnknownName | UsageError:
+def _unknown_model(name: str) -> UnknownName | UsageError:
     if takers := _OTHER_FILES.get(Path(name).suffix):
         return UsageError(f"{name} names no model; {takers}")
     model, slash, formulation = name.partition("/")

@@ -76,7 +76,7 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
             pieces.append(_samples(dae.full_name, name, value, times()))
     if laws:
         dae = with_laws(dae, tuple(laws))
-    return Driven(dae, constants, _joined(pieces))
+    return Driven(dae, constants, _joined_series(pieces))
 
 
 def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
@@ -112,7 +112,7 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
         if law is not None:
             laws[name] = _on_arrays(law)
         pieces.append(_samples(owner, name, law or value, ends if law else times))
-    joined = _joined(pieces)
+    joined = _joined_series(pieces)
     return joined and FollowedInputs(joined.names, joined.time, joined.values, laws)
 
 
@@ -230,7 +230,7 @@ def _column(name: str, series: InputSeries) -> InputSeries:
     raise UnknownName.among("the input series", "column", name, series.names)
 
 
-def _joined(pieces: Sequence[InputSeries]) -> InputSeries | None:
+def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
     """Return one series at the times of all; between their samples each stays a straight line."""
     if len(pieces) < 2:
         return pieces[0] if pieces else None

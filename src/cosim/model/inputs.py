@@ -100,14 +100,16 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
         ParameterError: A cell is missing, no finite number, out of bounds, or a time does not
             increase; line and column are named.
     """
-    rows = _rows(Path(path))
+    rows = _table_rows(Path(path))
     names = _header(f"{path}, line 1", rows[0] if rows else [], dae)
     if len(rows) < 3:
         raise UsageError(
             f"{path}: {max(len(rows) - 1, 0)} sample(s); give two or more, "
             "or write a constant input as a number"
         )
-    table = [_numbers(f"{path}, line {i}", row, names, dae) for i, row in enumerate(rows[1:], 2)]
+    table = [
+        _row_numbers(f"{path}, line {i}", row, names, dae) for i, row in enumerate(rows[1:], 2)
+    ]
     for line, (before, after) in enumerate(pairwise(table), start=3):
         if after[0] <= before[0]:
             raise ParameterError(
@@ -118,7 +120,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
     return InputSeries(tuple(names[1:]), samples[:, 0], samples[:, 1:])
 
 
-def _rows(path: Path) -> list[list[str]]:
+def _table_rows(path: Path) -> list[list[str]]:
     try:
         text = read_plain(path, MOST_TEXT).decode("utf-8-sig")
     except OSError as error:
@@ -155,7 +157,7 @@ def _header(where: str, cells: Sequence[str], dae: Dae | None) -> list[str]:
     return names
 
 
-def _numbers(
+def _row_numbers(
     where: str, cells: Sequence[str], names: Sequence[str], dae: Dae | None
 ) -> list[float]:
     if len(cells) != len(names):
@@ -164,7 +166,8 @@ def _numbers(
             "by commas, write numbers with a decimal point, and leave no cell out"
         )
     numbers = [
-        _number(f"{where}, column '{name}'", cell) for name, cell in zip(names, cells, strict=True)
+        _cell_number(f"{where}, column '{name}'", cell)
+        for name, cell in zip(names, cells, strict=True)
     ]
     for name, value in zip(names[1:], numbers[1:], strict=True) if dae else ():
         assert dae is not None
@@ -177,7 +180,7 @@ def _numbers(
     return numbers
 
 
-def _number(where: str, cell: str) -> float:
+def _cell_number(where: str, cell: str) -> float:
     text = cell.strip()
     if not text:
         raise ParameterError(f"{where}: the cell is empty; give a number in every cell")

@@ -96,7 +96,8 @@ def quantity(name: str, text: str, unit: str) -> float:
     source = parse_unit(written, like=wanted)
     if source is None:
         raise ParameterError(
-            f"{name} = {text}: unit '{written}' is unknown; fitting: {', '.join(_fitting(wanted))}"
+            f"{name} = {text}: unit '{written}' is unknown; "
+            f"fitting: {', '.join(_fitting_units(wanted))}"
         )
     if not source.measures_like(wanted):
         raise ParameterError(
@@ -159,5 +160,5 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
     return Unit(factor, tuple((name, n) for name, n in base.items() if n))
 
 
-def _fitting(wanted: Unit) -> tuple[str, ...]:
+def _fitting_units(wanted: Unit) -> tuple[str, ...]:
     return tuple(name for name, unit in UNITS.items() if unit.measures_like(wanted))

@@ -7,7 +7,7 @@ from cosim.arrays import Vector
 from cosim.errors import ParameterError
 from cosim.model.values import number
 
-MOST_BYTES = 8e9  # of a table of results
+LARGEST_TABLE = 8e9  # of a table of results
 
 
 def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -> Vector:
@@ -33,7 +33,7 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
         return np.array([start])
     count = (stop - start) / interval
     size = 8 * count * (1 + numbers)
-    if size > MOST_BYTES:
+    if size > LARGEST_TABLE:
         raise ParameterError(
             f"output_interval = {interval:g} s makes {count:.3g} output times of {numbers} "
             f"numbers, {size / 1e9:.3g} GB; give a larger one"

@@ -26,7 +26,7 @@ def load_user_model(path: str, function: str) -> Dae:
         UnknownName: The file has no such function.
         UsageError: The file cannot be read, or its function fails or builds no model.
     """
-    builder = _function(path, function)
+    builder = _builder(path, function)
     try:
         built = builder()
     except KeyboardInterrupt:
@@ -47,7 +47,7 @@ def load_user_model(path: str, function: str) -> Dae:
     return built
 
 
-def _function(path: str, function: str) -> Callable[[], Any]:
+def _builder(path: str, function: str) -> Callable[[], Any]:
     if not Path(path).is_file():
         raise UsageError(f"{path} is not a file; name one as PATH.py:FUNCTION")
     spec = importlib.util.spec_from_file_location(f"_cosim_{Path(path).stem}", path)

@@ -15,6 +15,7 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import kept_per_thread
 from cosim.model.start_outputs import refuse_twice, solved_starts
+from cosim.text.lists import shortened
 
 A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
@@ -85,7 +86,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     known = settable(dae)
     for name, value in given.items():
         if name not in known:
-            raise _unknown(dae, name, known)
+            raise _unknown_name(dae, name, known)
         given[name] = checked(dae, known[name], value)
     refuse_twice(dae, given)
     x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
@@ -146,7 +147,7 @@ def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
     used = {symbol.name() for symbol in ca.symvar(rule.expression)}
     free = (v.name for v in (*dae.states, *dae.parameters) if v.start_kind is Start.EXACT)
     causes = [name for name in free if name in used]
-    shown = ", ".join(causes[:8]) + (", ..." if len(causes) > 8 else "")
+    shown = shortened(causes, 8)
     return InitialConditionError(
         f"{dae.full_name}: the start of {variable.name} is calculated ({rule.meaning}); "
         f"set some of {shown} instead"
@@ -164,7 +165,7 @@ def _no_such_start(dae: Dae, given: Mapping[str, float]) -> InitialConditionErro
     )
 
 
-def _unknown(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
+def _unknown_name(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
     if any(v.name == name for v in dae.variables):
         return UnknownName(
             f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "

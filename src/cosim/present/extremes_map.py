@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cosim.plotting import STYLE, Picture
-from cosim.study.extremes.campaign import Finding
+from cosim.study.extremes.campaign import CaseFinding
 from cosim.study.extremes.cases import Case
 from cosim.study.extremes.oracles import OUTCOMES
 
-COLOURS = {
+OUTCOME_COLOURS = {
     "accurate": "#2a9d5c",
     "refused": "#4c78a8",
     "failed": "#f2b134",
@@ -31,12 +31,12 @@ LETTERS = {  # for print without colour; what is accurate stays empty
     "crash": "C",
 }
 _CELL, _HEAD = 0.16, 0.95  # inches: a row, and what stands around a panel
-_WIDTH = 15.0
+_MAP_WIDTH = 15.0
 
 
-def draw_map(findings: Sequence[Finding]) -> Figure:
+def draw_map(findings: Sequence[CaseFinding]) -> Figure:
     """Draw a panel per family of cases: values of its parameter across, who ran it down."""
-    families: dict[str, list[Finding]] = {}
+    families: dict[str, list[CaseFinding]] = {}
     for finding in findings:
         families.setdefault(finding.case.family, []).append(finding)
     columns: list[list[str]] = [[], []]
@@ -47,17 +47,17 @@ def draw_map(findings: Sequence[Finding]) -> Figure:
         heights[shorter] += _HEAD + _CELL * len({_runner(f.case) for f in members})
     with matplotlib.rc_context(STYLE | {"axes.grid": False}):
         used = [names for names in columns if names]
-        size = (_WIDTH * len(used) / 2, max(heights) + 0.9)
+        size = (_MAP_WIDTH * len(used) / 2, max(heights) + 0.9)
         figure = Picture(figsize=size, layout="constrained")
         parts = figure.subfigures(1, len(used), squeeze=False)[0]
         for part, names in zip(parts, used, strict=True):
             rows = [_HEAD + _CELL * len({_runner(f.case) for f in families[n]}) for n in names]
             axes = part.subplots(len(names), 1, squeeze=False, height_ratios=rows).ravel()
             for axis, name in zip(axes, names, strict=True):
-                _panel(axis, name, families[name])
+                _family_panel(axis, name, families[name])
         everyone = [finding.verdict.outcome for finding in findings]
         handles = [
-            Line2D([], [], marker="s", linestyle="", color=COLOURS[o],
+            Line2D([], [], marker="s", linestyle="", color=OUTCOME_COLOURS[o],
                    label=f"{o}{f' ({LETTERS[o]})' if LETTERS[o] else ''}: {everyone.count(o)}")
             for o in OUTCOMES
         ]  # fmt: skip
@@ -68,13 +68,13 @@ def draw_map(findings: Sequence[Finding]) -> Figure:
     return figure
 
 
-def _panel(axis: Axes, family: str, findings: Sequence[Finding]) -> None:
-    points = list(dict.fromkeys(_point(f.case) for f in findings))
+def _family_panel(axis: Axes, family: str, findings: Sequence[CaseFinding]) -> None:
+    points = list(dict.fromkeys(_parameter_value(f.case) for f in findings))
     runners = sorted({_runner(f.case) for f in findings})
     for finding in findings:
-        x, y = points.index(_point(finding.case)), runners.index(_runner(finding.case))
+        x, y = points.index(_parameter_value(finding.case)), runners.index(_runner(finding.case))
         outcome = finding.verdict.outcome
-        axis.plot(x, y, "s", color=COLOURS[outcome], markersize=8, markeredgewidth=0)
+        axis.plot(x, y, "s", color=OUTCOME_COLOURS[outcome], markersize=8, markeredgewidth=0)
         if LETTERS[outcome]:
             axis.text(x, y, LETTERS[outcome], ha="center", va="center", fontsize=6, color="white")
     axis.set_title(f"{family} ({len(findings)})", fontsize=9, loc="left")
@@ -85,7 +85,7 @@ def _panel(axis: Axes, family: str, findings: Sequence[Finding]) -> None:
     axis.tick_params(length=0)
 
 
-def _point(case: Case) -> str:
+def _parameter_value(case: Case) -> str:
     """Return which value of the family's parameter a case has."""
     return case.name.removesuffix(f", {case.solver}")
 

@@ -23,10 +23,11 @@ from cosim.plotting import (
 )
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Column, Trajectory
+from cosim.verify.comparison import refuse_other_times
 
 _SECOND: Any = {"color": "black", "linewidth": 0.9, "linestyle": (0, (4, 4))}
 _WIDTH, _PAD = 6.4, 0.07  # inches
-_EACH = 3  # variables per figure where nobody says how to group them
+VARIABLES_PER_FIGURE = 3  # where nobody says how to group them
 
 
 def draw_figures(
@@ -49,7 +50,7 @@ def draw_figures(
     if isinstance(specs, FigureSpec | str) or not isinstance(specs, Collection):
         raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
     if other is not None:
-        _refuse_other_times(run, other)
+        refuse_other_times(run, other)
     with matplotlib.rc_context(STYLE):
         return [_figure(spec, run, other) for spec in specs]
 
@@ -59,7 +60,13 @@ def default_specs(run: Trajectory, other: Trajectory) -> tuple[FigureSpec, ...]:
     common = [name for name in run.names if name in other.names]
     if not common:
         raise UsageError(f"{run.model} and {other.model} have no variable in common")
-    groups = [common[i : i + _EACH] for i in range(0, len(common), _EACH)]
+    return figures_of(common)
+
+
+def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:
+    """Return figures of these variables, a few in each, a panel each."""
+    size = VARIABLES_PER_FIGURE
+    groups = [names[i : i + size] for i in range(0, len(names), size)]
     return tuple(FigureSpec(", ".join(g), tuple((name,) for name in g)) for g in groups)
 
 
@@ -76,7 +83,7 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
     mains = rows[::2] if below else rows
     for index, axis in enumerate(mains):
         _panel(axis, spec, index, run, other)
-    mains[0].set_title(_origin(run, other), fontsize=7, color="0.4", loc="right")
+    mains[0].set_title(_origin_line(run, other), fontsize=7, color="0.4", loc="right")
     if other is not None:
         for index, axis in enumerate(rows[1::2]):
             names = spec.panels[index]
@@ -100,25 +107,25 @@ def _panel(
     for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
         colour = COLOURS[i % len(COLOURS)]
         line = LINES[i % len(LINES)]
-        over, values = _shown(run, spec.x), _shown(run, column.name)
+        over, values = _displayed(run, spec.x), _displayed(run, column.name)
         axis.plot(over, values, color=colour, linestyle=line, label=legend)
         bad = run.time >= run.validity[0]
         if spec.x != "time" and bad.any():
             axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
         if other is not None:
-            axis.plot(_shown(other, spec.x), _shown(other, column.name), **_SECOND)
+            axis.plot(_displayed(other, spec.x), _displayed(other, column.name), **_SECOND)
     label = spec.labels[index] if spec.labels else ", ".join(names)
     axis.set_ylabel(
-        _beside(label, _unit(columns[0]), 34 if spec.equal or len(spec.panels) == 1 else 19)
+        _beside(label, columns[0].shown_unit, 34 if spec.equal or len(spec.panels) == 1 else 19)
     )
     if len(names) > 1:
         axis.legend()
     if spec.x != "time":
-        axis.set_xlabel(f"{spec.x_label or spec.x} [{_unit(run.column(spec.x))}]")
+        axis.set_xlabel(f"{spec.x_label or spec.x} [{run.column(spec.x).shown_unit}]")
     if spec.equal:
         axis.set_aspect("equal", adjustable="datalim")
     else:
-        drawn = np.column_stack([_shown(run, name) for name in names])
+        drawn = np.column_stack([_displayed(run, name) for name in names])
         keep_constant_flat(axis, drawn, _shown_nominal(columns))
 
 
@@ -127,12 +134,12 @@ def _difference(
 ) -> None:
     zero = True
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
-        gap = _shown(other, name) - _shown(run, name)
+        gap = _displayed(other, name) - _displayed(run, name)
         line = LINES[i % len(LINES)]
         colour = COLOURS[i % len(COLOURS)]
         axis.plot(run.time, gap, color=colour, linestyle=line, linewidth=0.9, label=legend)
         zero = zero and not gap.any()
-    axis.set_ylabel(_beside("difference", _unit(run.column(names[0])), 16))
+    axis.set_ylabel(_beside("difference", run.column(names[0]).shown_unit, 16))
     if zero:
         axis.set_ylim(-1, 1)
         axis.set_yticks([0.0])
@@ -156,7 +163,7 @@ def _name_invalid(
         for axis in rows:
             shade_invalid(axis, each.time, start)
         if text := invalid_text(start, reasons, _WIDTH):
-            told.append(f"{_label(each)}, {text}" if other is not None else text)
+            told.append(f"{_run_label(each)}, {text}" if other is not None else text)
     if told:
         lines = (fill(text, 95, max_lines=4, placeholder=" ...") for text in told)
         figure.supxlabel("\n".join(lines), fontsize=7, color=INVALID)
@@ -179,7 +186,7 @@ def _share_time(rows: Sequence[Axes]) -> None:
     rows[-1].set_xlabel("time [s]")
 
 
-def _shown(run: Trajectory, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _displayed(run: Trajectory, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     return run.time if name == "time" else run.column(name).shown(run[name])
 
 
@@ -187,26 +194,14 @@ def _shown_nominal(columns: Sequence[Column]) -> float:
     return max(float(c.shown(np.array([c.nominal]))[0]) for c in columns)
 
 
-def _unit(column: Column) -> str:
-    return column.display_unit or column.unit
-
-
 def _meanings(columns: Sequence[Column]) -> tuple[str, ...]:
     return tuple(f"{column.name}: {column.meaning or column.name}" for column in columns)
 
 
-def _origin(run: Trajectory, other: Trajectory | None) -> str:
-    return _label(run) if other is None else f"{_label(run)}; dashed: {_label(other)}"
+def _origin_line(run: Trajectory, other: Trajectory | None) -> str:
+    return _run_label(run) if other is None else f"{_run_label(run)}; dashed: {_run_label(other)}"
 
 
-def _label(run: Trajectory) -> str:
+def _run_label(run: Trajectory) -> str:
     suffix = "" if run.complete else f" ({run.status.partition(':')[0]})"
     return f"{run.model}, {run.stats.get('solver', '')}{suffix}"
-
-
-def _refuse_other_times(run: Trajectory, other: Trajectory) -> None:
-    if len(run) != len(other) or np.abs(run.time - other.time).max() > 1e-9 * run.time[-1]:
-        raise UsageError(
-            f"{_label(run)} and {_label(other)} have other output times; their difference "
-            "needs one start_time, stop_time and output_interval"
-        )

@@ -10,7 +10,7 @@ from typing import Any
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
 from cosim.errors import InitialConditionError
-from cosim.fmi.archive import content_of, opened
+from cosim.fmi.archive import entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
 from cosim.integrate.diagnosis.inspection import inspect_start
 from cosim.integrate.initial_values import algebraic_values, start_values
@@ -24,7 +24,7 @@ _TITLES = {
     "conditions": "conditions: calculated where --outputs names them",
     "limits": "limits: a run is valid while a margin is positive",
 }
-_SHOWN = ("name", "unit", "shown in", "start", "bounds", "meaning")
+_VARIABLE_COLUMNS = ("name", "unit", "shown in", "start", "bounds", "meaning")
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,7 +53,7 @@ class Info:
         parts = ["\n".join(f"{key:12} {value}" for key, value in self.facts.items())]
         for key, rows in self.tables.items():
             if rows:
-                table = text_table([_shown(row) for row in rows], width=width)
+                table = text_table([_shown_row(row) for row in rows], width=width)
                 parts.append(f"{_TITLES.get(key, key)}\n{table}")
         if self.limits:
             rows = [{"at the start": margin, "meaning": text} for margin, text in self.limits]
@@ -72,7 +72,7 @@ class Info:
     def _repr_html_(self) -> str:
         facts = html_table([{"of": key, "is": value} for key, value in self.facts.items()])
         tables = (
-            html_table([_shown(r) for r in rows], k) for k, rows in self.tables.items() if rows
+            html_table([_shown_row(r) for r in rows], k) for k, rows in self.tables.items() if rows
         )
         return facts + "".join(tables)
 
@@ -100,7 +100,7 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
     if isinstance(name, str) and name.endswith(".toml"):
         return _of_scene(read_scene(name))
     if isinstance(name, str) and name.endswith(".fmu"):
-        return _of_fmu(Path(name))
+        return _fmu_info(Path(name))
     return _of_model(load(name))
 
 
@@ -114,13 +114,13 @@ def _of_scene(scene: Scene) -> Info:
 
 
 def _of_model(dae: Dae) -> Info:
-    x, z = _starts(dae)
+    x, z = _consistent_start(dae)
     groups = {
-        "states": _rows(dae.states, x),
-        "algebraic unknowns": _rows(dae.algebraics, z),
-        "inputs": _rows(dae.inputs),
-        "parameters": _rows(dae.parameters),
-        "outputs": _rows(dae.output_variables),
+        "states": _variable_rows(dae.states, x),
+        "algebraic unknowns": _variable_rows(dae.algebraics, z),
+        "inputs": _variable_rows(dae.inputs),
+        "parameters": _variable_rows(dae.parameters),
+        "outputs": _variable_rows(dae.output_variables),
     }
     facts = {
         "model": dae.full_name,
@@ -144,7 +144,7 @@ def _of_model(dae: Dae) -> Info:
     return Info(facts, groups, tuple(zip(start.margins, meanings, strict=True)))
 
 
-def _starts(dae: Dae) -> tuple[Vector | None, Vector | None]:
+def _consistent_start(dae: Dae) -> tuple[Vector | None, Vector | None]:
     """Return consistent states and algebraic unknowns at the start; None where there are none."""
     values = assign(dae)
     try:
@@ -154,12 +154,14 @@ def _starts(dae: Dae) -> tuple[Vector | None, Vector | None]:
         return None, None
 
 
-def _rows(variables: Sequence[Variable], starts: Vector | None = None) -> list[dict[str, Any]]:
+def _variable_rows(
+    variables: Sequence[Variable], starts: Vector | None = None
+) -> list[dict[str, Any]]:
     found = [v.start for v in variables] if starts is None else starts.tolist()
-    return [_row(v, start) for v, start in zip(variables, found, strict=True)]
+    return [_variable_row(v, start) for v, start in zip(variables, found, strict=True)]
 
 
-def _row(variable: Variable, start: float | None) -> dict[str, Any]:
+def _variable_row(variable: Variable, start: float | None) -> dict[str, Any]:
     bounds = variable.minimum, variable.maximum
     kind = "exact" if variable.start_kind is Start.EXACT else "calculated"
     return {
@@ -175,9 +177,9 @@ def _row(variable: Variable, start: float | None) -> dict[str, Any]:
     }
 
 
-def _of_fmu(path: Path) -> Info:
+def _fmu_info(path: Path) -> Info:
     with opened(path) as archive:
-        described = parse(content_of(archive, "modelDescription.xml"))
+        described = parse(entry_content(archive, "modelDescription.xml"))
     root = described.root
     experiment = root.find("DefaultExperiment")
     span = {} if experiment is None else experiment.attrib
@@ -202,23 +204,23 @@ def _fmu_row(variable: Described, meaning: str) -> dict[str, Any]:
         "name": variable.name,
         "unit": texts.get("unit", "1"),
         "shown in": texts.get("displayUnit", texts.get("unit", "1")),
-        "start": _number(texts.get("start")),
+        "start": _number_or_text(texts.get("start")),
         "start kind": variable.initial or "",
-        "minimum": _number(texts.get("min")),
-        "maximum": _number(texts.get("max")),
-        "nominal": _number(texts.get("nominal")),
+        "minimum": _number_or_text(texts.get("min")),
+        "maximum": _number_or_text(texts.get("max")),
+        "nominal": _number_or_text(texts.get("nominal")),
         "meaning": meaning,
     }
 
 
-def _number(text: str | None) -> Any:
+def _number_or_text(text: str | None) -> Any:
     try:
         return None if text is None else float(text)
     except ValueError:
         return text  # of a string or a boolean
 
 
-def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
+def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row as it stands in a table."""
     if "bounds" in row or "minimum" not in row:
         return dict(row)
@@ -230,4 +232,4 @@ def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
     )
     bounds = f"{low or '-inf'} ... {high or 'inf'}" if low or high else ""
     shown = {**row, "start": note if kind == "calculated" else text, "bounds": bounds}
-    return {key: shown[key] for key in _SHOWN}
+    return {key: shown[key] for key in _VARIABLE_COLUMNS}

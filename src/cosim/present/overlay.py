@@ -20,11 +20,11 @@ from cosim.plotting import (
     keep_constant_flat,
     shade_invalid,
 )
+from cosim.present.figures import figures_of
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Trajectory
 
 _WIDTH = 6.4  # inches
-_EACH = 3  # variables in a figure where nobody says how to group them
 
 
 def shared_specs(
@@ -36,7 +36,7 @@ def shared_specs(
         UsageError: The runs have no variable in common.
     """
     common = set(runs[0].names).intersection(*(run.names for run in runs[1:]))
-    wanted = specs or _groups([name for name in runs[0].names if name in common])
+    wanted = specs or figures_of([name for name in runs[0].names if name in common])
     kept, gone = [], []
     for spec in wanted:
         if spec.x != "time" and spec.x not in common:
@@ -72,7 +72,7 @@ def draw_overlay(specs: Sequence[FigureSpec], runs: Sequence[Trajectory]) -> lis
     """
     labels = run_labels(runs)
     with matplotlib.rc_context(STYLE):
-        return [_figure(spec, runs, labels) for spec in specs]
+        return [_overlaid_figure(spec, runs, labels) for spec in specs]
 
 
 def run_labels(runs: Sequence[Trajectory]) -> list[str]:
@@ -89,7 +89,7 @@ def run_labels(runs: Sequence[Trajectory]) -> list[str]:
     ]
 
 
-def _figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str]) -> Figure:
+def _overlaid_figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str]) -> Figure:
     count = len(spec.panels)
     height = 1.0 + (4.4 if spec.equal else 2.6 if count == 1 else 1.9) * count
     figure = Picture(figsize=(_WIDTH, height), layout="constrained")
@@ -97,7 +97,7 @@ def _figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str])
     figure.suptitle(fill(spec.title, 70), fontsize=11)
     told = []
     for axis, panel in zip(rows, spec.panels, strict=True):
-        _panel(axis, spec, panel, runs, labels)
+        _overlaid_panel(axis, spec, panel, runs, labels)
     for run, label in zip(runs, labels, strict=True):
         start, reasons = run.validity
         if text := invalid_text(start, reasons, _WIDTH):
@@ -113,7 +113,7 @@ def _figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str])
     return figure
 
 
-def _panel(
+def _overlaid_panel(
     axis: Axes,
     spec: FigureSpec,
     panel: Sequence[str],
@@ -143,8 +143,3 @@ def _panel(
     else:
         everything = np.concatenate([run.column(n).shown(run[n]) for run in runs for n in panel])
         keep_constant_flat(axis, everything, float(first.shown(np.array([first.nominal]))[0]))
-
-
-def _groups(names: Sequence[str]) -> tuple[FigureSpec, ...]:
-    groups = [names[i : i + _EACH] for i in range(0, len(names), _EACH)]
-    return tuple(FigureSpec(", ".join(g), tuple((name,) for name in g)) for g in groups)

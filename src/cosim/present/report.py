@@ -47,7 +47,7 @@ iframe { width: 100%; height: 30rem; border: 1px solid #ccc; }
 
 
 @dataclass(frozen=True)
-class Contents:
+class ReportContents:
     """What a report tells of.
 
     Attributes:
@@ -67,16 +67,16 @@ class Contents:
     command: str
 
 
-def report(contents: Contents) -> str:
+def report(contents: ReportContents) -> str:
     """Return the page: one file that needs no network and prints on paper."""
     c = contents
     title = c.scene.title or c.dae.description or c.run.model
-    parts = [f"<h1>{_text(title)}</h1>", _validity(c.run), *_system(c), *_bodies(c)]
-    parts += [*_numbers(c), *_printed(c), *_figures(c), *_trust(c), *_origin(c)]
+    parts = [f"<h1>{html.escape(title)}</h1>", _validity(c.run), *_system(c), *_bodies(c)]
+    parts += [*_numbers_section(c), *_printed(c), *_figures(c), *_trust(c), *_origin_section(c)]
     body = "\n".join(parts)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>{_text(title)}</title><style>{_CSS}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<title>{html.escape(title)}</title><style>{_CSS}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
 
@@ -84,13 +84,11 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    told = "; ".join(reasons)
-    return (
-        f'<p class="invalid">From {start:g} s on this run is outside its model: {_text(told)}</p>'
-    )
+    told = html.escape("; ".join(reasons))
+    return f'<p class="invalid">From {start:g} s on this run is outside its model: {told}</p>'
 
 
-def _system(c: Contents) -> Iterable[str]:
+def _system(c: ReportContents) -> Iterable[str]:
     yield "<h2>The system</h2>"
     facts = {"model": c.dae.full_name, "what": c.dae.description, "source": c.dae.source}
     counts = size(c.dae)
@@ -101,16 +99,16 @@ def _system(c: Contents) -> Iterable[str]:
     facts["states, in their order"] = ", ".join(v.name for v in c.dae.states)
     if c.dae.algebraics:
         facts["algebraic unknowns"] = ", ".join(v.name for v in c.dae.algebraics)
-    yield _facts(facts)
+    yield _facts_table(facts)
     if sketch := _sketch(c.dae):
-        yield f"<pre>{_text(sketch)}</pre>"
+        yield f"<pre>{html.escape(sketch)}</pre>"
     if c.dae.limits:
         yield "<p>The model holds while</p><ul>"
-        yield from (f"<li>{_text(meaning)}</li>" for _, meaning in c.dae.limits)
+        yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)
         yield "</ul>"
     if c.dae.report:
         yield "<p>Reduced to what the scene wants:</p><ul>"
-        yield from (f"<li>{_text(line)}</li>" for line in c.dae.report)
+        yield from (f"<li>{html.escape(line)}</li>" for line in c.dae.report)
         yield "</ul>"
 
 
@@ -121,7 +119,7 @@ def _sketch(dae: Dae) -> str:
     return (import_module(f"casadi_models.{dae.name}").__doc__ or "").strip()
 
 
-def _bodies(c: Contents) -> Iterable[str]:
+def _bodies(c: ReportContents) -> Iterable[str]:
     if c.shown is None or not c.shown.drawing:
         return
     yield "<h2>In motion</h2>"
@@ -132,10 +130,10 @@ def _bodies(c: Contents) -> Iterable[str]:
         page = html.escape(playback_page([played]), quote=True)
         yield f'<iframe class="screen" title="playback" srcdoc="{page}"></iframe>'
     except MissingTool as error:
-        yield f'<p class="note">Without playback: {_text(str(error))}</p>'
+        yield f'<p class="note">Without playback: {html.escape(str(error))}</p>'
 
 
-def _numbers(c: Contents) -> Iterable[str]:
+def _numbers_section(c: ReportContents) -> Iterable[str]:
     yield "<h2>Numbers</h2>"
     given = plain_values(c.scene.dae, c.scene.values)
     for caption, variables in (
@@ -143,14 +141,16 @@ def _numbers(c: Contents) -> Iterable[str]:
         ("Parameters", c.dae.parameters),
         ("Inputs", c.dae.inputs),
     ):
-        rows = [_row(v, c, given) for v in variables]
+        rows = [_parameter_row(v, c, given) for v in variables]
         if rows:
             yield html_table(rows, caption)
     settings = {k: v for k, v in vars(c.scene.settings).items() if v is not None}
-    yield _facts({key.replace("_", " "): value for key, value in settings.items()})
+    yield _facts_table({key.replace("_", " "): value for key, value in settings.items()})
 
 
-def _row(variable: Variable, c: Contents, given: Mapping[str, float]) -> dict[str, Any]:
+def _parameter_row(
+    variable: Variable, c: ReportContents, given: Mapping[str, float]
+) -> dict[str, Any]:
     value = given.get(variable.name, variable.start)
     if variable.start_kind is Start.CALCULATED and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
@@ -164,7 +164,7 @@ def _row(variable: Variable, c: Contents, given: Mapping[str, float]) -> dict[st
     }
 
 
-def _printed(c: Contents) -> Iterable[str]:
+def _printed(c: ReportContents) -> Iterable[str]:
     rows = list(printed_rows(c.scene, c.run))
     if rows:
         yield "<h2>The book's numbers and the run's</h2>"
@@ -203,7 +203,7 @@ def printed_rows(scene: Scene, run: Trajectory) -> Iterable[dict[str, Any]]:
         }
 
 
-def _figures(c: Contents) -> Iterable[str]:
+def _figures(c: ReportContents) -> Iterable[str]:
     yield "<h2>Figures</h2>"
     if c.scene.figures:
         figures = draw_figures(c.scene.figures, c.run)
@@ -214,7 +214,7 @@ def _figures(c: Contents) -> Iterable[str]:
         yield _svg(figure, "")
 
 
-def _trust(c: Contents) -> Iterable[str]:
+def _trust(c: ReportContents) -> Iterable[str]:
     yield "<h2>How far the numbers can be trusted</h2>"
     stats = c.run.stats
     if "error_estimate" in stats:
@@ -229,7 +229,7 @@ def _trust(c: Contents) -> Iterable[str]:
         yield html_table(rows, "The same run on every road and in every formulation")
 
 
-def _origin(c: Contents) -> Iterable[str]:
+def _origin_section(c: ReportContents) -> Iterable[str]:
     table = np.column_stack((c.run.time, c.run.values))
     stats = c.run.stats
     facts = {
@@ -243,12 +243,13 @@ def _origin(c: Contents) -> Iterable[str]:
         "Python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",
     }
     yield "<h2>How to make it again</h2>"
-    yield _facts(facts)
+    yield _facts_table(facts)
 
 
-def _facts(facts: Mapping[str, Any]) -> str:
+def _facts_table(facts: Mapping[str, Any]) -> str:
     rows = "".join(
-        f"<tr><th>{_text(k)}</th><td>{_text(str(v))}</td></tr>" for k, v in facts.items()
+        f"<tr><th>{html.escape(k)}</th><td>{html.escape(str(v))}</td></tr>"
+        for k, v in facts.items()
     )
     return f"<table>{rows}</table>"
 
@@ -256,8 +257,4 @@ def _facts(facts: Mapping[str, Any]) -> str:
 def _svg(figure: Figure, caption: str) -> str:
     drawing = picture(figure, "svg").decode()
     drawing = drawing[drawing.index("<svg") :]
-    return f"<figure>{drawing}<figcaption class='note'>{_text(caption)}</figcaption></figure>"
-
-
-def _text(text: str) -> str:
-    return html.escape(text)
+    return f"<figure>{drawing}<figcaption class='note'>{html.escape(caption)}</figcaption></figure>"

@@ -5,18 +5,16 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_models.dae.drawing import World
+from cosim.arrays import Vector
 from cosim.errors import UnknownName
 from cosim.present.playback.meshes import mesh_of
 from cosim.present.playback.playback import Load, Playback
 from cosim.present.playback.turning import to_matrices
 
-Array = NDArray[np.float64]
-
 VIEWS = ("iso", "front", "side", "top")
-_LONGEST = 0.5  # the longest arrow, in sizes of what moves
+_LONGEST_ARROW = 0.5  # the longest arrow, in sizes of what moves
 
 
 @dataclass(frozen=True)
@@ -33,15 +31,15 @@ class Scale:
         cell: Of the grid on the ground.
     """
 
-    corners: Array
+    corners: Vector
     size: float
     pose: float
-    centre: Array
-    label_at: Array
+    centre: Vector
+    label_at: Vector
     per_unit: dict[str, float]
     cell: float
 
-    def arrow(self, load: Load, frame: int) -> tuple[Array, Array]:
+    def arrow(self, load: Load, frame: int) -> tuple[Vector, Vector]:
         """Return both ends of an arrow: its length is the load times one scale for its unit."""
         start = load.at[frame]
         return start, start + self.per_unit[load.unit] * load.vector[frame]
@@ -70,7 +68,7 @@ def scale_of(runs: Sequence[Playback], follow: str | None) -> Scale:
     largest: dict[str, float] = {}
     for load in (load for run in runs for load in run.loads):
         largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest)
-    longest = _LONGEST * (pose or 1.0)
+    longest = _LONGEST_ARROW * (pose or 1.0)
     per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
     for load in runs[0].loads:
         tips = (load.at + per_unit[load.unit] * load.vector - shift)[stations]
@@ -86,7 +84,7 @@ def scale_of(runs: Sequence[Playback], follow: str | None) -> Scale:
     )
 
 
-def view_from(world: World, view: str, scale: Scale) -> tuple[Array, Array]:
+def view_from(world: World, view: str, scale: Scale) -> tuple[Vector, Vector]:
     """Return where a camera stands, and what it looks at.
 
     Raises:
@@ -113,7 +111,7 @@ def label_text(run: Playback, frame: int) -> str:
     return ", ".join(parts)
 
 
-def invalid_text(runs: Sequence[Playback], frame: int) -> str:
+def invalid_at(runs: Sequence[Playback], frame: int) -> str:
     """Return what is wrong at a frame, by run; empty while all are valid."""
     found = []
     for run in runs:
@@ -131,6 +129,6 @@ def arrow_text(scale: Scale, runs: Sequence[Playback]) -> str:
     for unit, per_unit in scale.per_unit.items():
         if per_unit:
             load = next(load for run in runs for load in run.loads if load.unit == unit)
-            length = _LONGEST * scale.pose
+            length = _LONGEST_ARROW * scale.pose
             parts.append(f"{length:.2g} m for {load.shown(length / per_unit)}")
     return f"arrows: {', '.join(parts)}" if parts else ""

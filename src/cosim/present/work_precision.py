@@ -15,6 +15,7 @@ from cosim.scene.roads import Road
 from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.measurement import Measurement
 from cosim.study.tradeoff.result import Tradeoff
+from cosim.text.lists import shortened
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart, and two darker ones
 SOLVER_COLOURS = {
@@ -28,7 +29,7 @@ SOLVER_COLOURS = {
     "rk4": "#E69F00",
     "cvode": "#444444",  # fmpy's
 }
-_MARKERS = dict(zip(Road, "osD^", strict=True))
+_ROAD_MARKERS = dict(zip(Road, "osD^", strict=True))
 _MILLISECONDS = 1e3
 _SMALLEST = 1e-17  # a difference of zero has no logarithm
 _ROOM = 0.62  # for the names of the front, in widths of what is drawn
@@ -66,7 +67,7 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
             _scatter(axes[2], shown, "solver_time", _MILLISECONDS, lambda m: m.drift)
             axes[2].set_xlabel("time of the solver [ms], median")
             axes[2].set_ylabel("largest drift [nominal values]")
-            axes[2].set_title(f"needs no reference: {_some(study.invariants)}", fontsize=8)
+            axes[2].set_title(f"needs no reference: {shortened(study.invariants, 5)}", fontsize=8)
         without = sum(m.error is None for m in study.measurements)
         values = f" with {study.provenance['values']}" if "values" in study.provenance else ""
         figure.suptitle(
@@ -127,7 +128,7 @@ def _scatter(
         colour = SOLVER_COLOURS[configuration.solver]
         axis.plot(
             *point,
-            _MARKERS[configuration.road],
+            _ROAD_MARKERS[configuration.road],
             color=colour,
             markerfacecolor="none" if configuration.reduced else colour,
             markersize=4.5,
@@ -181,28 +182,24 @@ def _name(axis: Axes, labels: Sequence[tuple[str, float, float, float]]) -> None
         most = min(height, part(lowest) + _LINE / 2) - _LINE
 
 
-def _some(names: Sequence[str], most: int = 5) -> str:
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
-
-
 def _legend(shown: Sequence[Measurement]) -> list[Line2D]:
     configurations = [m.configuration for m in shown]
     roads = [road for road in Road if any(c.road == road for c in configurations)]
     solvers = [name for name in SOLVER_COLOURS if any(c.solver == name for c in configurations)]
-    handles = [_key("o", SOLVER_COLOURS[name], name) for name in solvers]
-    handles += [_key(_MARKERS[road], "0.3", road) for road in roads]
+    handles = [_legend_entry("o", SOLVER_COLOURS[name], name) for name in solvers]
+    handles += [_legend_entry(_ROAD_MARKERS[road], "0.3", road) for road in roads]
     if any(c.reduced for c in configurations):
-        handles.append(_key("o", "0.3", "reduced to the kept outputs", hollow=True))
+        handles.append(_legend_entry("o", "0.3", "reduced to the kept outputs", hollow=True))
     first, *others = dict.fromkeys(c.model for c in configurations)
     if others:
         names = ", ".join(name.partition("/")[2] for name in others)
-        handles.append(_key("o", "0.3", first))
-        handles.append(_key("o", "0.8", f"faint: {names}"))
+        handles.append(_legend_entry("o", "0.3", first))
+        handles.append(_legend_entry("o", "0.8", f"faint: {names}"))
     handles.append(Line2D([], [], color="black", label="Pareto front"))
     return handles
 
 
-def _key(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2D:
+def _legend_entry(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2D:
     face = "none" if hollow else colour
     return Line2D(
         [], [], marker=marker, color=colour, markerfacecolor=face, linestyle="", label=label

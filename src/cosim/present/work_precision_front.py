@@ -14,8 +14,8 @@ from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.measurement import Measurement
 from cosim.study.tradeoff.result import Tradeoff
 
-_MARKERS = dict(zip(SOLVER_COLOURS, "osD^vP*Xp", strict=True))
-_MOST = 10  # names of the front
+_SOLVER_MARKERS = dict(zip(SOLVER_COLOURS, "osD^vP*Xp", strict=True))
+_MOST_NAMES = 10  # names of the front
 _GOOD = 1e-6  # nominal values: at what error solvers are compared
 
 
@@ -34,21 +34,21 @@ def draw_front(study: Tradeoff) -> Figure:
         axis.set_xscale("log")
         axis.set_yscale("log")
         for family, members in _best(study.competing, cost).items():
-            members = sorted(members, key=lambda m: -_error(study, m))
-            points = [(factor * (m.cost(cost) or 0.0), _error(study, m)) for m in members]
+            members = sorted(members, key=lambda m: -_shown_error(study, m))
+            points = [(factor * (m.cost(cost) or 0.0), _shown_error(study, m)) for m in members]
             solver = family[3]
             axis.plot(
                 *zip(*points, strict=True),
-                marker=_MARKERS[solver],
+                marker=_SOLVER_MARKERS[solver],
                 color=SOLVER_COLOURS[solver],
                 linewidth=1.2,
                 markersize=6,
-                label=_named(family),
+                label=_family_name(family),
             )
         prices = [factor * (m.cost(cost) or 0.0) for m in front]
-        errors = [_error(study, m) for m in front]
+        errors = [_shown_error(study, m) for m in front]
         axis.plot(prices, errors, color="black", linewidth=2.4, label="Pareto front", zorder=4)
-        notes = _number(axis, front, prices, errors)
+        notes = _write_numbers(axis, front, prices, errors)
         low, high = axis.get_ylim()
         axis.axhspan(min(low, study.floor / 10), study.floor, color="0.9", zorder=0)
         axis.set_ylim(min(low, study.floor / 10), high)
@@ -81,13 +81,13 @@ def _best(shown: Sequence[Measurement], cost: str) -> dict[Family, list[Measurem
     return {family: families[family] for _, family in best.values()}
 
 
-def _number(
+def _write_numbers(
     axis: Axes, front: Sequence[Measurement], prices: Sequence[float], errors: Sequence[float]
 ) -> list[str]:
     """Write a number at each stretch of the front in one family; return what they stand for."""
     points = list(zip(front, prices, errors, strict=True))
     stretches = [list(g) for _, g in groupby(points, key=lambda p: p[0].configuration.family)]
-    stretches = sorted(sorted(stretches, key=len)[-_MOST:], key=lambda s: s[0][1])
+    stretches = sorted(sorted(stretches, key=len)[-_MOST_NAMES:], key=lambda s: s[0][1])
     notes = []
     for number, stretch in enumerate(stretches, start=1):
         first, price, error = stretch[len(stretch) // 2]
@@ -96,7 +96,7 @@ def _number(
         axis.text(price, error, str(number), fontsize=9, **style)
         start, last = stretch[0][0].configuration, stretch[-1][0].configuration
         setting = start.setting if len(stretch) == 1 else f"{start.setting} ... {last.setting}"
-        notes.append(f"{number}  {_named(first.configuration.family)}, {setting}")
+        notes.append(f"{number}  {_family_name(first.configuration.family)}, {setting}")
     return notes
 
 
@@ -104,11 +104,11 @@ def _notes(notes: Sequence[str]) -> tuple[list[Any], list[str]]:
     return [matplotlib.lines.Line2D([], [], linestyle="") for _ in notes], list(notes)
 
 
-def _named(family: Family) -> str:
+def _family_name(family: Family) -> str:
     model, reduced, road, solver, control = family
     parts = (solver, model.partition("/")[2], road, "reduced" if reduced else "", control or "")
     return ", ".join(filter(None, parts))
 
 
-def _error(study: Tradeoff, measurement: Measurement) -> float:
+def _shown_error(study: Tradeoff, measurement: Measurement) -> float:
     return max(measurement.error or 0.0, study.floor)

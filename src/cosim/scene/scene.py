@@ -20,7 +20,7 @@ class Settings:
     Attributes:
         start_time, stop_time, output_interval: s.
         solver: A name of `SOLVERS`.
-        relative_tolerance, absolute_tolerance: Error per step; the absolute one in SI units.
+        relative_tolerance, absolute_tolerance: Error per step; the absolute one in nominal values.
         step_size: Largest step of the fixed-step solvers, s.
         accuracy: Instead of these: largest global error of the outputs, in nominal values.
         budget: Instead of these: time that the solver may take, s.
@@ -153,15 +153,17 @@ class Scene:
         values = plain_values(dae, self.values)
         return replace(
             dae,
-            states=_started(dae.states, values),
-            parameters=_started(dae.parameters, values),
-            inputs=_started(dae.inputs, values),
+            states=_with_starts(dae.states, values),
+            parameters=_with_starts(dae.parameters, values),
+            inputs=_with_starts(dae.inputs, values),
             x_start=tuple(values.get(v.name, start) for v, start in starts),
             experiment=experiment,
         )
 
 
-def _started(variables: tuple[Variable, ...], values: Mapping[str, float]) -> tuple[Variable, ...]:
+def _with_starts(
+    variables: tuple[Variable, ...], values: Mapping[str, float]
+) -> tuple[Variable, ...]:
     return tuple(
         replace(v, start=values[v.name]) if v.name in values and v.start_kind is Start.EXACT else v
         for v in variables

@@ -22,10 +22,10 @@ def read_figures(file: TomlFile, dae: Dae, outputs: tuple[str, ...]) -> tuple[Fi
     tables = file.data.get("figures", [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise UsageError(f"{file.at('figures')}: write every figure as a table [[figures]]")
-    return tuple(_figure(file, i, table, dae, outputs) for i, table in enumerate(tables))
+    return tuple(_figure_spec(file, i, table, dae, outputs) for i, table in enumerate(tables))
 
 
-def _figure(
+def _figure_spec(
     file: TomlFile, index: int, table: Mapping[str, Any], dae: Dae, outputs: tuple[str, ...]
 ) -> FigureSpec:
     here = ("figures", index)

@@ -12,15 +12,17 @@ import numpy as np
 
 from casadi_models.units import UNITS
 from cosim.arrays import Vector
-from cosim.errors import ParameterError, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.series.column import Column
 from cosim.text.escaping import csv_cell
 
+UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIMES = ("time", "t", "zeit", "temps")
 
 
 @dataclass(frozen=True)
-class Samples:
+class CsvSamples:
     """What a CSV file says.
 
     Attributes:
@@ -53,12 +55,37 @@ def write_csv(
     writer.writerows([repr_17(value) for value in row] for row in table.tolist())
 
 
+def write_columns(
+    stream: TextIO, columns: Sequence[Column], time: Vector, values: Vector, units: str
+) -> None:
+    """Write samples over time.
+
+    Args:
+        stream: An open text file.
+        columns: What is known of each.
+        time: s, (n,).
+        values: SI, (n, len(columns)).
+        units: One of `KINDS`; "book" is display units, and a second line that names them.
+
+    Raises:
+        UnknownName: There is no such kind of units.
+    """
+    if units not in UNIT_KINDS:
+        raise UnknownName.among("to_csv", "kind of units", units, UNIT_KINDS)
+    second = None
+    if units == "book":
+        second = ("s", *(column.shown_unit for column in columns))
+        shown = [column.shown(own) for column, own in zip(columns, values.T, strict=True)]
+        values = np.transpose(shown).reshape(values.shape)
+    write_csv(stream, ("time", *(c.name for c in columns)), second, np.column_stack((time, values)))
+
+
 def repr_17(value: float) -> str:
     """Write a number with 17 significant digits, so that reading returns the same bits."""
     return f"{value:.17g}"
 
 
-def read_samples(path: Path) -> Samples:
+def read_csv_samples(path: Path) -> CsvSamples:
     """Read a CSV file with a header, times in its first column or in one that is called time.
 
     Columns are separated by commas, semicolons or tabs; units stand in brackets behind the names
@@ -89,13 +116,13 @@ def read_samples(path: Path) -> Samples:
         line = body[int(falling[0]) + 1][0]
         raise ParameterError(f"{path}, line {line}: the time falls; sort the lines by time")
     rest = [i for i in range(len(names)) if i != at]
-    return Samples(
+    return CsvSamples(
         tuple(names[i] for i in rest), tuple(units[i] for i in rest), time, table[:, rest]
     )
 
 
 def in_si(
-    path: Path, samples: Samples, units: Mapping[str, str], wanted: Mapping[str, str]
+    path: Path, samples: CsvSamples, units: Mapping[str, str], wanted: Mapping[str, str]
 ) -> tuple[list[tuple[str, str | None]], Vector]:
     """Return SI unit and display unit of each column, and the values in SI units.
 

@@ -71,7 +71,7 @@ def text_table(
     lines = [[*rows[0]], *([cell(value, digits) for value in row.values()] for row in shown)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     if width is not None:
-        widths = _fitting(widths, width - len(GAP) * (len(widths) - 1))
+        widths = _fitting_widths(widths, width - len(GAP) * (len(widths) - 1))
     text = [
         GAP.join(_cut(c, w).ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
         for line in lines
@@ -94,7 +94,7 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _fitting(widths: Sequence[int], room: int, least: int = 8) -> list[int]:
+def _fitting_widths(widths: Sequence[int], room: int, least: int = 8) -> list[int]:
     """Return widths of columns that fit into a line; the widest ones give way."""
     fitted = [*widths]
     while sum(fitted) > room and max(fitted) > least:

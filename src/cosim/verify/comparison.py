@@ -117,7 +117,7 @@ def compare(
     note = ""
     if resample and len(first) and len(second) and not _same_times(first, second):
         first, second, note = _on_common_times(first.select(names), second.select(names))
-    _refuse_other_times(first, second)
+    refuse_other_times(first, second)
     differences = []
     for name in names:
         with np.errstate(invalid="ignore"):  # infinity less infinity
@@ -163,13 +163,18 @@ def _same_times(first: Trajectory, second: Trajectory) -> bool:
     return float(np.abs(first.time - second.time).max()) <= slack
 
 
-def _refuse_other_times(first: Trajectory, second: Trajectory) -> None:
+def refuse_other_times(first: Trajectory, second: Trajectory) -> None:
+    """Refuse two runs that cannot be subtracted row by row.
+
+    Raises:
+        UsageError: They have other output times, or none.
+    """
     if not len(first):
         raise UsageError(f"{_label(first)} has no output times; there is nothing to compare")
     if len(first) != len(second):
         raise UsageError(
-            f"{_label(first)} has {len(first)} output times, {_label(second)} has {len(second)}; "
-            "run both with one start_time, stop_time and output_interval"
+            f"other output times: {_label(first)} has {len(first)} output times, {_label(second)} "
+            f"has {len(second)}; run both with one start_time, stop_time and output_interval"
         )
     apart = np.abs(first.time - second.time)
     if apart.max() > 1e-9 * max(1.0, float(np.abs(first.time).max())):

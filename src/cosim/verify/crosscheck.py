@@ -120,10 +120,10 @@ def crosscheck(
     for item in models or ():
         if isinstance(item, str) and ".py:" not in item:
             formulations(item)  # refuses an unknown name before the first run
-    return Checks(_checks(models, stop_time, output_interval, relative_tolerance, bound))
+    return Checks(_all_checks(models, stop_time, output_interval, relative_tolerance, bound))
 
 
-def _checks(
+def _all_checks(
     models: Collection[str | Scene] | None,
     stop_time: float | None,
     output_interval: float | None,
@@ -153,7 +153,7 @@ def _checks(
             yield from _roads(scene, run, bound, relative_tolerance is not None)
             if first is None or first[1].name != scene.dae.name:
                 first = run, scene.dae
-            elif check := _against(first, run, scene.dae, bound):
+            elif check := _formulation_check(first, run, scene.dae, bound):
                 yield (
                     check
                     if check.comparison and check.comparison.agrees
@@ -161,7 +161,7 @@ def _checks(
                 )
 
 
-def _against(
+def _formulation_check(
     first: tuple[Trajectory, Dae], run: Trajectory, dae: Dae, bound: float
 ) -> Check | None:
     """Compare a formulation with the first one, in what both mean by the same name."""

@@ -31,7 +31,7 @@ from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no costly method is tried
-_FORMAT = "reference-3"
+_REFERENCE_FORMAT = "reference-3"
 
 
 @dataclass(frozen=True)
@@ -123,11 +123,11 @@ def reference(scene: Scene | Dae) -> Reference:
     dae = scene.configured()
     key = reference_key(scene)
     entry = f"references/{key}"
-    known = _read(entry, key)
+    known = _read_reference(entry, key)
     if known is not None:
         return known
     found = _computed(scene, dae, key)
-    _keep(found, entry)
+    _keep_reference(found, entry)
     return found
 
 
@@ -145,7 +145,7 @@ def reference_key(scene: Scene) -> str:
     parts += [array.tobytes() for array in (values.x, values.p, values.u, grid)]
     recorded = (*dae.states, *dae.algebraics, *dae.output_variables)
     named = [(v.name, v.nominal) for v in recorded]
-    parts.append(repr((_FORMAT, ca.CasadiMeta.version(), named, WAYS)).encode())
+    parts.append(repr((_REFERENCE_FORMAT, ca.CasadiMeta.version(), named, WAYS)).encode())
     if scene.inputs is not None:
         parts.append(repr(scene.inputs.names).encode())
         parts += [scene.inputs.time.tobytes(), scene.inputs.values.tobytes()]
@@ -159,7 +159,7 @@ def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
     runs: dict[Way, Trajectory] = {}
     reasons: list[str] = []
     best: Reference | None = None
-    for way in _ways(dae):
+    for way in _ways_for(dae):
         if SOLVERS[way.solver].uses_jacobian and best is not None and best.error() <= ENOUGH:
             break
         try:
@@ -174,7 +174,7 @@ def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
     return best
 
 
-def _ways(dae: Dae) -> Iterator[Way]:
+def _ways_for(dae: Dae) -> Iterator[Way]:
     for way in WAYS:
         solver = SOLVERS[way.solver]
         possible = solver.solves_dae or not dae.algebraics
@@ -199,7 +199,7 @@ def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:
     return best
 
 
-def _keep(found: Reference, entry: str) -> None:
+def _keep_reference(found: Reference, entry: str) -> None:
     """Write to the cache; without one, the reference is computed again next time."""
     names = ("method", "check", "errors", "key")
     content = io.BytesIO()
@@ -209,7 +209,7 @@ def _keep(found: Reference, entry: str) -> None:
         keep(entry, content.getvalue())
 
 
-def _read(entry: str, key: str) -> Reference | None:
+def _read_reference(entry: str, key: str) -> Reference | None:
     content = content_of(entry)
     if content is None:
         return None

@@ -23,7 +23,7 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
 from cosim.files import refuse_unwritable, write_atomically
-from cosim.fmi.archive import DESCRIPTION, content_of, opened
+from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.export.solver_choice import ROSENBROCK, solver_for
 from cosim.fmi.platforms import NATIVE
@@ -44,11 +44,13 @@ REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
 OWN = "reference"
 MOST_ROWS = 201
-NOISE = 1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
-FINER = 10  # output times of a check within each of the reference: fmpy's solver takes 500 steps
+CONSTANT_NOISE = (
+    1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
+)
+FINER_OUTPUTS = 10  # times of a check within each of the reference: fmpy's solver takes 500 steps
 LOOSER = 10.0  # tolerance of the run that tells how far the reference may be wrong
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
-COLOURS = 16  # of the picture
+PALETTE_SIZE = 16  # of the picture
 
 
 def export_with_proof(
@@ -91,12 +93,12 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
     """Return the files that prove an FMU; without a reference, one that says why there is none."""
     tolerance = dae.experiment.reference_tolerance
     try:
-        run, doubt = _reference(dae, tolerance)
+        run, doubt = _reference_run(dae, tolerance)
     except CosimError as error:
         warn(f"{target}: no reference: {error}", stacklevel=3)
         missing = {"model": dae.full_name, "no reference": str(error)}
         return {MEASURED: (json.dumps(missing, indent=1) + "\n").encode()}
-    checks = [*_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
+    checks = [*_result_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
     for check in checks:
         if check.verdict is not Verdict.OK:
             said = f"{check.verdict}: {check.comparison}; {_TRY}"
@@ -141,12 +143,12 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
     """
     try:
         with opened(path) as fmu:
-            facts = json.loads(content_of(fmu, MEASURED))
+            facts = json.loads(entry_content(fmu, MEASURED))
             if "no reference" in facts:
                 why = sentence(str(facts["no reference"]))
                 raise FmuError(f"{path} carries no reference result: {why}")
-            table = content_of(fmu, REFERENCE).decode()
-            against = _whose(path, ET.fromstring(content_of(fmu, DESCRIPTION)))
+            table = entry_content(fmu, REFERENCE).decode()
+            against = _whose(path, ET.fromstring(entry_content(fmu, DESCRIPTION)))
             run = _from_csv(table, facts)
             tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
             doubt = float(facts.get("estimated error in nominal values", 0.0))
@@ -155,7 +157,7 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
             f"{path} carries no reference result; export it with cosim export"
         ) from error
     apart = partial(simulate_apart, timeout=timeout)
-    for check in _checks(path, run, tolerance, bound, apart, doubt):
+    for check in _result_checks(path, run, tolerance, bound, apart, doubt):
         yield replace(check, against=against)
 
 
@@ -167,7 +169,7 @@ def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
     return f"{OWN} by {tool}"
 
 
-def _reference(dae: Dae, tolerance: float) -> tuple[Trajectory, float]:
+def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float]:
     """Return a run of road one and its estimated error: how far a tenfold tolerance moves it.
 
     Of a stiff or a sensitive model another solver may be the first that comes through.
@@ -216,12 +218,12 @@ def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:
     """
     quiet = values.copy()
     for column, size in zip(quiet.T, nominal, strict=True):
-        if np.ptp(column) <= NOISE * size:
-            column[:] = 0.0 if abs(column[0]) <= NOISE * size else column[0]
+        if np.ptp(column) <= CONSTANT_NOISE * size:
+            column[:] = 0.0 if abs(column[0]) <= CONSTANT_NOISE * size else column[0]
     return quiet
 
 
-def _checks(
+def _result_checks(
     path: str | os.PathLike[str],
     run: Trajectory,
     tolerance: float,
@@ -237,7 +239,7 @@ def _checks(
                 interface=road.interface,
                 stop_time=float(run.time[-1]),
                 output_interval=float(run.time[1] - run.time[0]),
-                least=FINER,
+                least=FINER_OUTPUTS,
                 relative_tolerance=tolerance,
             )
         except FmuError as error:
@@ -265,5 +267,5 @@ def _picture(run: Trajectory) -> bytes:
 
     small = io.BytesIO()
     with Image.open(io.BytesIO(picture(run.plot(run.names[:3]), "png", dpi=50))) as drawn:
-        drawn.convert("RGB").quantize(COLOURS).save(small, "png", optimize=True)
+        drawn.convert("RGB").quantize(PALETTE_SIZE).save(small, "png", optimize=True)
     return small.getvalue()

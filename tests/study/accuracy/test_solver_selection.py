@@ -20,7 +20,7 @@ from cosim.errors import ParameterError, SolverError, UsageError
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.variants import variant
 from cosim.study.accuracy.fmu import export_accurate
-from cosim.study.accuracy.front import TOLERANCES, measured_front
+from cosim.study.accuracy.front import FRONT_TOLERANCES, measured_front
 from cosim.study.accuracy.solver_selection import promise_kept, promised_run
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
@@ -162,7 +162,7 @@ def test_solver_that_needs_too_many_calls_is_not_tried_any_tighter(monkeypatch):
     monkeypatch.setattr("cosim.study.accuracy.front.MOST_CALLS", 300)
     events = measured_front(decay("calls"), compiled=True).events
     calls = [e.rhs_calls for e in events if e.configuration.solver == "erk"]
-    assert len(calls) < len(TOLERANCES)
+    assert len(calls) < len(FRONT_TOLERANCES)
     assert calls[-2] <= 300 < calls[-1]
 
 
@@ -383,13 +383,13 @@ def test_exported_fmu_has_the_accuracy_by_default_on_both_interfaces(tmp_path, a
         # of all outputs, the largest; measured 1 to 3 times that of x
         assert fmu.errors[interface].scaled >= 0.99 * true - 1e-13
         assert fmu.errors[interface].scaled <= accuracy
-    assert fmu.tolerance in TOLERANCES
+    assert fmu.tolerance in FRONT_TOLERANCES
 
 
 def test_looser_tolerance_would_not_have_done_for_both(tmp_path):
     dae = oscillator().dae
     fmu = export_accurate(dae, tmp_path / "o.fmu", 1e-6)
-    looser = TOLERANCES[TOLERANCES.index(fmu.tolerance) - 1]
+    looser = FRONT_TOLERANCES[FRONT_TOLERANCES.index(fmu.tolerance) - 1]
     run = cosim.simulate_fmu(fmu.path, interface="ModelExchange", relative_tolerance=looser)
     best = cosim.reference(dae).run
     assert cosim.compare(best, run).worst.scaled > 1e-6 / 3  # the margin

@@ -11,9 +11,9 @@ from cosim.cli.main import main
 from cosim.errors import UnknownName
 from cosim.present.extremes_map import draw_map
 from cosim.present.picture_files import save
-from cosim.study.extremes.campaign import WRONG, Finding, explore, select_cases, summary
-from cosim.study.extremes.cases import Case, Reference, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, Verdict, judge
+from cosim.study.extremes.campaign import WRONG, CaseFinding, explore, family_rows, select_cases
+from cosim.study.extremes.cases import Case, Counterpart, catalogue
+from cosim.study.extremes.oracles import OUTCOMES, Ending, judge
 
 CASES = list(catalogue())
 FAMILIES = list(dict.fromkeys(case.family for case in CASES if not case.long))
@@ -77,7 +77,7 @@ def test_pendulum_on_a_start_without_solution_of_its_algebraic_equations_is_refu
 
 def test_wrong_result_that_says_nothing_is_silent():
     right = find("bar: damping", "b = 0.02 ft.lbf.s/rad, cvodes", "bar_on_frame/reduced")
-    wrong = replace(right, references=(Reference("bar_on_frame/reduced", "rk4"),), bound=1e-9)
+    wrong = replace(right, references=(Counterpart("bar_on_frame/reduced", "rk4"),), bound=1e-9)
     assert judge(right).outcome == "accurate"
     assert judge(wrong).outcome == "silent"
 
@@ -121,21 +121,21 @@ def test_verb_ends_with_4_when_a_case_is_silent(monkeypatch, capsys):
 
 def test_summary_counts_every_outcome_and_names_the_worst():
     findings = [
-        Finding(Case("f", name, "m/x"), Verdict(outcome, error, "", 0.0))
+        CaseFinding(Case("f", name, "m/x"), Ending(outcome, error, "", 0.0))
         for name, outcome, error in (
             ("a", "accurate", 1e-9),
             ("b", "accurate", 1e-7),
             ("c", "failed", None),
         )
     ]
-    (row,) = summary(findings)
+    (row,) = family_rows(findings)
     assert (row["cases"], row["accurate"], row["failed"], row["silent"]) == (3, 2, 1, 0)
     assert (row["worst error"], row["at"]) == (1e-7, "m/x, b")
 
 
 def test_map_tells_which_value_and_which_solver_ended_how():
     findings = [
-        Finding(Case("spin", f"omega = {v}, {s}", "m/x", solver=s), Verdict(o, None, "", 0.0))
+        CaseFinding(Case("spin", f"omega = {v}, {s}", "m/x", solver=s), Ending(o, None, "", 0.0))
         for v, s, o in (("1", "erk", "accurate"), ("2", "erk", "failed"), ("2", "idas", "silent"))
     ]
     (axis,) = draw_map(findings).get_axes()
@@ -147,7 +147,7 @@ def test_map_tells_which_value_and_which_solver_ended_how():
 
 
 def test_map_shows_each_outcome_in_its_own_colour(tmp_path):
-    findings = [Finding(Case("f", o, "m/x"), Verdict(o, None, "", 0.0)) for o in OUTCOMES]
+    findings = [CaseFinding(Case("f", o, "m/x"), Ending(o, None, "", 0.0)) for o in OUTCOMES]
     (path,) = save([draw_map(findings)], str(tmp_path / "map.png"))
     pixels = matplotlib.image.imread(path)[..., :3].reshape(-1, 3)
     assert len(np.unique((pixels * 8).astype(int), axis=0)) > len(OUTCOMES)

@@ -49,7 +49,7 @@ def _trials(args: argparse.Namespace) -> tuple[Finding, ...]:
     """Run the FMU's code and say on stderr what was tried."""
     from cosim.errors import FmuError
     from cosim.fmi.check.apart import try_apart
-    from cosim.fmi.check.finding import ADVICE, Finding
+    from cosim.fmi.check.finding import ADVICE, Rule
     from cosim.fmi.trust import require_trust
 
     require_trust(args.file, trusted=args.trust)
@@ -57,9 +57,10 @@ def _trials(args: argparse.Namespace) -> tuple[Finding, ...]:
         verdict = try_apart(args.file, timeout=120.0 if args.timeout is None else args.timeout)
     except FmuError as error:  # what is wrong with the file itself has been found
         told = str(error).removeprefix(f"{args.file}: ")
-        return (Finding(ADVICE, "run", "archive", told, "run it where it can run"),)
+        rule = Rule("run", ADVICE, "cannot run it here either", "run it where it can run")
+        return (rule.about("archive", told),)
     if not args.quiet:
-        print(f"passed: {', '.join(verdict.passed) or 'none'}", file=sys.stderr)
+        print(f"passed: {'; '.join(verdict.passed) or 'none'}", file=sys.stderr)
     if args.verbose:
         for reason in verdict.skipped:
             print(f"skipped: {reason}", file=sys.stderr)

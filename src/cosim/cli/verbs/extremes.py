@@ -13,7 +13,7 @@ from cosim.cli.options import add_output_file, common
 
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
-    from cosim.study.extremes.campaign import Finding
+    from cosim.study.extremes.campaign import CaseFinding
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -44,11 +44,11 @@ def run(args: argparse.Namespace) -> int:
         findings.append(finding)
         if not args.quiet:
             _tell(finding, f"{len(findings)}/{len(cases)}", every=args.verbose)
-    _deliver(args, findings)
+    _deliver_findings(args, findings)
     return 4 if any(finding.verdict.outcome in WRONG for finding in findings) else 0
 
 
-def _tell(finding: Finding, count: str, *, every: bool) -> None:
+def _tell(finding: CaseFinding, count: str, *, every: bool) -> None:
     from cosim.study.extremes.campaign import WRONG
 
     row = finding.row()
@@ -61,22 +61,22 @@ def _tell(finding: Finding, count: str, *, every: bool) -> None:
         print(f"\r{count}", end="", file=sys.stderr, flush=True)
 
 
-def _deliver(args: argparse.Namespace, findings: Sequence[Finding]) -> None:
+def _deliver_findings(args: argparse.Namespace, findings: Sequence[CaseFinding]) -> None:
     from cosim.cli.tables import show_table, write_text
-    from cosim.study.extremes.campaign import summary
+    from cosim.study.extremes.campaign import family_rows
 
     rows = [finding.row() for finding in findings]
     if args.output_file:
-        write_text(args.output_file, _csv(rows))
+        write_text(args.output_file, _findings_csv(rows))
     if args.figure:
         from cosim.present.extremes_map import draw_map
         from cosim.present.picture_files import save
 
         save([draw_map(findings)], args.figure)
-    show_table(rows if args.json else summary(findings), as_json=args.json)
+    show_table(rows if args.json else family_rows(findings), as_json=args.json)
 
 
-def _csv(rows: Sequence[dict[str, Any]]) -> str:
+def _findings_csv(rows: Sequence[dict[str, Any]]) -> str:
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, rows[0], lineterminator="\n")
     writer.writeheader()

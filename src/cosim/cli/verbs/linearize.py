@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         model, start, outputs = scene.dae, dict(scene.values), scene.outputs or None
     points: list[Any] = [args.at]
     if args.at not in (START, EQUILIBRIUM):
-        points = [*_numbers("--at", args.at.split(","))]
+        points = [*_listed_numbers("--at", args.at.split(","))]
     if args.sweep:
         if len(points) > 1:
             raise UsageError("--sweep takes one point: --at start, --at equilibrium or one time")
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError("-o takes the matrices of one point; give one time")
         found[0].to_csv(args.output_file)
     if args.json:
-        print(json.dumps([_facts(linear) for linear in found], indent=1))
+        print(json.dumps([_as_json(linear) for linear in found], indent=1))
         return 0
     for i, linear in enumerate(found):
         _show(linear, matrices=not args.output_file, first=i == 0)
@@ -91,11 +91,11 @@ def _sweep(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
     parts = span.split(":")
     if not equals or len(parts) != 3 or not parts[2].isdigit():
         raise UsageError(f"--sweep {args.sweep}: write NAME=FROM:TO:HOW_MANY")
-    first, last = _numbers("--sweep", parts[:2])
+    first, last = _listed_numbers("--sweep", parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
     found = linearize_sweep(model, name, values, at=at, start_values=start, outputs=outputs)
     if args.output_file:
-        write_text(args.output_file, _csv(found))
+        write_text(args.output_file, _sweep_csv(found))
     if args.figure:
         from cosim.present.eigenvalue_figure import draw_eigenvalues
         from cosim.present.picture_files import save
@@ -125,7 +125,7 @@ def _show(linear: Linearization, *, matrices: bool, first: bool) -> None:
         show_table(linear.rows(), as_json=False)
 
 
-def _facts(linear: Linearization) -> dict[str, Any]:
+def _as_json(linear: Linearization) -> dict[str, Any]:
     facts: dict[str, Any] = {"model": linear.model, "at": linear.point, "time": linear.time}
     facts |= {"steadiness": linear.steadiness, "cyclic": linear.cyclic}
     for kind in ("states", "inputs", "outputs"):
@@ -135,13 +135,13 @@ def _facts(linear: Linearization) -> dict[str, Any]:
     return facts | {"modes": [mode.row() for mode in linear.modes]}
 
 
-def _csv(found: EigenvalueSweep) -> str:
+def _sweep_csv(found: EigenvalueSweep) -> str:
     rows = found.rows()
     lines = [",".join(rows[0]), *(",".join(f"{v:.17g}" for v in row.values()) for row in rows)]
     return "\n".join(lines) + "\n"
 
 
-def _numbers(option: str, words: list[str]) -> list[float]:
+def _listed_numbers(option: str, words: list[str]) -> list[float]:
     from cosim.errors import UsageError
 
     try:

@@ -18,7 +18,7 @@ from cosim.cli.options import (
 if TYPE_CHECKING:
     from cosim.cli.options import Verbs
 
-_SHOWN = ("model", "road", "against", "worst", "difference", "bound", "verdict")
+_CHECK_COLUMNS = ("model", "road", "against", "worst", "difference", "bound", "verdict")
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.cli.running import run_or_partial, scene_or_none
     from cosim.errors import UnknownName, UsageError
     from cosim.files import write_atomically
-    from cosim.present.report import Contents, report
+    from cosim.present.report import ReportContents, report
     from cosim.scene.roads import scene_dae
     from cosim.verify.crosscheck import crosscheck
 
@@ -70,13 +70,15 @@ def run(args: argparse.Namespace) -> int:
     if args.crosscheck and code == 0:
         for check in crosscheck([scene]):
             row = check.row()
-            checks.append({key: row[key] for key in _SHOWN})
+            checks.append({key: row[key] for key in _CHECK_COLUMNS})
             if not args.quiet:
                 print(f"{row['model']}: {row['road']} {check.verdict}", file=sys.stderr, flush=True)
     words = sys.argv[1:] if sys.argv[0].endswith("cosim") else ["report", args.model, "-o",
                                                                args.output_file]  # fmt: skip
     page = report(
-        Contents(scene, scene_dae(scene), result, shown, checks, shlex.join(["cosim", *words]))
+        ReportContents(
+            scene, scene_dae(scene), result, shown, checks, shlex.join(["cosim", *words])
+        )
     )
     print(write_atomically(args.output_file, page.encode()), file=sys.stderr)
     return code

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cosim.cli.options import Verbs
     from cosim.study.sensitivity.result import Sensitivity
 
-MOST = 12  # rows of an output
+ROWS_PER_OUTPUT = 12  # rows of an output
 
 
 def add_parser(verbs: Verbs) -> None:
@@ -44,7 +44,11 @@ def run(args: argparse.Namespace) -> int:
     """Differentiate a run."""
     from cosim.cli.arguments import names_in, scene_from
     from cosim.cli.tables import show_table
-    from cosim.study.sensitivity.sensitivity import BOUND, TOLERANCE, sensitivity
+    from cosim.study.sensitivity.sensitivity import (
+        AGREEMENT_BOUND,
+        DERIVATIVE_TOLERANCE,
+        sensitivity,
+    )
 
     if args.figure:
         from cosim.present.picture_files import picture_format
@@ -61,9 +65,9 @@ def run(args: argparse.Namespace) -> int:
         start_values=scene.values,
         inputs=scene.inputs,
         solver=solver,
-        relative_tolerance=TOLERANCE if tolerance is None else tolerance,
+        relative_tolerance=DERIVATIVE_TOLERANCE if tolerance is None else tolerance,
         check=not args.no_check,
-        bound=BOUND if args.bound is None else args.bound,
+        bound=AGREEMENT_BOUND if args.bound is None else args.bound,
         start_time=settings.start_time,
         stop_time=settings.stop_time,
         output_interval=settings.output_interval,
@@ -96,5 +100,5 @@ def _most(
     if every:
         return rows, 0
     by = len(found.targets)
-    shown = [row for i, row in enumerate(rows) if i % by < MOST]
+    shown = [row for i, row in enumerate(rows) if i % by < ROWS_PER_OUTPUT]
     return shown, len(rows) - len(shown)

@@ -45,12 +45,12 @@ def run(args: argparse.Namespace) -> int:
     from cosim.cli.tables import show_table, write_text
     from cosim.errors import UnknownName
     from cosim.scene.roads import scene_dae
-    from cosim.trajectory import KINDS
+    from cosim.series.csv_file import UNIT_KINDS
 
     scene = scene_or_none(args)
     run, code = run_or_partial(args, scene)
-    if args.units not in KINDS:
-        raise UnknownName.among("cosim simulate", "kind of units", args.units, KINDS)
+    if args.units not in UNIT_KINDS:
+        raise UnknownName.among("cosim simulate", "kind of units", args.units, UNIT_KINDS)
     if args.at is not None and scene is None:
         run = run.at(sorted(times_in("--at", args.at)))
     if args.json:

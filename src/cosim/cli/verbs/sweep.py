@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from cosim.cli.options import Verbs
     from cosim.study.sweep.samples import Samples
 
-_SETTINGS = (
+_RUN_OPTIONS = (
     *("start_time", "stop_time", "output_interval", "relative_tolerance", "absolute_tolerance"),
     *("step_size", "solver", "on_invalid"),
 )
@@ -38,7 +38,9 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--times", metavar="T1,T2", help="output times, s, not an interval")
     parser.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
     parser.add_argument("--solver", metavar="NAME", help="dop853 in lanes where that is possible")
-    parser.add_argument("--absolute-tolerance", type=float, metavar="A", help="error per step, SI")
+    parser.add_argument(
+        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
+    )
     parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
     parser.add_argument("--on-invalid", metavar="ACTION", help="warn, stop or ignore")
     parser.add_argument("--store", metavar="FOLDER", help="keeps everything, as it finishes")
@@ -74,13 +76,13 @@ def run(args: argparse.Namespace) -> int:
     from cosim.study.sweep.sweep import sweep
 
     settings: dict[str, Any] = {
-        name: getattr(args, name) for name in _SETTINGS if getattr(args, name) is not None
+        name: getattr(args, name) for name in _RUN_OPTIONS if getattr(args, name) is not None
     }
     if args.times is not None:
-        settings["times"] = [_number("--times", word) for word in names_in(args.times)]
+        settings["times"] = [_given_number("--times", word) for word in names_in(args.times)]
     result = sweep(
         args.model,
-        _samples(args),
+        _asked_samples(args),
         outputs=None if args.outputs is None else names_in(args.outputs),
         keep=args.keep,
         workers=args.workers,
@@ -98,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result.complete.all() else 1
 
 
-def _samples(args: argparse.Namespace) -> Samples | None:
+def _asked_samples(args: argparse.Namespace) -> Samples | None:
     """Return the samples that a command line asks for; None for the stored ones."""
     from cosim.cli.axes import read_axes
     from cosim.errors import UsageError
@@ -129,7 +131,7 @@ def _samples(args: argparse.Namespace) -> Samples | None:
     raise UsageError("nothing varies; give --samples FILE.csv, --sample KIND:N, or -p NAME=A,B")
 
 
-def _number(what: str, text: str) -> float:
+def _given_number(what: str, text: str) -> float:
     from cosim.errors import ParameterError
 
     try:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cosim.cli.options import Verbs
     from cosim.study.tradeoff.result import Tradeoff
 
-_SHOWN = (
+_RUN_COLUMNS = (
     *("model", "reduced", "road", "solver", "tolerance", "step", "error", "worst", "rhs_calls"),
     *("solver_ms", "solver_ms_low", "solver_ms_high", "total_ms", "drift", "front"),
 )
@@ -91,11 +91,11 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("what has run is kept; go on with: --resume", file=sys.stderr)
         raise
-    _deliver(args, study)
+    _deliver_study(args, study)
     return 0
 
 
-def _deliver(args: argparse.Namespace, study: Tradeoff) -> None:
+def _deliver_study(args: argparse.Namespace, study: Tradeoff) -> None:
     from cosim.cli.tables import write_text
 
     if args.output_file:
@@ -120,7 +120,9 @@ def _print(study: Tradeoff) -> None:
 
     done = [row for row in study.rows() if row["status"] == "complete"]
     control = ("drift_control",) if any(row["drift_control"] for row in done) else ()
-    show_table([{key: row[key] for key in (*control, *_SHOWN)} for row in done], as_json=False)
+    show_table(
+        [{key: row[key] for key in (*control, *_RUN_COLUMNS)} for row in done], as_json=False
+    )
     if missing := study.missing():
         print("\nwithout a result")
         show_table(missing, as_json=False)
@@ -129,7 +131,7 @@ def _print(study: Tradeoff) -> None:
         print(f"{key}: {value}")
     for cost in COSTS:
         print(f"\nPareto front, error against {cost} ({'s' if cost == 'solver_time' else '1'})")
-        show_table([_point(study, m, cost) for m in study.front(cost)], as_json=False)
+        show_table([_plotted_point(study, m, cost) for m in study.front(cost)], as_json=False)
     print("\nerror = constant * tolerance ** slope")
     show_table([fit.row() for fit in study.proportionality()], as_json=False)
     if study.orders:
@@ -141,7 +143,7 @@ def _print(study: Tradeoff) -> None:
             print("none: no mode decays, or the motion has not become steady")
 
 
-def _point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:
+def _plotted_point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:
     return {
         "configuration": str(measurement.configuration),
         "error": max(measurement.error, study.floor),

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import log2
 
 import casadi as ca
 
@@ -19,7 +20,7 @@ from cosim.codegen.runge_kutta.stage_sums import numbers
 from cosim.errors import UsageError
 from cosim.memo import kept_per_thread
 
-REPORT = 8  # numbers in the report of a run
+RUN_REPORT = 8  # numbers in the report of a run
 SIZES = (1, 2, 4, 8)  # numbers of lanes
 
 _LONG = ctypes.c_longlong
@@ -72,7 +73,7 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
         raise UsageError(f"{dae.full_name}: lanes take explicit forms; use another formulation")
     if lanes not in SIZES:
         raise UsageError(f"lanes = {lanes}; give one of {', '.join(map(str, SIZES))}")
-    text = _text(dae, outputs, lanes)
+    text = _library_source(dae, outputs, lanes)
     key = "lanes " + hashlib.sha256(text.encode()).hexdigest()
     library = ctypes.CDLL(str(cached_library(key, lambda: text)))
     if found := _elementary(lanes):
@@ -118,7 +119,7 @@ def lane_outputs(dae: Dae, lanes: int) -> ctypes.CDLL:
     return library
 
 
-def _text(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
+def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     known = dict(zip((v.name for v in dae.states), ca.vertsplit(dae.x), strict=True))
     rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
     known |= dict(rows)
@@ -154,13 +155,14 @@ def _text(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             solver_source("lanes_dop853.h"),
             f"static const int model_needed[] = {{{places}}};",
             *(vector_text(function, name) for name, function in functions.items()),
+            numbers("model_nominal", [2.0 ** round(log2(v.nominal)) for v in dae.states]),
             numbers("model_node", dop853.NODES),
             vector_sums("stage_sum", dop853.A),
             vector_sums("dense_sum", dop853.DENSE),
             vector_sum("error_5", dop853.ERROR_5),
             vector_sum("error_3", dop853.ERROR_3),
             "static const LaneModel model = {",
-            "    constants, rhs, observe, model_needed, model_node,",
+            "    constants, rhs, observe, model_needed, model_nominal, model_node,",
             "    stage_sum, dense_sum, error_5, error_3",
             "};",
         )

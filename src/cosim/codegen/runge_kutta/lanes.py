@@ -9,7 +9,7 @@ import casadi as ca
 
 from cosim.errors import UsageError
 
-_FORMS = {
+_LANE_FORMS = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_ADD: "{0} + {1}",
     ca.OP_SUB: "{0} - {1}",
@@ -42,9 +42,11 @@ _ONE_BY_ONE = (
     *("exp", "expm1", "log", "log1p", "erf", "floor", "ceil"),
 )
 _TWO_BY_TWO = ("pow", "fmod", "remainder", "atan2", "hypot")
-_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}})" for name in _ONE_BY_ONE}
-_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})" for name in _TWO_BY_TWO}
-_FORMS[ca.OP_CONSTPOW] = _FORMS[ca.OP_POW]
+_LANE_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}})" for name in _ONE_BY_ONE}
+_LANE_FORMS |= {
+    getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})" for name in _TWO_BY_TWO
+}
+_LANE_FORMS[ca.OP_CONSTPOW] = _LANE_FORMS[ca.OP_POW]
 
 
 def vector_text(function: ca.Function, name: str) -> str:
@@ -69,8 +71,8 @@ def vector_text(function: ca.Function, name: str) -> str:
             text = f"every({_literal(function.instruction_constant(i))})"
         elif code == ca.OP_INPUT:
             text = f"in[{of[0]}][{of[1]}]"
-        elif code in _FORMS:
-            text = _FORMS[code].format(*(held[place] for place in of))
+        elif code in _LANE_FORMS:
+            text = _LANE_FORMS[code].format(*(held[place] for place in of))
         else:
             raise UsageError(f"{name}: lanes have no operation with CasADi's number {code}")
         held[into[0]] = f"a{i}"
@@ -84,17 +86,17 @@ def vector_text(function: ca.Function, name: str) -> str:
 
 def vector_sums(name: str, rows: Sequence[Sequence[tuple[int, float]]]) -> str:
     """Return `name(row, k, sum)`: of each row (stage, weight) the sum of slopes, stages from 1."""
-    cases = "".join(f"    case {i}: {_loop(row)} break;\n" for i, row in enumerate(rows))
+    cases = "".join(f"    case {i}: {_lane_loop(row)} break;\n" for i, row in enumerate(rows))
     head = f"static void {name}(int row, V (*k)[NX], V *sum) {{"
     return f"{head}\n    switch (row) {{\n{cases}    }}\n}}"
 
 
 def vector_sum(name: str, row: Sequence[tuple[int, float]]) -> str:
     """Return `name(k, sum)`: the sum of slopes of one row (stage, weight)."""
-    return f"static void {name}(V (*k)[NX], V *sum) {{ {_loop(row)} }}"
+    return f"static void {name}(V (*k)[NX], V *sum) {{ {_lane_loop(row)} }}"
 
 
-def _loop(row: Sequence[tuple[int, float]]) -> str:
+def _lane_loop(row: Sequence[tuple[int, float]]) -> str:
     terms = " + ".join(f"every({weight!r}) * k[{stage - 1}][i]" for stage, weight in row)
     return f"for (int i = 0; i < NX; ++i) sum[i] = {terms or 'every(0)'};"
 

@@ -9,14 +9,16 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
+from typing import Any
 
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.check.bench import Bench, Skipped
-from cosim.fmi.check.finding import WRONG, Finding
-from cosim.fmi.check.trials import TRIALS, Trial
+from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
+from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
+from cosim.fmi.check.trials.table import OPTIONAL, TRIALS
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import (
     ENVIRONMENT,
@@ -31,15 +33,19 @@ from cosim.model.values import number
 from cosim.text.escaping import sentence
 
 _ANSWER = "answer.jsonl"
+_TrialTask = tuple[str, str]  # a trial's name and an interface
+CRASH = Rule("crash", WRONG, "go down with it, or wait for ever", "mend it; do not use it")
+CRASH_LIGHTLY = Rule(CRASH.name, ADVICE, CRASH.importers, CRASH.cure)
+FAILED = "stop there"  # importers, where a function returns an error
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TrialResults:
     """What the trials of an FMU gave.
 
     Attributes:
         findings: What they found.
-        passed: Trials that found nothing, as "reset (CoSimulation)".
+        passed: Trials that found nothing, as "reset (CoSimulation)", with how far they went.
         skipped: Trials that do not apply, with the reason.
     """
 
@@ -48,7 +54,7 @@ class Verdict:
     skipped: tuple[str, ...]
 
 
-def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdict:
+def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialResults:
     """Run the trials of an FMU in a child process with the limits of `Limits.chosen`.
 
     Args:
@@ -71,20 +77,31 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> Verdic
             raise FmuError(f"{path} has neither model exchange nor co-simulation; nothing can run")
         for kind in kinds:
             choose_interface(files, bench.fmpy, kind, path)
-        code = _child(folder, files, str(path), kinds, timeout)
-        with suppress(FileNotFoundError):
-            lines = (folder / _ANSWER).read_text().splitlines()
-            return _verdict([json.loads(line) for line in lines], code, timeout)
-        raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
+        end, told = monotonic() + timeout, _Told()
+        tasks = [(trial.__name__, kind) for kind in kinds for trial in TRIALS]
+        while tasks and (left := end - monotonic()) > 0:
+            (folder / _ANSWER).unlink(missing_ok=True)
+            code = _run_trials(folder, files, str(path), tasks, left, timeout)
+            before = len(tasks)
+            with suppress(FileNotFoundError):
+                lines = (folder / _ANSWER).read_text().splitlines()
+                tasks = told.read([json.loads(line) for line in lines], tasks, code, timeout)
+            if len(tasks) == before:
+                raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
+        told.skipped += [f"{_called(task)}: the time is up" for task in tasks]
+        return TrialResults(tuple(told.findings), tuple(told.passed), tuple(told.skipped))
 
 
-def _child(folder: Path, files: Path, name: str, kinds: list[str], timeout: float) -> int | None:
-    """Run all trials; return the exit code, None after a timeout."""
+def _run_trials(
+    folder: Path, files: Path, name: str, tasks: list[_TrialTask], left: float, timeout: float
+) -> int | None:
+    """Run trials; return the exit code, None after what is left of the time."""
+    words = [str(folder / _ANSWER), str(files), name, str(timeout), json.dumps(tasks)]
     mark = secrets.token_hex(16)
     own = {word: str(folder / "temporary") for word in ("TMPDIR", "TEMP", "TMP")}
     own |= {MARK: mark, "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__, str(folder / _ANSWER), str(files), name, *kinds],
+        [sys.executable, "-P", "-m", __name__, *words],
         stdin=subprocess.PIPE,  # its end tells the child that we are gone
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -93,69 +110,105 @@ def _child(folder: Path, files: Path, name: str, kinds: list[str], timeout: floa
         start_new_session=True,
     ) as process:
         try:
-            return process.wait(timeout)
+            return process.wait(left)
         except subprocess.TimeoutExpired:
             return None
         finally:
             end_all(process.pid, mark)
 
 
-def _verdict(lines: list[dict[str, object]], code: int | None, timeout: float) -> Verdict:
+@dataclass
+class _Told:
+    """What children have answered so far."""
+
+    findings: list[Finding] = field(default_factory=list)
+    passed: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+
+    def read(
+        self, lines: list[dict[str, Any]], tasks: list[_TrialTask], code: int | None, timeout: float
+    ) -> list[_TrialTask]:
+        """Take an answer in; return the trials that are still to be made."""
+        left, stopped, failed = list(tasks), None, set()
+        for line in lines:
+            if begun := line.get("begun"):
+                stopped = (begun[0], begun[1])
+                left.remove(stopped)
+                continue
+            assert stopped is not None
+            found = [Finding(**one) for one in line["findings"]]
+            self.findings += found
+            note = "".join(f": {note}" for note in line["notes"])
+            if line["skipped"]:
+                self.skipped.append(f"{_called(stopped)}: {line['skipped']}")
+            elif not found:
+                self.passed.append(_called(stopped) + note)
+            elif stopped[0] == TRIALS[0].__name__:
+                failed.add(stopped[1])
+            stopped = None
+        if stopped is not None:
+            how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
+            rule = CRASH_LIGHTLY if stopped[0] in OPTIONAL else CRASH
+            self.findings.append(rule.at(_called(stopped), f"the FMU {how}"))
+            failed.update({stopped[1]} if stopped[0] == TRIALS[0].__name__ else ())
+        return [task for task in left if task[1] not in failed]  # who does not start, does nothing
+
+
+def _called(task: _TrialTask) -> str:
+    return f"{task[0]} ({task[1]})"
+
+
+def _tried(bench: Bench, trial: Trial, kind: str) -> dict[str, Any]:
+    """Return what a trial found, what it noted, and why it was skipped."""
     findings: list[Finding] = []
-    told: dict[str, list[str]] = {"passed": [], "skipped": []}
-    open_trial = ""
-    for line in lines:
-        match line:
-            case {"begun": str(name)}:
-                open_trial = name
-            case {"ended": str(name), "findings": list(found), "skipped": str(why)}:
-                open_trial = ""
-                findings += [Finding(**one) for one in found]
-                if why:
-                    told["skipped"].append(f"{name}: {why}")
-                elif not found:
-                    told["passed"].append(name)
-    if open_trial:
-        how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
-        findings.append(
-            Finding(WRONG, "crash", open_trial, f"the FMU {how}", "mend it; do not use it")
-        )
-    return Verdict(tuple(findings), tuple(told["passed"]), tuple(told["skipped"]))
-
-
-def _tried(bench: Bench, trial: Trial, kind: str) -> tuple[list[Finding], str]:
-    """Return the findings of a trial, and why it was skipped."""
+    notes: list[str] = []
+    skipped = ""
     try:
-        return list(trial(bench, kind)), ""
-    except Skipped as skipped:
-        return [], str(skipped)
+        for one in trial(bench, kind):
+            if isinstance(one, Finding):
+                findings.append(one)
+            else:
+                notes.append(str(one))
+    except Skipped as reason:
+        skipped = str(reason)
     except Exception as error:
         told = f"the FMU failed: {sentence(str(error)) or type(error).__name__}"
-        return [Finding(WRONG, trial.__name__, kind, told, "mend it; see its log")], ""
+        level = ADVICE if trial.__name__ in OPTIONAL else WRONG
+        rule = Rule(trial.__name__, level, FAILED, "mend it; see its log")
+        findings.append(rule.at(kind, told))
+    return {"findings": [f.row() for f in findings], "notes": notes, "skipped": skipped}
 
 
-def _lines(bench: Bench, kinds: list[str]) -> Iterator[dict[str, object]]:
-    for kind in kinds:
-        for trial in TRIALS:
-            name = f"{trial.__name__} ({kind})"
-            yield {"begun": name}
-            findings, why = _tried(bench, trial, kind)
-            yield {"ended": name, "findings": [f.row() for f in findings], "skipped": why}
-            if findings and trial is TRIALS[0]:
-                break  # what does not start is not tried further
+def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, Any]]:
+    trials, failed = {trial.__name__: trial for trial in TRIALS}, set()
+    failures: dict[tuple[str, str], str] = {}
+    for name, kind in tasks:
+        if kind in failed:
+            continue
+        yield {"begun": (name, kind)}
+        answer = _tried(bench, trials[name], kind)
+        for one in answer["findings"]:
+            if one["importers"] == FAILED:
+                before = failures.setdefault((kind, one["found"]), name)
+                if before != name:  # one fault, one finding
+                    answer |= {"findings": [], "skipped": f"it fails like {before}"}
+        yield answer
+        if answer["findings"] and trials[name] is TRIALS[0]:
+            failed.add(kind)
 
 
-def _main(answer: Path, files: Path, name: str, kinds: list[str]) -> None:
+def _main(answer: Path, files: Path, name: str, timeout: float, tasks: list[_TrialTask]) -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
     Limits.chosen().apply()
     if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
     with answer.open("w", encoding="utf-8") as stream:
-        for line in _lines(Bench(files, name), kinds):
+        for line in _outcome_lines(Bench(files, name, timeout), tasks):
             stream.write(json.dumps(line) + "\n")
             stream.flush()
     os._exit(0)  # whatever threads and handlers the FMU has left
 
 
 if __name__ == "__main__":
-    _main(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], sys.argv[4:])
+    _words = sys.argv[1:]
+    _main(Path(_words[0]), Path(_words[1]), _words[2], float(_words[3]), json.loads(_words[4]))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import PurePosixPath
 
-from cosim.fmi.archive import DESCRIPTION, Source, content_of, opened
+from cosim.fmi.archive import DESCRIPTION, Source, entry_content, opened
 from cosim.fmi.check import rules
 from cosim.fmi.check.description import description_findings
 from cosim.fmi.check.finding import Finding, Rule
@@ -43,7 +43,7 @@ def check_fmu(source: Source) -> list[str]:
 def findings_of(archive: zipfile.ZipFile) -> Iterator[Finding]:
     """Tell what is wrong with an opened FMU, by the FMI and by the rules of this house."""
     yield from _archive(archive)
-    content = content_of(archive, DESCRIPTION)
+    content = entry_content(archive, DESCRIPTION)
     try:
         described = parse(content)
     except ValueError as error:
@@ -94,7 +94,7 @@ def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Find
             if name not in archive.namelist():
                 yield rules.BINARY.at(name, "is missing", f"{name} is missing")
                 continue
-            content = content_of(archive, name)
+            content = entry_content(archive, name)
             if described.token.encode() not in content:
                 told = "the library does not hold the GUID or token: "
                 told += "it reads it elsewhere, or is another's"

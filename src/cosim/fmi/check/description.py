@@ -1,6 +1,5 @@
 """What a model description must get right beyond its schema, as FMI 2.0.4 and 3.0.2 have it."""
 
-import re
 from collections import Counter
 from collections.abc import Iterator
 from math import isfinite
@@ -13,8 +12,7 @@ from cosim.fmi.check.parsed import REAL, Described, Description
 from cosim.fmi.check.structure import structure_findings
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_CONTINUOUS = ("exact", "approx", "calculated")
+_INITIALS = ("exact", "approx", "calculated")
 # FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7.5. None: the attribute is absent.
 _INITIAL: dict[tuple[str, str], tuple[str | None, ...]] = {
     **{("parameter", v): ("exact",) for v in ("fixed", "tunable")},
@@ -23,7 +21,7 @@ _INITIAL: dict[tuple[str, str], tuple[str | None, ...]] = {
     **{("local", v): ("approx", "calculated") for v in ("fixed", "tunable")},
     **{("input", v): (None,) for v in ("discrete", "continuous")},
     **{(c, "constant"): ("exact",) for c in ("output", "local")},
-    **{(c, v): _CONTINUOUS for c in ("output", "local") for v in ("discrete", "continuous")},
+    **{(c, v): _INITIALS for c in ("output", "local") for v in ("discrete", "continuous")},
     ("independent", "continuous"): (None,),
 }
 
@@ -33,13 +31,13 @@ def description_findings(described: Description) -> Iterator[Finding]:
     yield from _head(described)
     yield from _units(described)
     for variable in described.variables:
-        for rule, told in _variable(described, variable):
+        for rule, told in _variable_findings(described, variable):
             yield rule.at(f"variable '{variable.name}'", told)
-    yield from _names(described)
+    yield from _name_findings(described)
     yield from structure_findings(described)
 
 
-def _names(described: Description) -> Iterator[Finding]:
+def _name_findings(described: Description) -> Iterator[Finding]:
     for name, count in Counter(v.name for v in described.variables).items():
         if count > 1:
             yield rules.NAME.at(f"variable '{name}'", f"{count} variables have this name")
@@ -55,10 +53,10 @@ def _head(described: Description) -> Iterator[Finding]:
         )
     for name, attributes in described.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")
-        if not _IDENTIFIER.fullmatch(identifier):
+        if not (identifier.isascii() and identifier.isidentifier()):
             yield rules.IDENTIFIER.at(name, f"modelIdentifier '{identifier}' is no C name")
     experiment = root.find("DefaultExperiment")
-    numbers = {} if experiment is None else {k: _number(v) for k, v in experiment.attrib.items()}
+    numbers = {} if experiment is None else {k: _finite(v) for k, v in experiment.attrib.items()}
     for name, value in numbers.items():
         if value is None or (name in ("tolerance", "stepSize") and value <= 0):
             told = f"{name} is no finite number in its range"
@@ -68,7 +66,7 @@ def _head(described: Description) -> Iterator[Finding]:
         yield rules.EXPERIMENT.at("DefaultExperiment", "stopTime is not after startTime")
 
 
-def _number(text: str) -> float | None:
+def _finite(text: str) -> float | None:
     """Return a finite number, None for anything else; NaN and INF are schema-valid."""
     try:
         value = float(text)
@@ -90,15 +88,15 @@ def _units(described: Description) -> Iterator[Finding]:
         if name not in used:
             yield rules.UNIT_HOUSE.about(DESCRIPTION, f"unit '{name}' is not used")
         for element in (*unit.findall("BaseUnit"), *unit.findall("DisplayUnit")):
-            factor = _number(element.get("factor", "1"))
-            if not factor or _number(element.get("offset", "0")) is None:
+            factor = _finite(element.get("factor", "1"))
+            if not factor or _finite(element.get("offset", "0")) is None:
                 told = f"unit '{name}': factor or offset of {element.tag} is no finite number"
                 yield rules.UNIT.about(DESCRIPTION, told)
     for name in sorted(used - set(names)):
         yield rules.UNIT.about(DESCRIPTION, f"unit '{name}' is not defined")
 
 
-def _variable(described: Description, variable: Described) -> Iterator[tuple[Rule, str]]:
+def _variable_findings(described: Description, variable: Described) -> Iterator[tuple[Rule, str]]:
     texts = variable.texts
     kinds = (variable.causality, variable.variability)
     allowed = _INITIAL.get(kinds, ())
@@ -118,7 +116,7 @@ def _variable(described: Description, variable: Described) -> Iterator[tuple[Rul
     if variable.kind not in REAL:
         return
     numbers = ("min", "max", "nominal", "start")
-    number = {k: _number(texts[k]) for k in numbers if k in texts and " " not in texts[k].strip()}
+    number = {k: _finite(texts[k]) for k in numbers if k in texts and " " not in texts[k].strip()}
     for name, value in number.items():
         if value is None:
             yield rules.NUMBER, f"{name} = {texts[name]} is no finite number"
@@ -156,5 +154,5 @@ def _base(unit: ET.Element | None) -> dict[str, float]:
     element = None if unit is None else unit.find("BaseUnit")
     if element is None:
         return {}
-    exponents = {name: _number(element.get(name, "0")) or 0.0 for name in BASE_UNITS}
-    return exponents | {"factor": _number(element.get("factor", "1")) or 0.0}
+    exponents = {name: _finite(element.get(name, "0")) or 0.0 for name in BASE_UNITS}
+    return exponents | {"factor": _finite(element.get("factor", "1")) or 0.0}

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.archive import content_of
+from cosim.fmi.archive import entry_content
 
 BUILD = "sources/buildDescription.xml"
 _SECTIONS = {
@@ -42,6 +42,11 @@ class Described:
     reference: str
     derivative_of: int | None
     texts: Mapping[str, str]
+
+    @property
+    def nominal(self) -> float:
+        """Nominal value, above 0; 1 where there is none."""
+        return abs(float(self.texts.get("nominal", "1"))) or 1.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ def listed_sources(archive: zipfile.ZipFile, described: Description) -> dict[str
         }
     if BUILD not in archive.namelist():
         return {}
-    build = ET.fromstring(content_of(archive, BUILD))
+    build = ET.fromstring(entry_content(archive, BUILD))
     return {
         one.get("modelIdentifier", ""): [e.get("name", "") for e in one.iter("SourceFile")]
         for one in build.iter("BuildConfiguration")

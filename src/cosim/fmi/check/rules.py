@@ -11,8 +11,6 @@ from cosim.fmi.check.finding import ADVICE, HOUSE, WRONG, Rule
 # Archive
 ENTRY_NAME = Rule("entry-name", ADVICE,
     "unpack it under another name, or not at all, on some systems", "name files in ASCII, with /")
-ENTRY_TWICE = Rule("entry-twice", ADVICE,
-    "unpack it twice; some refuse the archive", "pack every entry once")
 COMPRESSION = Rule("compression", WRONG, "many cannot unpack it", "pack with method deflate")
 ARCHIVE = Rule("archive", WRONG, "cannot unpack it", "pack the file again")
 
@@ -20,8 +18,6 @@ ARCHIVE = Rule("archive", WRONG, "cannot unpack it", "pack the file again")
 XML = Rule("xml", WRONG, "cannot read the file", "write well-formed XML")
 SCHEMA = Rule("schema", WRONG,
     "those that validate refuse the file, as fmpy --validate does", "write what the schema allows")
-MANIFEST = Rule("schema", ADVICE,
-    "those that know the layered standard ignore or refuse it", "write what the schema allows")
 VERSION = Rule("version", WRONG,
     "read FMI 1.0 by other rules, other versions not at all", "give an FMU of FMI 2.0 or 3.0")
 TOKEN = Rule("token", WRONG, "have nothing to instantiate it with", "give the token a value")

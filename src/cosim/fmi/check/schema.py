@@ -1,39 +1,32 @@
 """The XML files of an FMU against the FMI's own schemas, which come with fmpy."""
 
-import re
 import zipfile
 from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from cosim.fmi.archive import DESCRIPTION, content_of
+from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check import rules
-from cosim.fmi.check.finding import Finding, Rule
-from cosim.fmi.check.parsed import BUILD, fmi_version
+from cosim.fmi.check.finding import Finding
+from cosim.fmi.check.parsed import BUILD
 
 _MOST = 10  # findings in a file: one fault can have hundreds
-_SCHEMAS = (
-    (BUILD, "fmi3/fmi3BuildDescription.xsd", rules.SCHEMA),
-    ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3/fmi3TerminalsAndIcons.xsd", rules.SCHEMA),
-    (r"extra/.*/fmi-ls-manifest.xml", "fmi3/fmi3LayeredStandardManifest.xsd", rules.MANIFEST),
-)
+_SCHEMAS = {  # of what layered standards add, the standards have their own
+    BUILD: "fmi3/fmi3BuildDescription.xsd",
+    "terminalsAndIcons/terminalsAndIcons.xml": "fmi3/fmi3TerminalsAndIcons.xsd",
+}
 
 
-def schema_findings(archive: zipfile.ZipFile) -> Iterator[Finding]:
+def schema_findings(archive: zipfile.ZipFile, version: str) -> Iterator[Finding]:
     """Tell what the schemas of the FMI do not allow, at most ten findings a file."""
-    content = content_of(archive, DESCRIPTION)
-    version = fmi_version(content)[:1]
-    if version in ("2", "3"):
-        name = f"fmi{version}/fmi{version}ModelDescription.xsd"
-        yield from _against(name, rules.SCHEMA, DESCRIPTION, content)
-    for pattern, name, rule in _SCHEMAS:
-        for entry in archive.namelist():
-            if re.fullmatch(pattern, entry):
-                yield from _against(name, rule, entry, content_of(archive, entry))
+    own = {DESCRIPTION: f"fmi{version}/fmi{version}ModelDescription.xsd"}
+    for entry, name in (own | _SCHEMAS).items():
+        if entry in archive.namelist():
+            yield from _against(name, entry, entry_content(archive, entry))
 
 
-def _against(schema: str, rule: Rule, entry: str, content: bytes) -> Iterator[Finding]:
+def _against(schema: str, entry: str, content: bytes) -> Iterator[Finding]:
     from lxml import etree
 
     try:
@@ -45,7 +38,7 @@ def _against(schema: str, rule: Rule, entry: str, content: bytes) -> Iterator[Fi
     if known.validate(tree):
         return
     for fault in list(known.error_log)[:_MOST]:
-        yield rule.at(f"{entry} line {fault.line}", fault.message.rstrip("."))
+        yield rules.SCHEMA.at(f"{entry} line {fault.line}", fault.message.rstrip("."))
 
 
 @cache

@@ -23,7 +23,7 @@ def structure_findings(described: Description) -> Iterator[Finding]:
         parameters = {i for i in parameters if variables[i].variability == "tunable"}
     running = moving | states | parameters
     for name, wanted, known in (
-        ("Outputs", _outputs(described), running),
+        ("Outputs", _output_positions(described), running),
         ("Derivatives", _derivatives(described), running),
         ("InitialUnknowns", _initial_unknowns(described), given),
     ):
@@ -51,7 +51,7 @@ def _references(described: Description) -> Iterator[Finding]:
             yield rules.REFERENCES.about(DESCRIPTION, told)
 
 
-def _outputs(described: Description) -> list[int]:
+def _output_positions(described: Description) -> list[int]:
     return [i for i, v in enumerate(described.variables) if v.causality == "output"]
 
 
@@ -64,7 +64,7 @@ def _initial_unknowns(described: Description) -> list[int]:
     variables = described.variables
     derivatives = _derivatives(described)
     states = [place for i in derivatives if (place := variables[i].derivative_of) is not None]
-    members = {*_outputs(described), *derivatives, *states} - {-1}
+    members = {*_output_positions(described), *derivatives, *states} - {-1}
     members |= {i for i, v in enumerate(variables) if v.causality == "calculatedParameter"}
     clocked = {i for i in members if variables[i].kind == "Clock" or "clocks" in variables[i].texts}
     members -= clocked  # which initialization does not compute

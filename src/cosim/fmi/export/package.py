@@ -26,7 +26,7 @@ from cosim.fmi.export.description.fmi3_xml import FMI3
 from cosim.fmi.export.description.model_description import Identity, model_description
 from cosim.fmi.export.identifier import model_identifier
 from cosim.fmi.export.solver_choice import solver_for, uses_dop853
-from cosim.fmi.export.sources.c_files import equations, model_header, variable_table
+from cosim.fmi.export.sources.c_files import equations_c, model_header, variable_table
 from cosim.fmi.export.tunable import tunable_parameters
 from cosim.fmi.export.variables import fmu_variables
 from cosim.fmi.platforms import NATIVE, targets
@@ -140,7 +140,7 @@ def source_files(
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
         "model.c": variable_table(dae, variables).encode(),
-        "equations.c": equations(dae, name, fmi, solver).encode(),
+        "equations.c": equations_c(dae, name, fmi, solver).encode(),
     }
     if uses_dop853(dae, solver):
         code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}

@@ -10,7 +10,7 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.dependencies import start_parameters
 
 ALL = "all"
-IDLE = "nothing follows from it after the start"
+WHY_IDLE = "nothing follows from it after the start"
 
 
 def fixed_parameters(dae: Dae) -> Mapping[str, str]:
@@ -22,7 +22,7 @@ def fixed_parameters(dae: Dae) -> Mapping[str, str]:
     for parameter, needed in zip(dae.parameters, used, strict=True):
         base = dict(UNITS[parameter.unit].base)
         if not needed:
-            reasons[parameter.name] = IDLE
+            reasons[parameter.name] = WHY_IDLE
         elif parameter.name in starting:
             reasons[parameter.name] = "start values follow from it"
         elif base.get("kg") and not base.get("s"):
@@ -46,12 +46,12 @@ def tunable_parameters(dae: Dae, wanted: Sequence[str] | None) -> tuple[str, ...
     if wanted is None:
         return tuple(name for name in names if name not in fixed)
     if tuple(wanted) == (ALL,):
-        return tuple(name for name in names if fixed.get(name) != IDLE)
+        return tuple(name for name in names if fixed.get(name) != WHY_IDLE)
     for name in wanted:
         if name not in names:
             raise UnknownName.among(dae.full_name, "parameter", name, names)
-        if fixed.get(name) == IDLE:
+        if fixed.get(name) == WHY_IDLE:
             raise UsageError(
-                f"{dae.full_name}: {name} cannot be tunable, as {IDLE}; set it before a run"
+                f"{dae.full_name}: {name} cannot be tunable, as {WHY_IDLE}; set it before a run"
             )
     return tuple(wanted)

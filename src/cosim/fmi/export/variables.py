@@ -67,7 +67,7 @@ def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
     observed = frozenset(dae.observed)
     yield FmuVariable("time", "simulation time", "s", Role.TIME)
     for state, guess, start in zip(dae.states, dae.x_start, _settled(dae), strict=True):
-        variable = _plain(state, Role.STATE, observed, guess)
+        variable = _fmu_variable(state, Role.STATE, observed, guess)
         if state.start_kind is Start.CALCULATED:
             variable = replace(variable, start=start, guess=guess)
         yield variable
@@ -81,14 +81,14 @@ def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
             derivative_of=1 + i,
         )
     for algebraic in dae.algebraics:
-        yield _plain(algebraic, Role.ALGEBRAIC, observed, algebraic.start)
+        yield _fmu_variable(algebraic, Role.ALGEBRAIC, observed, algebraic.start)
     for quantity in dae.inputs:
-        yield _plain(quantity, Role.INPUT, frozenset(), quantity.start)
+        yield _fmu_variable(quantity, Role.INPUT, frozenset(), quantity.start)
     for parameter in dae.parameters:
-        variable = _plain(parameter, Role.PARAMETER, frozenset(), parameter.start)
+        variable = _fmu_variable(parameter, Role.PARAMETER, frozenset(), parameter.start)
         yield replace(variable, tunable=parameter.name in tunable)
     for output in dae.output_variables:
-        yield _plain(output, Role.OUTPUT, observed, None)
+        yield _fmu_variable(output, Role.OUTPUT, observed, None)
 
 
 def _rate_display(state: Variable) -> str | None:
@@ -114,7 +114,7 @@ def _rounded(value: float, nominal: float) -> float:
     return float(f"{value:.15g}") if abs(value) > 1e-14 * nominal else 0.0
 
 
-def _plain(
+def _fmu_variable(
     variable: Variable, role: Role, observed: frozenset[str], start: float | None
 ) -> FmuVariable:
     return FmuVariable(

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from cosim.model.inputs import InputSeries
 
-Values = dict[str, float]
+InputValues = dict[str, float]
 
 
-def start_values(series: InputSeries, start_time: float) -> Values:
+def inputs_at_start(series: InputSeries, start_time: float) -> InputValues:
     """Return the inputs at the start by name, to be set before initialization ends."""
     at_start = series.at(np.array([start_time]))[:, 0]
     return dict(zip(series.names, map(float, at_start), strict=True))
 
 
 def drive_model_exchange(
-    instance: Any, series: InputSeries, references: Sequence[int], constants: Values
+    instance: Any, series: InputSeries, references: Sequence[int], constants: InputValues
 ) -> NDArray[Any]:
     """Make an FMU's inputs follow a series wherever its time is set; return fmpy's `input` array.
 

@@ -11,7 +11,6 @@ from cosim.text.escaping import sentence
 
 INTERFACES = ("ModelExchange", "CoSimulation")
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _MESSAGES = 3  # of an FMU's log, in an error
@@ -54,7 +53,7 @@ def choose_interface(folder: Path, description: Any, wanted: str | None, name: o
 def _find_library(folder: Path, description: Any, identifier: str, name: object) -> None:
     import fmpy
 
-    if not _IDENTIFIER.fullmatch(identifier):
+    if not (identifier.isascii() and identifier.isidentifier()):
         told = sentence(identifier)
         raise SecurityError(f"{name}: modelIdentifier '{told}' is no C name; do not use it")
     if len(identifier) > _MOST_LETTERS:

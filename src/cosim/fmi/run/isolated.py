@@ -21,7 +21,7 @@ import numpy as np
 
 from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
-from cosim.fmi.run.limits import VARIABLE, Limits
+from cosim.fmi.run.limits import LIMITS_VARIABLE, Limits
 from cosim.host.processes import MARK, end_all
 from cosim.host.temporary import temporary_folder
 from cosim.model.inputs import InputSeries
@@ -34,7 +34,7 @@ _SUNDIALS = "[ERROR][rank"  # how fmpy's solver begins what its error says, too
 MOST_OUTPUT = 10_000  # bytes of what an FMU prints
 ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
-    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", VARIABLE),
+    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", LIMITS_VARIABLE),
 )
 
 
@@ -71,7 +71,7 @@ def simulate_apart(
         if code is None:
             raise FmuError(f"{path}: the FMU did not end within {timeout:g} s and was stopped")
         try:
-            return _answer(folder, place, str(path))
+            return _read_answer(folder, place, str(path))
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise FmuError(
                 f"{path}: the FMU {how_it_ended(code)} while it ran; do not use it"
@@ -177,7 +177,7 @@ class _Ended(BaseException):
         self.number = number
 
 
-def _answer(folder: Path, place: str, name: str) -> Trajectory:
+def _read_answer(folder: Path, place: str, name: str) -> Trajectory:
     answer = json.loads((folder / _ANSWER).read_text())
     if "error" in answer:
         kind = getattr(errors, answer["error"])
@@ -196,7 +196,7 @@ def how_it_ended(code: int) -> str:
         kind = signal.Signals(-code)
         limits = {"SIGXCPU": "time on the processor", "SIGXFSZ": "size of a file"}
         if kind.name in limits:
-            return f"exceeded the limit of the {limits[kind.name]} ({VARIABLE})"
+            return f"exceeded the limit of the {limits[kind.name]} ({LIMITS_VARIABLE})"
         return f"crashed ({kind.name})"
     return f"crashed (signal {-code})"
 
@@ -216,7 +216,7 @@ def _main(folder: Path) -> None:
     except CosimError as error:
         answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
-        told = f"{path}: the FMU exceeded the limit of memory ({VARIABLE})"
+        told = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
         answer = {"error": "FmuError", "message": told}
     except BaseException as error:
         told = f"{path}: it cannot be run: {type(error).__name__}: {sentence(str(error))}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cosim.errors import UsageError
 
-VARIABLE = "COSIM_FMU_LIMITS"
+LIMITS_VARIABLE = "COSIM_FMU_LIMITS"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Limits:
         Raises:
             UsageError: It is not like `memory=32e9,cpu=0`.
         """
-        chosen, text = cls(), os.environ.get(VARIABLE, "")
+        chosen, text = cls(), os.environ.get(LIMITS_VARIABLE, "")
         known = asdict(chosen)
         for word in filter(None, text.split(",")):
             name, _, value = word.partition("=")
@@ -46,7 +46,7 @@ class Limits:
                 number = -1.0
             if name.strip() not in known or not 0 <= number < 2**62:
                 raise UsageError(
-                    f"{VARIABLE}: '{word}' is no limit; give some of {', '.join(known)} as "
+                    f"{LIMITS_VARIABLE}: '{word}' is no limit; give some of {', '.join(known)} as "
                     "NAME=NUMBER, 0 for none, e.g. memory=32e9,cpu=0"
                 )
             chosen = replace(chosen, **{name.strip(): int(number)})

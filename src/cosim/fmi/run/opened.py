@@ -17,11 +17,11 @@ from cosim.fmi.run.instance import (
 )
 from cosim.fmi.run.simulate import (
     column_of,
+    given_numbers,
     recorded,
     rows_of,
     simulated,
     span_of,
-    start_numbers,
     tolerance_of,
 )
 from cosim.model.time_grid import time_grid
@@ -60,7 +60,7 @@ class OpenedFmu:
 
     def settable(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return start values, or refuse them; see `simulate_fmu`."""
-        return start_numbers(self.path, self.variables, values)
+        return given_numbers(self.path, self.variables, values)
 
     def times(
         self, start_time: float | None, stop_time: float | None, output_interval: float | None

@@ -82,7 +82,7 @@ def simulate_fmu(
         span = span_of(path, description, start_time, stop_time, output_interval)
         tolerance = tolerance_of(path, relative_tolerance)
         variables = by_name(description)
-        values = start_numbers(path, variables, {} if start is None else start)
+        values = given_numbers(path, variables, {} if start is None else start)
         names = recorded(path, variables, outputs)
         series = followed(str(path), inputs, span.times)
         refuse_series(path, description, series, values)
@@ -170,7 +170,7 @@ def tolerance_of(path: object, relative: float | None) -> float | None:
     return float(relative)
 
 
-def start_numbers(
+def given_numbers(
     path: object, variables: Mapping[str, Any], start: Mapping[str, float]
 ) -> dict[str, float]:
     if not isinstance(start, Mapping):
@@ -198,7 +198,7 @@ def recorded(
     return list(dict.fromkeys(wanted))
 
 
-def _inputs(description: Any) -> dict[str, Any]:
+def _input_variables(description: Any) -> dict[str, Any]:
     return {v.name: v for v in description.modelVariables if v.causality == "input"}
 
 
@@ -211,7 +211,7 @@ def refuse_series(
         UnknownName: There is no such input.
         UsageError: It cannot follow a series.
     """
-    known = _inputs(description)
+    known = _input_variables(description)
     for name in series.names if series else ():
         if name not in known:
             raise UnknownName.among(str(path), "input", name, known)
@@ -232,9 +232,9 @@ def _driven(
     """Put a series in charge of the inputs; add their start values; return fmpy's `input`."""
     if series is None:
         return None
-    known = _inputs(description)
+    known = _input_variables(description)
     references = [known[name].valueReference for name in series.names]
-    values |= inputs.start_values(series, start_time)
+    values |= inputs.inputs_at_start(series, start_time)
     if kind == "CoSimulation":
         inputs.drive_co_simulation(instance, series, references, description.coSimulation)
         return None

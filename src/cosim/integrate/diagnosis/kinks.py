@@ -9,7 +9,7 @@ from cosim.arrays import Vector
 
 _OF_ONE = {ca.OP_SIGN: "sign", ca.OP_FABS: "fabs", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil"}
 _OF_TWO = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
-_LONGEST = 60  # expression that a message shows
+_LONGEST_EXPRESSION = 60  # expression that a message shows
 
 
 def nearest_kink(dae: Dae, t: float, x: Vector, z: Vector, u: Vector, p: Vector) -> str:
@@ -31,7 +31,7 @@ def nearest_kink(dae: Dae, t: float, x: Vector, z: Vector, u: Vector, p: Vector)
     nearest = int(np.argmin(np.abs(values.ravel())))
     expression, what = found[nearest]
     text = str(expression)
-    shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+    shown = text if len(text) <= _LONGEST_EXPRESSION else f"{text[:_LONGEST_EXPRESSION]}..."
     return f"{what} switches where {shown} is 0, and it is {float(values[nearest, 0]):.2g} there"
 
 

@@ -8,16 +8,14 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import UnknownName
-from cosim.trajectory import Column, Trajectory, optional_package
+from cosim.host.optional_packages import optional_module
+from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
     import xarray as xr
-
-Whole = NDArray[np.int64]
 
 
 class RunState(StrEnum):
@@ -59,9 +57,9 @@ class Ensemble:
     states: tuple[RunState, ...]
     reasons: Mapping[int, str]
     invalid: Mapping[int, str]
-    reached: Whole
-    steps: Whole
-    rhs_calls: Whole
+    reached: Integers
+    steps: Integers
+    rhs_calls: Integers
     error: Vector
     stats: Mapping[str, Any] = field(default_factory=dict)
 
@@ -110,7 +108,7 @@ class Ensemble:
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset` over run and time; what was given are coordinates of run."""
-        xarray = optional_package("xarray")
+        xarray = optional_module("xarray", "data")
         variables: dict[str, Any] = {
             column.name: (
                 ("run", "time"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import DEFECT_LIMIT
-from cosim.codegen.runge_kutta.lane_library import REPORT, Batch, LaneLibrary
+from cosim.codegen.runge_kutta.lane_library import RUN_REPORT, Batch, LaneLibrary
 
 CAUSES = {  # the library's codes
     1: "too many steps",
@@ -94,7 +94,7 @@ def run_lanes(
     """
     runs, points = len(starts[0]), len(grid)
     x0, u, p = (np.ascontiguousarray(rows, dtype=float) for rows in starts)
-    values, report = np.empty((runs, points, outputs)), np.empty((runs, REPORT))
+    values, report = np.empty((runs, points, outputs)), np.empty((runs, RUN_REPORT))
     following, stop = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int32)
     batch = Batch(
         runs,

@@ -17,13 +17,13 @@ from cosim.codegen.casadi_patches import (
     watched,
 )
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.functions import CALL, driven, prepared, symbols_of
+from cosim.codegen.functions import CALL, inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import explicit_function
 from cosim.integrate.engine import Engine, Problem, reported
 from cosim.integrate.families.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
-_NAMES = ("n_steps", "n_rhs", "n_jac")
+_CASADI_COUNTERS = ("n_steps", "n_rhs", "n_jac")
 _SETTINGS = 2  # of fmu/solvers/casadi_driver.h
 
 
@@ -36,7 +36,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         if problem.compiled:
             return self._generated(problem)
         options = COMMON | tolerances(self) | _grouped(problem)
-        return plugin_engine(problem, self.name, options, _NAMES)
+        return plugin_engine(problem, self.name, options, _CASADI_COUNTERS)
 
     def _generated(self, problem: Problem) -> Engine:
         """CasADi's generated integrator on the unit interval; all numbers come with `p`."""
@@ -46,7 +46,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         s, x, z, u, c = symbols_of(function)
         span = MX.sym("span", 4)  # start, length, relative and absolute tolerance
         t = span[0] + span[1] * s
-        ode, alg = function(t, x, z, driven(dae, inputs, t, u), c)
+        ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), c)
         known = ca.vertcat(c, span)
         symbols = [s, x, z, u, known]
         system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}

@@ -8,7 +8,7 @@ from casadi import MX
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
-from cosim.codegen.functions import driven, equations, prepared, symbols_of
+from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.projection import projection_step
 from cosim.codegen.runge_kutta.explicit_library import (
@@ -54,12 +54,12 @@ def explicit_engine(
         function = equations(dae, sensitivities=False)
         constants = ca.Function("constants", [dae.p], [dae.p])
         t, x, z, u, c = symbols = symbols_of(function)
-        solved = algebraic_function(dae)(t, x, z, driven(dae, inputs, t, u), c)
+        solved = algebraic_function(dae)(t, x, z, inputs_at(dae, inputs, t, u), c)
     else:
         function, constants = prepared(dae)
         t, x, z, u, c = symbols = symbols_of(function)
         solved = z
-    ode, _ = function(t, x, solved, driven(dae, inputs, t, u), c)
+    ode, _ = function(t, x, solved, inputs_at(dae, inputs, t, u), c)
     projection = projection_step(dae, c.numel()) if problem.project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
     path = explicit_library(rhs, name, method, projection)

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 from casadi import MX
 
-from cosim.codegen.functions import driven, prepared, symbols_of
+from cosim.codegen.functions import inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import fixed_step_method
 from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau, step_function
 from cosim.errors import ParameterError, UsageError
@@ -16,7 +16,7 @@ from cosim.integrate.families.explicit import explicit_engine
 from cosim.integrate.solver import Solver
 from cosim.model.values import number
 
-MOST_STEPS = 2_000_000  # interpreted, CasADi unrolls them
+MOST_UNROLLED_STEPS = 2_000_000  # interpreted, CasADi unrolls them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +51,9 @@ class FixedStep(Solver):
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
         grid, largest = problem.grid, self.step(problem)
-        if float(grid[-1] - grid[0]) / largest > MOST_STEPS:
+        if float(grid[-1] - grid[0]) / largest > MOST_UNROLLED_STEPS:
             raise ParameterError(
-                f"step_size = {largest:g} s makes more than {MOST_STEPS:.0e} steps; "
+                f"step_size = {largest:g} s makes more than {MOST_UNROLLED_STEPS:.0e} steps; "
                 "give a larger one"
             )
         if not problem.compiled:
@@ -67,7 +67,7 @@ class FixedStep(Solver):
         parts = np.maximum(1, np.ceil(intervals / largest * (1 - 1e-12))).astype(int)
         full, constants = prepared(dae, sensitivities=problem.sensitivities)
         t, x, z, u, c = symbols_of(full)
-        ode, _ = full(t, x, z, driven(dae, problem.inputs, t, u), c)
+        ode, _ = full(t, x, z, inputs_at(dae, problem.inputs, t, u), c)
         rhs = ca.Function("rhs", [t, x, u, c], [ode])
         step = step_function(rhs, self.tableau)
         sizes = np.repeat(intervals / parts, parts)

@@ -8,7 +8,7 @@ import numpy as np
 from casadi import MX
 
 from cosim.codegen.casadi_library import cache_key, external
-from cosim.codegen.functions import CALL, driven, equations, is_large, symbols_of
+from cosim.codegen.functions import CALL, equations, inputs_at, is_large, symbols_of
 from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts, Engine, Problem
 from cosim.integrate.solver import AdaptiveSolver
@@ -33,7 +33,7 @@ def plugin_engine(
     if problem.compiled or inputs is not None or large:
         function = _equations(problem)
         t, x, z, u, p = symbols = symbols_of(function)
-        ode, alg = function(t, x, z, driven(dae, inputs, t, u), p)
+        ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), p)
         system: dict[str, Any] = dict(zip(CALL, symbols, strict=True)) | {"ode": ode, "alg": alg}
     else:
         system = dae.casadi

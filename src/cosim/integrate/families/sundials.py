@@ -12,7 +12,7 @@ from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.plugin import COMMON, plugin_engine, restarted_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
-_NAMES = ("nsteps", "nfevals", "nlinsetups")
+_SUNDIALS_COUNTERS = ("nsteps", "nfevals", "nlinsetups")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class Cvodes(AdaptiveSolver):
         options["min_step_size"] = 1e-18 * span
         if anew:
             return restarted_engine(problem, "cvodes", options)
-        return plugin_engine(problem, "cvodes", options, _NAMES)
+        return plugin_engine(problem, "cvodes", options, _SUNDIALS_COUNTERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,4 +90,4 @@ class Idas(AdaptiveSolver):
         return COMMON | tolerances(self) | {"suppress_algebraic": self.suppress_algebraic}
 
     def _engine(self, problem: Problem, start: Mapping[str, Any]) -> Engine:
-        return plugin_engine(problem, "idas", self._options | dict(start), _NAMES)
+        return plugin_engine(problem, "idas", self._options | dict(start), _SUNDIALS_COUNTERS)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from threading import current_thread, main_thread
+from time import perf_counter
 
 import casadi as ca
 import numpy as np
@@ -26,12 +27,14 @@ class Reached:
         counts: What it took.
         reason: Why it stopped before the last output time, `INTERRUPTED` after Ctrl-C; empty where
             it did not.
+        solve_time: How long that took, s.
     """
 
     states: Vector
     algebraics: Vector
     counts: Counts
     reason: str
+    solve_time: float
 
 
 def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
@@ -45,6 +48,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         p = extended
     arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
     counts = Counts()
+    began = perf_counter()
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
     with redirect_stderr(told), _interruptible(engine.library) as interrupts:
         try:
@@ -55,6 +59,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
             counts = engine.counts()
             cause = counts.cause or "step size too small, or too many steps"
             reason = "" if succeeded else cause
+    took = perf_counter() - began
     if engine.kept is not None:
         states, algebraics = states[engine.kept], algebraics[engine.kept]
         n = len(states)
@@ -67,7 +72,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         reason += f" ({last})" if last else ""
     elif reached < n:
         reason = "a state is not finite"
-    return Reached(states[:reached].T, algebraics[:reached].T, counts, reason)
+    return Reached(states[:reached].T, algebraics[:reached].T, counts, reason, took)
 
 
 def call_on_arrays(

@@ -83,7 +83,9 @@ def all_columns(dae: Dae) -> tuple[Column, ...]:
 
 
 @kept_per_thread(16)
-def recorded(dae: Dae, names: tuple[str, ...]) -> tuple[tuple[Column, ...], tuple[int, ...]]:
+def recorded_columns(
+    dae: Dae, names: tuple[str, ...]
+) -> tuple[tuple[Column, ...], tuple[int, ...]]:
     """Return the columns of these names, and their places among `all_columns`."""
     every = all_columns(dae)
     place = {column.name: i for i, column in enumerate(every)}

@@ -1,26 +1,24 @@
 """From a problem and its numbers to everything observable on the grid."""
 
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.functions import equations
 from cosim.errors import UnknownName, UsageError
+from cosim.integrate.diagnosis.crossing import crossings, watching_rank
 from cosim.integrate.diagnosis.validity import Breach, breaches, too_coarse
 from cosim.integrate.engine import Counts, Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.run.call import INTERRUPTED, Reached, call
+from cosim.integrate.run.attempts import Start, integrated
+from cosim.integrate.run.call import INTERRUPTED, call
 from cosim.integrate.run.outputs import all_columns, observe
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import engine_of
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
-
-Numbers = tuple[Vector, Vector, Vector, Vector]  # start of x, guess of z, p, u
 
 
 @dataclass(frozen=True)
@@ -60,30 +58,27 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
     counts, solve_time = Counts(), None
     reason, note, found = "", "", list[Breach]()
     if len(grid) > 1 and dae.states:
-        engine = engine_of(problem, solver)
-        ready = perf_counter()
-        numbers = (x0, z0, values.p, values.u)
-        reached = _reached(engine, numbers, dae, grid[0], replace(values, u=u[:, 0]))
-        failed = reached.reason not in ("", INTERRUPTED)
-        lenient = engine.fallback(reached.reason) if failed and engine.fallback else None
-        if lenient is not None:
-            other = _reached(lenient, numbers, dae, grid[0], replace(values, u=u[:, 0]))
-            if not other.reason:
-                note = f"without errors of algebraic unknowns, with which: {reached.reason}"
-                reached = other
-        counts, solve_time = reached.counts, perf_counter() - ready
+        start = Start(x0, z0, replace(values, u=u[:, 0]))
+        reached, note = integrated(problem, solver, start)
+        counts, solve_time = reached.counts, reached.solve_time
         states, guesses, reason = reached.states, reached.algebraics, reached.reason
         if isinstance(solver, FixedStep) and not reason and on_invalid != "ignore":
             found, reason = _step_check(problem, solver, states, z0, values)
     n = states.shape[1]
-    table, margins = observe(dae, grid[:n], states, guesses, u[:, :n], values.p, problem.compiled)
+    watched = dae if problem.project or on_invalid == "ignore" else watching_rank(dae)
+    u = u[:, :n]
+    table, margins = observe(watched, grid[:n], states, guesses, u, values.p, problem.compiled)
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if bad.size:
         n = int(bad[0])
         name = all_columns(dae)[int(np.argmin(np.isfinite(table[n])))].name
         reason = reason or f"{name} is not finite at {grid[n]:g} s"
     if on_invalid != "ignore":
-        found = sorted([*found, *breaches(dae, grid[:n], margins[:n])])
+        margins = margins[:n]
+        found += breaches(dae, grid[:n], margins[:, : len(dae.limits)])
+        if watched is not dae:
+            found += _crossings(dae, grid[:n], table[:n], u[:, :n], values.p, margins[:, -1])
+        found.sort()
         if found and on_invalid == "stop":
             n, reason = found[0]
     return Solution(grid, table[:n], counts, solve_time, reason, tuple(found), note)
@@ -107,23 +102,11 @@ def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | N
     return table
 
 
-def _reached(engine: Engine, numbers: Numbers, dae: Dae, t: float, values: Values) -> Reached:
-    """Call an engine, once more where it fails at a start that is consistent."""
-    reached = call(engine, *numbers)
-    if engine.restart is not None and not _started(reached):
-        x0, z0, *_ = numbers
-        reached = call(engine.restart(_slopes(dae, t, x0, z0, values)), *numbers)
-    return reached
-
-
-def _started(reached: Reached) -> bool:
-    return reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
-
-
-def _slopes(dae: Dae, t: float, x: Vector, z: Vector, values: Values) -> Vector:
-    """Return dx/dt at a consistent state, (nx,)."""
-    ode, _ = equations(dae)(t, x, z, values.u, values.p)
-    return np.array(ode).ravel()
+def _crossings(
+    dae: Dae, grid: Vector, table: Vector, u: Vector, p: Vector, rank: Vector
+) -> list[Breach]:
+    nx, nz = len(dae.states), len(dae.algebraics)
+    return crossings(dae, grid, table[:, :nx].T, table[:, nx : nx + nz].T, u, p, rank)
 
 
 def _step_check(

@@ -145,7 +145,7 @@ def _converted(builder: _Builder) -> Dae:
     )
     rates = builder.states()
     names = builder.names()
-    declared = {name: _declared(builder, model, name) for name in names}
+    declared = {name: _declared_variable(builder, model, name) for name in names}
     kept = {name for name in names if builder.kind(name)}
     every = dict.fromkeys((*own.y(), *own.w(), *own.d()))
     shown = [name for name in every if name not in kept and _is_own(name)]
@@ -181,7 +181,7 @@ def _is_own(name: str) -> bool:
     return not name.startswith(("der(", "__"))
 
 
-def _declared(builder: _Builder, model: Model, name: str) -> SX:
+def _declared_variable(builder: _Builder, model: Model, name: str) -> SX:
     kind = builder.kind(name)
     starts = builder.numbers(name, builder.own.start(name))
     if not kind:

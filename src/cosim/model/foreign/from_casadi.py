@@ -113,7 +113,7 @@ def from_user(value: Any, name: str) -> Dae:
 
 def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
     refuse_sizes(who, system)
-    starts = {kind: _starts(who, system, facts, kind) for kind in "xzup"}
+    starts = {kind: _given_starts(who, system, facts, kind) for kind in "xzup"}
     rules = {entry: start for entry, start in starts["x"].items() if not isinstance(start, float)}
     starts["x"] |= dict.fromkeys(rules, 0.0)
     consistent = None
@@ -168,7 +168,7 @@ def _declared(
     return values
 
 
-def _starts(who: str, system: System, facts: Facts, kind: str) -> dict[str, Any]:
+def _given_starts(who: str, system: System, facts: Facts, kind: str) -> dict[str, Any]:
     starts = {
         entry: start
         for symbol in system.symbols[kind]

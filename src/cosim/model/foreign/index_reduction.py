@@ -9,15 +9,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from cosim.arrays import Vector
 from cosim.errors import InitialConditionError
 
-Vector = NDArray[np.float64]
-
-TOLERANCE = 1e-12  # of a constraint at the start, relative to the starts
+START_TOLERANCE = 1e-12  # of a constraint at the start, relative to the starts
 PIVOT = 1e-8  # below, a constraint repeats others
-STEPS = 50
+NEWTON_STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -58,9 +56,9 @@ def consistent_start(
     slope = constraints.factory("slope", constraints.name_in(), [f"jac:{_out(constraints)}:x"])
     free = [i for i in range(x.size) if i not in given]
     x = x.copy()
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         residual = np.asarray(constraints(x, p)).ravel()
-        if np.abs(residual).max() <= TOLERANCE * (1 + np.abs(x).max()):
+        if np.abs(residual).max() <= START_TOLERANCE * (1 + np.abs(x).max()):
             break
         matrix = np.asarray(ca.DM(slope(x, p)))[:, free]
         if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
@@ -68,7 +66,7 @@ def consistent_start(
         x[free] -= np.linalg.lstsq(matrix, residual, rcond=1e-12)[0]
     residual = np.asarray(constraints(x, p)).ravel()
     worst = int(np.argmax(np.abs(np.nan_to_num(residual, nan=np.inf))))
-    if not np.abs(residual).max() <= 1e3 * TOLERANCE * (1 + np.abs(x).max()):
+    if not np.abs(residual).max() <= 1e3 * START_TOLERANCE * (1 + np.abs(x).max()):
         fixed = ", ".join(names[i] for i in sorted(given)) or "none"
         raise InitialConditionError(
             f"{who}: constraint {worst + 1} of I is {residual[worst]:.3g} at the start and cannot "

@@ -86,13 +86,13 @@ def _of_sx(who: str, kind: str, value: SX) -> Iterator[Symbol]:
             return
     i = 0
     while i < len(scalars):
-        size = _run(names[i:])
+        size = _scalars_of_vector(names[i:])
         name = names[i] if size == 1 else names[i].rpartition("_")[0]
         yield Symbol(name, (size, 1), ca.vertcat(*scalars[i : i + size]))
         i += size
 
 
-def _run(names: list[str]) -> int:
+def _scalars_of_vector(names: list[str]) -> int:
     """Return how many names in front are y_0, y_1, ...: the scalars of one vector symbol."""
     match = _NUMBERED.fullmatch(names[0])
     if match is None or match[2] != "0":

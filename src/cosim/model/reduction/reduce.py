@@ -14,7 +14,7 @@ from casadi_models.dae import Dae, Invariant, StartRule, StartThrough, Variable
 from cosim.errors import UsageError
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.reduction.freeze import frozen_at_start
-from cosim.model.reduction.report import report
+from cosim.model.reduction.report import reduction_report
 from cosim.model.reduction.structure import closure, used
 from cosim.model.values import A_DAE, listed
 
@@ -57,10 +57,10 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     ode, alg, shared = _shared(frozen.ode[states], frozen.alg[equations], observed)
     small = replace(
         frozen,
-        x=_rows(frozen.x, states),
-        z=_rows(frozen.z, unknowns),
-        u=_rows(frozen.u, inputs),
-        p=_rows(frozen.p, parameters),
+        x=_chosen_rows(frozen.x, states),
+        z=_chosen_rows(frozen.z, unknowns),
+        u=_chosen_rows(frozen.u, inputs),
+        p=_chosen_rows(frozen.p, parameters),
         ode=ode,
         alg=alg,
         outputs=shared,
@@ -82,7 +82,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     )
     ways = tuple(_kept_ways(small, frozen, states))
     small = replace(small, limits=_kept_limits(small), start_outputs=ways)
-    return replace(small, report=tuple(report(dae, small, freeze)))
+    return replace(small, report=tuple(reduction_report(dae, small, freeze)))
 
 
 def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
@@ -105,7 +105,7 @@ def _renumbered(rule: StartRule, states: Sequence[int]) -> StartRule:
 
 
 def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX], ...]:
-    kept = _rows(dae.p, parameters)
+    kept = _chosen_rows(dae.p, parameters)
     names = {symbol.name() for symbol in ca.vertsplit(kept)}
     return tuple(
         (body, matrix)
@@ -149,7 +149,7 @@ def _shared(*columns: SX) -> list[SX]:
     return [ca.densify(ca.reshape(column, -1, 1)) for column in ca.cse(list(columns))]
 
 
-def _rows(column: SX, rows: Sequence[int]) -> SX:
+def _chosen_rows(column: SX, rows: Sequence[int]) -> SX:
     return ca.vertcat(SX(0, 1), *(column[i] for i in rows))
 
 

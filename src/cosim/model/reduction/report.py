@@ -7,7 +7,7 @@ import casadi as ca
 from casadi_models.dae import Dae
 
 
-def report(full: Dae, small: Dae, freeze: Collection[str]) -> Iterator[str]:
+def reduction_report(full: Dae, small: Dae, freeze: Collection[str]) -> Iterator[str]:
     """Yield in words what went and why, pass by pass."""
     if freeze:
         yield f"freeze: {', '.join(freeze)} became numbers"

@@ -24,7 +24,7 @@ from cosim.present.playback.render import draw_pose
 from cosim.present.scale import VIEWS
 from cosim.trajectory import Trajectory
 
-FORMATS = ("html", "glb", "mp4", "gif", "png", "svg", "pdf")
+ANIMATION_FORMATS = ("html", "glb", "mp4", "gif", "png", "svg", "pdf")
 _STILL = ("png", "svg", "pdf")
 
 
@@ -94,7 +94,7 @@ def animate(
         raise UsageError(f"animate: speed {speed:g} is not positive")
     if at is not None and kind not in _STILL:
         raise UsageError(f"animate: poses at given times make a picture; name a .png, not .{kind}")
-    per_second = movie.FRAMES_PER_SECOND.get(kind, FRAMES_PER_SECOND)
+    per_second = movie.MOVIE_RATES.get(kind, FRAMES_PER_SECOND)
     first = shown[0]
     times = still_times(first, at) if kind in _STILL else None
     played: list[Playback] = []
@@ -132,8 +132,8 @@ def animation_format(target: str | os.PathLike[str]) -> str:
         UnknownName: It is none of `FORMATS`.
     """
     kind = Path(target).suffix.lstrip(".").lower()
-    if kind not in FORMATS:
-        raise UnknownName.among(str(target), "animation format", kind, FORMATS)
+    if kind not in ANIMATION_FORMATS:
+        raise UnknownName.among(str(target), "animation format", kind, ANIMATION_FORMATS)
     return kind
 
 

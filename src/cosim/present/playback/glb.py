@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.playback.extras import extra
+from cosim.arrays import Vector
+from cosim.host.optional_packages import optional_module
 from cosim.present.playback.meshes import Mesh, arrow, joined, mesh_of
 from cosim.present.playback.playback import Load, Playback
 from cosim.present.playback.turning import continuous, onto, to_matrices, to_quaternions
 from cosim.present.scale import Scale, scale_of
 
-Array = NDArray[np.float64]
-
-_GREY = "#999999"
+_NEUTRAL = "#999999"
 _FLOAT, _UNSIGNED, _VERTICES, _INDICES = 5126, 5125, 34962, 34963  # glTF's constants
-_HIDDEN = 1e-6  # scale of what is not seen: zero would have no inverse
+_UNSEEN_SCALE = 1e-6  # scale of what is not seen: zero would have no inverse
 
 
 def glb(runs: Sequence[Playback], *, follow: str | None = None, speed: float = 1.0) -> bytes:
@@ -35,7 +34,7 @@ def glb(runs: Sequence[Playback], *, follow: str | None = None, speed: float = 1
     Raises:
         MissingTool: pygltflib is not installed.
     """
-    return _File(extra("pygltflib"), runs, follow, speed).content()
+    return _File(optional_module("pygltflib", "animate"), runs, follow, speed).content()
 
 
 class _File:
@@ -93,7 +92,7 @@ class _File:
             if invalid is not None and invalid.any():
                 whole = joined([mesh for meshes in colours.values() for mesh in meshes])
                 grey = self._node(f"{name}: invalid", body)
-                self._mesh(grey, [(whole, _GREY)], ghost)
+                self._mesh(grey, [(whole, _NEUTRAL)], ghost)
                 self._show(seen, ~invalid)
                 self._show(grey, invalid)
 
@@ -105,12 +104,12 @@ class _File:
         turns = np.array([onto(vector) for vector in load.vector])
         self._animate(node, "translation", load.at)
         self._animate(node, "rotation", continuous(to_quaternions(turns))[:, [1, 2, 3, 0]])
-        sizes = np.maximum(lengths, _HIDDEN)[:, None]
+        sizes = np.maximum(lengths, _UNSEEN_SCALE)[:, None]
         thick = np.minimum(sizes, 0.4 * scale.pose)
         self._animate(node, "scale", np.hstack([thick, thick, sizes]))
 
     def _show(self, node: int, seen: NDArray[np.bool_]) -> None:
-        sizes = np.where(seen, 1.0, _HIDDEN)[:, None] * np.ones(3)
+        sizes = np.where(seen, 1.0, _UNSEEN_SCALE)[:, None] * np.ones(3)
         self._animate(node, "scale", sizes, interpolation="STEP")
 
     def _node(self, name: str, parent: int | None = None, **more: Any) -> int:
@@ -159,7 +158,7 @@ class _File:
             self.materials[colour, ghost] = len(self.made.materials) - 1
         return self.materials[colour, ghost]
 
-    def _animate(self, node: int, path: str, rows: Array, interpolation: str = "LINEAR") -> None:
+    def _animate(self, node: int, path: str, rows: Vector, interpolation: str = "LINEAR") -> None:
         if len(self.runs[0].time) < 2:
             setattr(self.made.nodes[node], path, rows[0].tolist())
             return
@@ -212,12 +211,12 @@ def _shaded(mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return flat.astype(np.float32), np.repeat(normals, 3, axis=0).astype(np.float32)
 
 
-def _onto_y(up: Array) -> Array:
+def _onto_y(up: Vector) -> Vector:
     """Return the rotation that turns a direction into glTF's Y."""
     return onto(np.array([0.0, 1.0, 0.0])) @ onto(up).T
 
 
-def _quaternion(matrix: Array) -> list[float]:
+def _quaternion(matrix: Vector) -> list[float]:
     w, x, y, z = to_quaternions(matrix[None])[0].tolist()
     assert np.allclose(to_matrices(np.array([[w, x, y, z]]))[0], matrix)
     return [x, y, z, w]

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.present.playback.extras import extra
+from cosim.arrays import Vector
+from cosim.host.optional_packages import optional_module
 from cosim.present.playback.meshes import mesh_of
 from cosim.present.playback.playback import Load, Playback
-from cosim.present.scale import Scale, invalid_text, label_text, scale_of, view_from
-
-Array = NDArray[np.float64]
+from cosim.present.scale import Scale, invalid_at, label_text, scale_of, view_from
 
 GREY = (150, 150, 150)
 _GHOST = 0.35  # opacity of the runs after the first
@@ -41,7 +40,7 @@ def html(
     Raises:
         MissingTool: viser is not installed.
     """
-    viser = extra("viser")
+    viser = optional_module("viser", "animate")
     with _server(viser) as server:
         scene = _Scene(server.scene, runs, follow)
         eye, centre = view_from(runs[0].world, view, scene.scale)
@@ -86,7 +85,7 @@ class _Scene:
             actor.show(frame)
         first = self.runs[0]
         self.text.position = tuple((self.scale.label_at - self.shift[frame]).tolist())
-        self.text.text = label_text(first, frame) + invalid_text(self.runs, frame)
+        self.text.text = label_text(first, frame) + invalid_at(self.runs, frame)
 
 
 class _Actor:
@@ -163,7 +162,7 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
-def thinned(points: Array, most: int = 1000) -> Array:
+def thinned(points: Vector, most: int = 1000) -> Vector:
     """Return every so many-th point of a path, the last among them."""
     step = max(1, len(points) // most)
     return np.vstack([points[:-1:step], points[-1:]])

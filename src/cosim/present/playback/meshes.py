@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.arrays import Vector
 from cosim.present.playback.playback import Prop
 from cosim.present.playback.turning import onto
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int_]
 
 _AROUND = 20  # corners of a circle
@@ -21,10 +21,10 @@ _THIN = 0.004  # radius of a line, of its length
 class Mesh(NamedTuple):
     """Vertices (n, 3) and the triangles between them (m, 3), seen from outside anticlockwise."""
 
-    vertices: Array
+    vertices: Vector
     faces: Faces
 
-    def moved(self, at: Array, rotation: Array) -> "Mesh":
+    def moved(self, at: Vector, rotation: Vector) -> "Mesh":
         """Return the mesh turned, then shifted."""
         return Mesh(self.vertices @ rotation.T + at, self.faces)
 
@@ -83,7 +83,7 @@ def wheel(size: tuple[float, ...]) -> Mesh:
     """Return a tyre about the third axis with six spokes."""
     radius, tyre = size
 
-    def torus(u: Array, v: Array) -> Array:
+    def torus(u: Vector, v: Vector) -> Vector:
         reach = radius - tyre + tyre * np.cos(2 * pi * v)
         circle = [reach * np.cos(2 * pi * u), reach * np.sin(2 * pi * u)]
         return np.stack([*circle, tyre * np.sin(2 * pi * v)], axis=-1)
@@ -111,7 +111,7 @@ def axes(size: tuple[float, ...]) -> Mesh:
     return joined([_between(np.zeros(3), end, 0.02 * size[0]) for end in ends])
 
 
-def arrow(start: Array, end: Array, radius: float) -> Mesh:
+def arrow(start: Vector, end: Vector, radius: float) -> Mesh:
     """Return an arrow; its head is at most half of it."""
     length = float(np.linalg.norm(end - start))
     if not length > 0:
@@ -127,12 +127,12 @@ def _rod(size: tuple[float, float]) -> Mesh:
     return cylinder(size)
 
 
-def _between(a: Array, b: Array, radius: float) -> Mesh:
+def _between(a: Vector, b: Vector, radius: float) -> Mesh:
     length = float(np.linalg.norm(b - a))
     return _rod((radius, length)).moved((a + b) / 2, onto(b - a))
 
 
-def _round(u: Array, elevation: Array) -> Array:
+def _round(u: Vector, elevation: Vector) -> Vector:
     flat = np.cos(elevation)
     return np.stack(
         [flat * np.cos(2 * pi * u), flat * np.sin(2 * pi * u), np.sin(elevation)], axis=-1
@@ -140,7 +140,7 @@ def _round(u: Array, elevation: Array) -> Array:
 
 
 def _surface(
-    place: Callable[[Array, Array], Array], across: int, down: int, *, closed: bool
+    place: Callable[[Vector, Vector], Vector], across: int, down: int, *, closed: bool
 ) -> Mesh:
     """Return a surface of two parameters in 0 ... 1, periodic in the first; in both if closed."""
     rows = down if closed else down + 1

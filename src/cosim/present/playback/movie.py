@@ -10,11 +10,11 @@ import matplotlib
 import numpy as np
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
-from cosim.present.playback.extras import extra
+from cosim.host.optional_packages import optional_module
 from cosim.present.playback.playback import Playback
 from cosim.present.playback.render import Stage, canvas
 
-FRAMES_PER_SECOND = {"gif": 15.0, "mp4": 25.0}
+MOVIE_RATES = {"gif": 15.0, "mp4": 25.0}
 _DPI = 100
 _SIZE = (6.4, 4.8)  # inches
 
@@ -47,7 +47,8 @@ def movie(
     writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
     settings: Any = {}
     if kind == "mp4":
-        settings["animation.ffmpeg_path"] = extra("imageio_ffmpeg").get_ffmpeg_exe()
+        ffmpeg = optional_module("imageio_ffmpeg", "animate")
+        settings["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
         even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
         writer = FFMpegWriter(fps=per_second, codec="h264", extra_args=even)  # type: ignore[arg-type]
     with tempfile.TemporaryDirectory() as folder, matplotlib.rc_context(settings):

@@ -8,16 +8,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from casadi import SX
-from numpy.typing import NDArray
 
 from casadi_models.dae import Drawing
 from casadi_models.dae.drawing import World
 from casadi_models.units import UNITS
+from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.present.playback import turning
 from cosim.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 30.0
 LARGEST_TURN = radians(60.0)  # of a body between two frames: beyond, a wheel seems to turn back
@@ -32,8 +30,8 @@ class Prop:
     body: int
     kind: str
     size: tuple[float, ...]
-    at: Array
-    rotation: Array
+    at: Vector
+    rotation: Vector
     colour: str
 
 
@@ -42,8 +40,8 @@ class Load:
     """A force or torque: point (n, 3) and components (n, 3) in the world, SI."""
 
     name: str
-    at: Array
-    vector: Array
+    at: Vector
+    vector: Vector
     unit: str
     display_unit: str
     meaning: str
@@ -65,7 +63,7 @@ class Path:
     """Where a point has been at every output time, (m, 3), m."""
 
     name: str
-    points: Array
+    points: Vector
     colour: str
 
 
@@ -88,15 +86,15 @@ class Playback:
     """
 
     title: str
-    time: Array
+    time: Vector
     bodies: tuple[str, ...]
-    places: Array
-    quaternions: Array
+    places: Vector
+    quaternions: Vector
     props: tuple[Prop, ...]
     loads: tuple[Load, ...]
     paths: tuple[Path, ...]
     world: World
-    labels: tuple[tuple[str, str, Array], ...]
+    labels: tuple[tuple[str, str, Vector], ...]
     invalid_from: float
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
@@ -105,7 +103,7 @@ class Playback:
         """Return the frame that is nearest to a time."""
         return int(np.argmin(np.abs(self.time - time)))
 
-    def followed(self, follow: str | None = None) -> Array:
+    def followed(self, follow: str | None = None) -> Vector:
         """Return the place that a camera looks at, (n, 3): a body, or the middle of all.
 
         Args:
@@ -123,7 +121,7 @@ class Playback:
         place = self.places[:, self.bodies.index(name)]
         up = np.array(self.world.up)
         start = place - place[0]
-        along: Array = start - np.outer(start @ up, up)  # the ground keeps its height
+        along: Vector = start - np.outer(start @ up, up)  # the ground keeps its height
         return along
 
 
@@ -201,14 +199,14 @@ def playback(
         loads=tuple(drawn_loads),
         paths=tuple(drawn_paths),
         world=drawing.world,
-        labels=tuple(_label(run, name, frames) for name in labels),
+        labels=tuple(_labelled_curve(run, name, frames) for name in labels),
         invalid_from=start,
         reasons=reasons,
         notes=tuple(notes),
     )
 
 
-def frame_times(time: Array, turn_rate: float, frames_per_second: float) -> Array:
+def frame_times(time: Vector, turn_rate: float, frames_per_second: float) -> Vector:
     """Return evenly spaced times of frames between which no body turns more than 60 degrees.
 
     Args:
@@ -249,16 +247,16 @@ class _Known:
         symbols = dict.fromkeys(symbol.name() for symbol in ca.symvar(expression))
         return [name for name in symbols if name not in self.names and name not in self.numbers]
 
-    def evaluate(self, expression: SX, times: Array) -> Array:
+    def evaluate(self, expression: SX, times: Vector) -> Vector:
         """Return a column's values, (times, rows); between outputs those of a straight line."""
         symbols = ca.symvar(expression)
         rows = self.rows(symbols, times)
         function = ca.Function("drawn", [ca.vertcat(SX(0, 1), *symbols)], [ca.vec(expression)])
-        columns: Array = np.array(function(rows), dtype=float)
-        result: Array = columns.reshape(expression.numel(), len(times)).T
+        columns: Vector = np.array(function(rows), dtype=float)
+        result: Vector = columns.reshape(expression.numel(), len(times)).T
         return result
 
-    def rows(self, symbols: Sequence[SX], times: Array) -> Array:
+    def rows(self, symbols: Sequence[SX], times: Vector) -> Vector:
         """Return the values of symbols, (symbols, times)."""
         rows = np.empty((len(symbols), len(times)))
         for i, symbol in enumerate(symbols):
@@ -269,13 +267,13 @@ class _Known:
                 rows[i] = self.numbers[name]
         return rows
 
-    def constant(self, expression: SX) -> Array:
+    def constant(self, expression: SX) -> Vector:
         """Return the values of an expression of parameters."""
-        first: Array = self.evaluate(expression, np.array([self.run.time[0]]))[0]
+        first: Vector = self.evaluate(expression, np.array([self.run.time[0]]))[0]
         return first
 
 
-def _poses(known: _Known, motion: SX, times: Array) -> tuple[Array, Array]:
+def _poses(known: _Known, motion: SX, times: Vector) -> tuple[Vector, Vector]:
     values = known.evaluate(motion, times).reshape(len(times), -1, 12)
     matrices = values[:, :, 3:].reshape(len(times), -1, 3, 3).swapaxes(2, 3)  # CasADi: by columns
     return values[:, :, :3], turning.continuous(turning.to_quaternions(matrices))
@@ -316,7 +314,7 @@ def _prop(shape: Any, bodies: Sequence[str], known: _Known) -> Prop:
     )
 
 
-def _label(run: Trajectory, name: str, times: Array) -> tuple[str, str, Array]:
+def _labelled_curve(run: Trajectory, name: str, times: Vector) -> tuple[str, str, Vector]:
     column = run.column(name)
     shown = column.display_unit or column.unit
     factor = 1.0

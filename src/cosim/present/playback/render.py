@@ -11,20 +11,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from cosim.arrays import Vector
 from cosim.present.playback.meshes import Mesh, arrow, joined, mesh_of
 from cosim.present.playback.playback import Playback
 from cosim.present.playback.turning import to_matrices
 from cosim.present.scale import (
     arrow_text,
-    invalid_text,
+    invalid_at,
     label_text,
     scale_of,
     view_from,
 )
-
-Array = NDArray[np.float64]
 
 _HALF_ANGLE = 0.36  # rad, of the camera
 _GREY = np.array([0.6, 0.6, 0.6])
@@ -36,18 +34,18 @@ _SHAFT = 0.012  # radius of an arrow's shaft, in sizes of the scene
 class Camera:
     """Place of the eye, and directions to the right, upward and towards the eye, rows (3, 3)."""
 
-    eye: Array
-    axes: Array
+    eye: Vector
+    axes: Vector
 
     @classmethod
-    def at(cls, eye: Array, centre: Array, up: Array) -> "Camera":
+    def at(cls, eye: Vector, centre: Vector, up: Vector) -> "Camera":
         """Return the camera that looks from a point at another one."""
         back = (eye - centre) / np.linalg.norm(eye - centre)
         right = np.cross(up, back)
         right = right / np.linalg.norm(right)
         return cls(eye, np.array([right, np.cross(back, right), back]))
 
-    def seen(self, points: Array) -> Array:
+    def seen(self, points: Vector) -> Vector:
         """Return places in the picture and distances, (..., 3); the picture is -1 ... 1 high."""
         local = (points - self.eye) @ self.axes.T
         distance = -local[..., 2]
@@ -109,8 +107,8 @@ class Stage:
         self._texts(axis, frames, width)
 
     def _bodies(self, axis: Axes, camera: Camera, frames: Sequence[int]) -> None:
-        triangles: list[Array] = []
-        colours: list[Array] = []
+        triangles: list[Vector] = []
+        colours: list[Vector] = []
         tops: list[tuple[float, float, str]] = []
         for i, (run, parts) in enumerate(zip(self.runs, self.parts, strict=True)):
             for k, frame in enumerate(frames):
@@ -175,7 +173,7 @@ class Stage:
                 self._lines(axis, camera, path.points[None], paint, 1.0, 2)
 
     def _lines(
-        self, axis: Axes, camera: Camera, lines: Array, colour: Any, width: float, order: int
+        self, axis: Axes, camera: Camera, lines: Vector, colour: Any, width: float, order: int
     ) -> None:
         seen = camera.seen(lines)
         shown = np.where(seen[..., 2:] > 0.05 * self.scale.pose, seen[..., :2], np.nan)
@@ -208,7 +206,7 @@ class Stage:
         text = "\n".join(fill(line, chars) for line in lines)
         axis.text(left, place, text, fontsize=8, va="top", ha="left", zorder=6)
         worst = max(frames, key=lambda frame: first.time[frame])
-        if wrong := invalid_text(self.runs, worst):
+        if wrong := invalid_at(self.runs, worst):
             warning = fill(wrong.strip(" |"), chars, max_lines=8, placeholder=" ...")
             box = {"facecolor": "#A02020", "edgecolor": "none", "pad": 3}
             axis.text(left, -0.97, warning, fontsize=8, va="bottom", color="white", zorder=7,
@@ -245,7 +243,7 @@ def canvas(size: tuple[float, float]) -> tuple[Figure, Axes]:
     return figure, figure.add_axes((0, 0, 1, 1))
 
 
-def _parts(run: Playback) -> list[tuple[int, Mesh, Array]]:
+def _parts(run: Playback) -> list[tuple[int, Mesh, Vector]]:
     """Return the shapes of a run: of each body those of one colour together."""
     groups: dict[tuple[int, str], list[Mesh]] = {}
     for prop in run.props:
@@ -254,7 +252,7 @@ def _parts(run: Playback) -> list[tuple[int, Mesh, Array]]:
 
 
 def _add(
-    triangles: list[Array], colours: list[Array], mesh: Mesh, colour: Array, pale: float
+    triangles: list[Vector], colours: list[Vector], mesh: Mesh, colour: Vector, pale: float
 ) -> None:
     if not len(mesh.faces):
         return
@@ -263,5 +261,5 @@ def _add(
     colours.append(np.tile(paint, (len(mesh.faces), 1)))
 
 
-def _parts_of(colour: str) -> Array:
+def _parts_of(colour: str) -> Vector:
     return np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])

@@ -1,12 +1,11 @@
 """Rotations as numbers: quaternions (w, x, y, z) of arrays of matrices."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cosim.arrays import Vector
 
 
-def to_quaternions(matrices: Array) -> Array:
+def to_quaternions(matrices: Vector) -> Vector:
     """Return unit quaternions, (..., 4), of rotation matrices, (..., 3, 3).
 
     Of the four formulas of Shepperd (1978) the one with the largest divisor is taken.
@@ -24,28 +23,28 @@ def to_quaternions(matrices: Array) -> Array:
         table[..., i + 1, j + 1] = table[..., j + 1, i + 1] = m[..., j, i] + m[..., i, j]
     best = np.argmax(sizes, axis=-1)
     chosen = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
-    result: Array = chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+    result: Vector = chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
     return result
 
 
-def continuous(quaternions: Array) -> Array:
+def continuous(quaternions: Vector) -> Vector:
     """Return the same rotations, (n, ..., 4), without jumps of sign along the first axis."""
     signs = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=-1))
     signs[signs == 0] = 1.0
     first = np.ones_like(quaternions[:1, ..., 0])
     every = np.concatenate([first, np.cumprod(signs, axis=0)])
-    result: Array = quaternions * every[..., None]
+    result: Vector = quaternions * every[..., None]
     return result
 
 
-def angles_between(quaternions: Array) -> Array:
+def angles_between(quaternions: Vector) -> Vector:
     """Return the angles between successive rotations, rad, one row less."""
     cosines = np.abs((quaternions[1:] * quaternions[:-1]).sum(axis=-1))
-    result: Array = 2 * np.arccos(np.clip(cosines, 0.0, 1.0))
+    result: Vector = 2 * np.arccos(np.clip(cosines, 0.0, 1.0))
     return result
 
 
-def to_matrices(quaternions: Array) -> Array:
+def to_matrices(quaternions: Vector) -> Vector:
     """Return rotation matrices, (..., 3, 3), of unit quaternions, (..., 4)."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)
     rows = [
@@ -56,7 +55,7 @@ def to_matrices(quaternions: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def onto(direction: Array) -> Array:
+def onto(direction: Vector) -> Vector:
     """Return the smallest rotation, (3, 3), that turns the third axis into a direction, (3,)."""
     length = float(np.linalg.norm(direction))
     if not length > 0:

@@ -10,11 +10,11 @@ from cosim.study.tradeoff.measurement import Measurement
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Difference, compare
 
-Solve = Callable[..., Trajectory]  # of `solver` and `relative_tolerance`
+SolveAt = Callable[..., Trajectory]  # of `solver` and `relative_tolerance`
 
 
 @dataclass(frozen=True)
-class Check:
+class ErrorCheck:
     """What is known of a run's error.
 
     Attributes:
@@ -32,12 +32,12 @@ class Check:
     error_estimate_of: str
 
     @classmethod
-    def of(cls, run: Trajectory) -> "Check":
+    def of(cls, run: Trajectory) -> "ErrorCheck":
         """Return what the `stats` of a run tell."""
         return cls(**{name: run.stats[name] for name in cls.__dataclass_fields__})
 
     @classmethod
-    def exact(cls, run: Trajectory) -> "Check":
+    def exact(cls, run: Trajectory) -> "ErrorCheck":
         """Return what is known of a run without states, which no solver touches."""
         scaled = np.spacing(np.abs(run.values).max(axis=0)) / [c.nominal for c in run.columns]
         worst = int(np.argmax(scaled))
@@ -53,7 +53,7 @@ class Done:
     run: Trajectory
 
     @classmethod
-    def of(cls, measured: Measurement, solve: Solve) -> "Done":
+    def of(cls, measured: Measurement, solve: SolveAt) -> "Done":
         """Run a configuration."""
         way = measured.configuration
         return cls(measured, solve(solver=way.solver, relative_tolerance=way.tolerance))
@@ -90,10 +90,10 @@ class Pair:
         return min(self.second, self.first, key=lambda done: done.promised)
 
     @property
-    def check(self) -> Check:
+    def check(self) -> ErrorCheck:
         """What they tell of the first one's error."""
         worst, first = self.worst, self.first
-        return Check(str(first), first.promised, str(self.second), worst.scaled, worst.name)
+        return ErrorCheck(str(first), first.promised, str(self.second), worst.scaled, worst.name)
 
 
 def label(measured: Measurement) -> str:
@@ -102,6 +102,6 @@ def label(measured: Measurement) -> str:
     return f"{configuration.solver} at {configuration.tolerance:g}"
 
 
-def checked(run: Trajectory, goal: Mapping[str, Any], check: Check) -> Trajectory:
+def with_check(run: Trajectory, goal: Mapping[str, Any], check: ErrorCheck) -> Trajectory:
     """Return a run whose `stats` tell what was asked for, and what is known of its error."""
     return replace(run, stats={**run.stats, **goal, **vars(check)})

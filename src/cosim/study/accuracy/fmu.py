@@ -19,7 +19,7 @@ from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.instance import INTERFACES
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.temporary import temporary_folder
-from cosim.study.accuracy.front import TOLERANCES
+from cosim.study.accuracy.front import FRONT_TOLERANCES
 from cosim.study.accuracy.solver_selection import SAFETY
 from cosim.verify.comparison import Difference, compare
 from cosim.verify.reference import Reference, reference
@@ -91,7 +91,7 @@ def export_accurate(
         local = final
         if tuple(options.get("platforms", (NATIVE,))) != (NATIVE,):
             local = export_fmu(dae, Path(folder) / "local.fmu", tolerance=tolerance, **here)
-        errors = {i: e for i in INTERFACES if (e := _error(local, best, i)) is not None}
+        errors = {i: e for i in INTERFACES if (e := _fmu_error(local, best, i)) is not None}
         written = errors.get(_CO_SIMULATION)
         if written is None or written.scaled > accuracy:
             raise ExportError(
@@ -107,16 +107,16 @@ def _loosest(dae: Dae, path: Path, best: Reference, accuracy: float) -> float:
     enough: float | None = None
     least = float("inf")
     unknown = best.error(dae.observed)
-    for tolerance in TOLERANCES:
+    for tolerance in FRONT_TOLERANCES:
         if tolerance < 1e-13:  # which no FMU recommends
             break
         if enough is None:
-            worst = _error(path, best, _CO_SIMULATION, tolerance)
+            worst = _fmu_error(path, best, _CO_SIMULATION, tolerance)
             error = max(worst.scaled, unknown) if worst else float("inf")
             least = min(least, error)
             enough = tolerance if error * SAFETY <= accuracy else None
         if enough is not None:
-            worst = _error(path, best, "ModelExchange", tolerance)
+            worst = _fmu_error(path, best, "ModelExchange", tolerance)
             if worst and worst.scaled * SAFETY <= accuracy:
                 return tolerance
     if enough is None:
@@ -127,7 +127,7 @@ def _loosest(dae: Dae, path: Path, best: Reference, accuracy: float) -> float:
     return enough
 
 
-def _error(
+def _fmu_error(
     path: Path, best: Reference, interface: str, tolerance: float | None = None
 ) -> Difference | None:
     """Return the largest error of an FMU's outputs; None where its run fails."""

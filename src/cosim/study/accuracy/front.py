@@ -31,11 +31,11 @@ from cosim.study.tradeoff.result import pareto_front
 from cosim.study.tradeoff.variants import Workshop, span
 from cosim.verify.reference import Reference, reference, reference_key
 
-TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
+FRONT_TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
 ROUNDS = 4  # of which the fastest counts: what else the machine does makes a run slower only
-SECONDS = 5.0  # after which no configuration is timed once more
+TIMING_SECONDS = 5.0  # after which no configuration is timed once more
 MOST_CALLS = 200_000  # of the equations; a solver that needs more is not tried any tighter
-_FORMAT = "front-3"
+_FRONT_FORMAT = "front-3"
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
         CosimError: The model cannot be run; see `reference`.
     """
     scene = Scene(dae.full_name, _recording_all(dae))
-    key = _key(scene, compiled)
+    key = _front_key(scene, compiled)
     entry = f"fronts/{key}"
-    return _read(entry) or _measured(scene, compiled, entry)
+    return _read_front(entry) or _measured_front(scene, compiled, entry)
 
 
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
@@ -93,21 +93,26 @@ def _recording_all(dae: Dae) -> Dae:
     return replace(dae, observed=tuple(column.name for column in all_columns(dae)))
 
 
-def _key(scene: Scene, compiled: bool) -> str:
+def _front_key(scene: Scene, compiled: bool) -> str:
     compiler = " ".join(find_compiler()) if compiled else "interpreted"
     machine = (platform.node(), platform.machine(), os.cpu_count())
-    facts = (_FORMAT, version("cosim-rigid"), solvers(scene.dae, compiled=compiled), TOLERANCES)
+    facts = (
+        _FRONT_FORMAT,
+        version("cosim-rigid"),
+        solvers(scene.dae, compiled=compiled),
+        FRONT_TOLERANCES,
+    )
     text = repr((reference_key(scene), scene.dae.full_name, facts, compiler, machine))
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
+def _measured_front(scene: Scene, compiled: bool, entry: str) -> Front:
     dae = scene.configured()
     best = reference(scene)
     workshop = Workshop({dae.full_name: scene}, dae.observed, Path())
     begin, end = span(scene)
     road = Road.NATIVE if compiled else Road.INTERPRETED
-    selection = Selection(solvers(dae, compiled=compiled), TOLERANCES, (), (road,))
+    selection = Selection(solvers(dae, compiled=compiled), FRONT_TOLERANCES, (), (road,))
     wanted = selection.configurations(dae, None, end - begin, dae.experiment.output_interval)
     events: dict[Configuration, Event] = {}
     # Calls of each solver's last run, which repeat whatever else the machine does, as times do not
@@ -125,7 +130,7 @@ def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
     began = perf_counter()
     for _ in range(ROUNDS - 1):
         for configuration, event in events.items():
-            if perf_counter() - began < SECONDS:
+            if perf_counter() - began < TIMING_SECONDS:
                 again = _event(workshop, configuration, best) or event
                 events[configuration] = min(event, again, key=lambda e: e.run_time)
     rounding = {
@@ -133,7 +138,7 @@ def _measured(scene: Scene, compiled: bool, entry: str) -> Front:
         for name in best.run.names
     }
     front = Front(tuple(events.values()), rounding)
-    _keep(front, entry)
+    _keep_front(front, entry)
     return front
 
 
@@ -148,14 +153,14 @@ def _event(workshop: Workshop, configuration: Configuration, best: Reference) ->
     return replace(event, errors=errors)
 
 
-def _keep(front: Front, entry: str) -> None:
+def _keep_front(front: Front, entry: str) -> None:
     """Write to the cache; without one, the front is measured again next time."""
     facts = {"rounding": front.rounding, "events": [asdict(event) for event in front.events]}
     with suppress(OSError, CacheError):
         keep(entry, json.dumps(facts).encode())
 
 
-def _read(entry: str) -> Front | None:
+def _read_front(entry: str) -> Front | None:
     content = content_of(entry)
     if content is None:
         return None

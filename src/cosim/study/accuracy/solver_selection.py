@@ -14,7 +14,7 @@ from itertools import combinations
 
 from casadi_models.dae import Dae
 from cosim.errors import ParameterError, SolverError
-from cosim.study.accuracy.checks import Check, Done, Pair, Solve, checked, label
+from cosim.study.accuracy.checks import Done, ErrorCheck, Pair, SolveAt, label, with_check
 from cosim.study.accuracy.front import Front, measured_front
 from cosim.study.tradeoff.measurement import Measurement
 from cosim.trajectory import Trajectory
@@ -25,7 +25,7 @@ CHECK = 100.0  # by which the run that checks another is to be more accurate
 
 def promised_run(
     dae: Dae,
-    solve: Solve,
+    solve: SolveAt,
     names: Sequence[str],
     length: float,
     compiled: bool,
@@ -57,7 +57,7 @@ def promised_run(
     """
     if not dae.states:
         run = solve()
-        return checked(run, {"accuracy": accuracy, "budget": budget}, Check.exact(run))
+        return with_check(run, {"accuracy": accuracy, "budget": budget}, ErrorCheck.exact(run))
     front = measured_front(dae, compiled=compiled)
     if accuracy is not None:
         return _accurate_run(dae, front, solve, names, accuracy)
@@ -67,7 +67,7 @@ def promised_run(
 
 def promise_kept(run: Trajectory) -> str:
     """Say in a line what was promised of a run, and what its check found."""
-    facts, check = run.stats, Check.of(run)
+    facts, check = run.stats, ErrorCheck.of(run)
     if facts.get("budget") is not None:
         asked = f"budget {1e3 * facts['budget']:g} ms: {check.configuration}"
         asked += f" took {1e3 * facts.get('solve_time', 0.0):.2g} ms"
@@ -80,7 +80,7 @@ def promise_kept(run: Trajectory) -> str:
 
 
 def _accurate_run(
-    dae: Dae, front: Front, solve: Solve, names: Sequence[str], accuracy: float
+    dae: Dae, front: Front, solve: SolveAt, names: Sequence[str], accuracy: float
 ) -> Trajectory:
     """Return the most accurate run that it took to confirm an accuracy.
 
@@ -110,7 +110,7 @@ def _accurate_run(
             continue
         pair = Pair(*runs[-2:])
         if pair.worst.scaled <= accuracy:
-            return checked(pair.better.run, {"accuracy": accuracy}, pair.check)
+            return with_check(pair.better.run, {"accuracy": accuracy}, pair.check)
         target = min(target, runs[-1].promised) * min(0.1, accuracy / pair.worst.scaled)
     if len(runs) < 2:
         raise SolverError(
@@ -150,7 +150,7 @@ def _unconfirmed(dae: Dae, accuracy: float, best: Pair) -> SolverError:
         f"accuracy {accuracy:g} is not reached: {best.first} and {best.second} are "
         f"{worst.scaled:.1e} nominal values apart in {worst.name}"
     )
-    partial = checked(best.better.run, {"accuracy": accuracy}, best.check)
+    partial = with_check(best.better.run, {"accuracy": accuracy}, best.check)
     return SolverError(
         f"{dae.full_name}: {reached}, the best of this run; ask for less, for a shorter run or "
         "for other outputs",
@@ -159,7 +159,7 @@ def _unconfirmed(dae: Dae, accuracy: float, best: Pair) -> SolverError:
 
 
 def _affordable_run(
-    dae: Dae, front: Front, solve: Solve, names: Sequence[str], budget: float, share: float
+    dae: Dae, front: Front, solve: SolveAt, names: Sequence[str], budget: float, share: float
 ) -> Trajectory:
     """Return the most accurate run whose solver takes no longer than a time.
 
@@ -188,7 +188,7 @@ def _affordable_run(
             failures.append(error)
             continue
         if took <= budget:
-            return checked(done.run, {"budget": budget}, _check(front, solve, done, names))
+            return with_check(done.run, {"budget": budget}, _check(front, solve, done, names))
     if done is None:
         raise failures[0]
     raise SolverError(
@@ -198,7 +198,7 @@ def _affordable_run(
     )
 
 
-def _timed(measured: Measurement, solve: Solve, budget: float) -> tuple[Done, float]:
+def _timed(measured: Measurement, solve: SolveAt, budget: float) -> tuple[Done, float]:
     """Return a run and what its solver took, s: once more if that was long, to be sure."""
     done = Done.of(measured, solve)
     took: float = done.run.stats.get("solve_time", 0.0)
@@ -208,7 +208,7 @@ def _timed(measured: Measurement, solve: Solve, budget: float) -> tuple[Done, fl
     return done, took
 
 
-def _check(front: Front, solve: Solve, done: Done, names: Sequence[str]) -> Check:
+def _check(front: Front, solve: SolveAt, done: Done, names: Sequence[str]) -> ErrorCheck:
     """Check a run by a solver that does not fail."""
     target = done.promised / CHECK
     failed: list[str] = []

@@ -18,21 +18,21 @@ from typing import Any
 
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
-from cosim.study.extremes.cases import Case, Reference, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, Runner, Verdict, judge, run_case
+from cosim.study.extremes.cases import Case, Counterpart, catalogue
+from cosim.study.extremes.oracles import OUTCOMES, Ending, Runner, judge, run_case
 from cosim.text.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
 LONGER = 10  # times the limit of other cases, for those that simulate an hour
-SERVER = f"from {__name__} import serve; serve()"
+SERVER = f"from {__name__} import serve_cases; serve_cases()"
 
 
 @dataclass(frozen=True)
-class Finding:
+class CaseFinding:
     """A case and how it ended."""
 
     case: Case
-    verdict: Verdict
+    verdict: Ending
 
     def row(self) -> dict[str, Any]:
         """Return the finding as plain values, for tables, CSV and JSON."""
@@ -84,7 +84,7 @@ def extremes(
 
 def explore(
     cases: Iterable[Case], *, timeout: float = 120.0, jobs: int = 2, server: str = SERVER
-) -> Iterator[Finding]:
+) -> Iterator[CaseFinding]:
     """Run cases in child processes, in their order.
 
     Args:
@@ -97,14 +97,14 @@ def explore(
         ParameterError: The timeout is not a positive number.
     """
     limit = number("extremes", "timeout", timeout, positive=True)
-    workers: list[_Worker] = []
+    workers: list[_CaseWorker] = []
     own = threading.local()
 
-    def run(case: Case) -> Finding:
+    def run(case: Case) -> CaseFinding:
         if not hasattr(own, "worker"):
-            own.worker = _Worker(server)
+            own.worker = _CaseWorker(server)
             workers.append(own.worker)
-        return Finding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
+        return CaseFinding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
 
     pool = ThreadPoolExecutor(jobs)
     try:
@@ -115,9 +115,9 @@ def explore(
             worker.close()
 
 
-def summary(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
     """Return a row per family: how many cases ended how, and the worst accurate one."""
-    families: dict[str, list[Finding]] = {}
+    families: dict[str, list[CaseFinding]] = {}
     for finding in findings:
         families.setdefault(finding.case.family, []).append(finding)
     rows = []
@@ -136,7 +136,7 @@ def summary(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     return rows
 
 
-def serve(runner: Runner = run_case) -> None:
+def serve_cases(runner: Runner = run_case) -> None:
     """Judge the cases that come as JSON lines on standard input; answer in kind.
 
     Args:
@@ -146,31 +146,31 @@ def serve(runner: Runner = run_case) -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a solver prints is no answer
     for line in sys.stdin:
         facts = json.loads(line)
-        facts["references"] = tuple(Reference(**each) for each in facts["references"])
+        facts["references"] = tuple(Counterpart(**each) for each in facts["references"])
         print(json.dumps(judge(Case(**facts), runner)), file=answers, flush=True)
 
 
-class _Worker:
+class _CaseWorker:
     """A child process that judges one case at a time; replaced when it had to be killed."""
 
     def __init__(self, server: str) -> None:
         self._server = server
         self._process = self._start()
 
-    def judge(self, case: Case, timeout: float) -> Verdict:
+    def judge(self, case: Case, timeout: float) -> Ending:
         began = perf_counter()
         guard = threading.Timer(timeout, self._process.kill)
         guard.start()
         answer = self._ask(json.dumps(asdict(case)))
         guard.cancel()
         if answer:
-            return Verdict(*json.loads(answer))
+            return Ending(*json.loads(answer))
         seconds, code = perf_counter() - began, self._process.wait()
         self.close()
         self._process = self._start()
         if seconds >= timeout:
-            return Verdict("hang", None, f"killed after {timeout:g} s", seconds)
-        return Verdict("crash", None, f"the process ended with code {code}", seconds)
+            return Ending("hang", None, f"killed after {timeout:g} s", seconds)
+        return Ending("crash", None, f"the process ended with code {code}", seconds)
 
     def close(self) -> None:
         self._process.kill()

@@ -18,7 +18,7 @@ ADAPTIVE, FIXED_STEP = 1e-3, 2e-2
 
 
 @dataclass(frozen=True)
-class Reference:
+class Counterpart:
     """Another run that should give the same: other formulation or solver, tighter tolerance."""
 
     model: str
@@ -51,7 +51,7 @@ class Case:
     stop_time: float = 1.0
     bound: float = ADAPTIVE
     oracle: str = "reference"
-    references: tuple[Reference, ...] = ()
+    references: tuple[Counterpart, ...] = ()
     solver: str | None = None
     relative_tolerance: float = 1e-8
     step_size: float | None = None
@@ -59,7 +59,7 @@ class Case:
     long: bool = False
 
 
-Values = dict[str, float]
+ValuesByName = dict[str, float]
 
 CRANK = ("crank_shaft/driven", "crank_shaft/multipliers")
 BAR = ("bar_on_frame/reduced", "bar_on_frame/two_body")
@@ -78,13 +78,22 @@ FACTORS = (1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
 
 def catalogue() -> Iterator[Case]:
     """Yield every case."""
-    for family in (_crank, _bar, _bicycle, _disk, _pendulum, _masses, _tolerances, _hours):
+    for family in (
+        _crank_cases,
+        _bar_cases,
+        _bicycle_cases,
+        _disk_cases,
+        _pendulum_cases,
+        _masses,
+        _tolerances,
+        _hours,
+    ):
         for case in family():
             fixed = case.oracle == "reference" and case.solver in FIXED_STEPS
             yield replace(case, bound=FIXED_STEP) if fixed else case
 
 
-def _crank() -> Iterator[Case]:
+def _crank_cases() -> Iterator[Case]:
     for model, power in product(CRANK, range(-6, 7)):
         values = {"omega": 10.0**power}
         yield Case(
@@ -103,11 +112,11 @@ def _crank() -> Iterator[Case]:
         yield Case("crank: mass", f"density x {factor:g}", model, values, 4.0, 1e-6, "crank")
 
 
-def _bar() -> Iterator[Case]:
+def _bar_cases() -> Iterator[Case]:
     runs = [(BAR[0], solver) for solver in (*EXPLICIT, "cvodes_adams")]
     runs += [(BAR[1], solver) for solver in (*IMPLICIT, "dop853")]
     for b, (model, solver) in product((0, 2e-4, 2e-2, 0.2, 2, 20, 200, 2000), runs):
-        other = Reference(BAR[0], "cvodes" if solver == "rosenbrock" else "rosenbrock")
+        other = Counterpart(BAR[0], "cvodes" if solver == "rosenbrock" else "rosenbrock")
         yield Case(
             "bar: damping",
             f"b = {b:g} ft.lbf.s/rad, {solver}",
@@ -130,18 +139,18 @@ def _bar() -> Iterator[Case]:
             model,
             {"Omega": Omega},
             min(10.0, 100 / max(Omega, 1)),
-            references=(Reference(BAR[0], "rosenbrock" if solver == "erk" else "erk"),),
+            references=(Counterpart(BAR[0], "rosenbrock" if solver == "erk" else "erk"),),
             solver=solver,
         )
 
 
-def _bicycle() -> Iterator[Case]:
+def _bicycle_cases() -> Iterator[Case]:
     runs = [(BICYCLE[0], solver) for solver in EXPLICIT]
     runs += [(BICYCLE[1], "cvodes"), *((BICYCLE[2], name) for name in (*IMPLICIT, "dop853"))]
     speeds = (0.0, 0.01, 2.0, 3.5, 4.292, 6.024, 8.0, 30.0, 100.0)
 
-    def against(solver: str) -> Reference:
-        return Reference(BICYCLE[0], "rosenbrock" if solver == "erk" else "erk")
+    def against(solver: str) -> Counterpart:
+        return Counterpart(BICYCLE[0], "rosenbrock" if solver == "erk" else "erk")
 
     for speed, (model, solver) in product(speeds, runs):
         values = {"thetaR_dot": -speed / 0.3, "phi_dot": 0.01}
@@ -152,9 +161,9 @@ def _bicycle() -> Iterator[Case]:
         name = f"{speed:g} m/s"
         yield Case("bicycle: exactly upright", name, model, values, 20.0, 1e-6, "upright")
     others = (
-        Reference(BICYCLE[2], "rosenbrock"),
-        Reference(BICYCLE[0], "erk"),
-        Reference(BICYCLE[2], "idas", 1e-10),
+        Counterpart(BICYCLE[2], "rosenbrock"),
+        Counterpart(BICYCLE[0], "erk"),
+        Counterpart(BICYCLE[2], "idas", 1e-10),
     )
     for lean, model in product((60, 75, 85, 89, 89.99, 90), BICYCLE):
         values = {"phi": lean * DEGREE, "phi_dot": 0.0, "thetaR_dot": -10.0}
@@ -165,7 +174,7 @@ def _bicycle() -> Iterator[Case]:
         case = Case(
             "bicycle: steered through 92 deg", f"{stop:g} s, {solver}", model, steered, stop
         )
-        other = Reference(BICYCLE[2], "idas" if solver == "rosenbrock" else "rosenbrock", 1e-10)
+        other = Counterpart(BICYCLE[2], "idas" if solver == "rosenbrock" else "rosenbrock", 1e-10)
         yield replace(case, solver=solver, references=(other,))
     for model, rtol in product(BICYCLE, (1e-6, 1e-8, 1e-10)):
         values = {"thetaR_dot": -4.0 / 0.3, "phi_dot": 0.2}
@@ -173,7 +182,7 @@ def _bicycle() -> Iterator[Case]:
         yield replace(case, oracle="bicycle", relative_tolerance=rtol, points=2000)
 
 
-def _disk() -> Iterator[Case]:
+def _disk_cases() -> Iterator[Case]:
     runs = [(DISK[0], "cvodes"), (DISK[0], "ode8"), *((DISK[1], solver) for solver in IMPLICIT)]
     nominal = {"k1": 50, "k2": 5, "c1": 4, "c2": 0.4}
     for letter, factor in product("kc", (0, 1e-6, 1e-3, 1, 1e3, 1e6)):
@@ -184,11 +193,11 @@ def _disk() -> Iterator[Case]:
             other = "cvodes" if solver == "rosenbrock" else "rosenbrock"
             # The absolute tolerance of the angles is felt in the torque of a hard spring
             bound = 1e-2 if factor > 1 else ADAPTIVE
-            yield replace(case, bound=bound, references=(Reference(DISK[0], other),))
+            yield replace(case, bound=bound, references=(Counterpart(DISK[0], other),))
 
 
-def _pendulum() -> Iterator[Case]:
-    regular = Reference(PENDULUM[0], "erk", 1e-12)
+def _pendulum_cases() -> Iterator[Case]:
+    regular = Counterpart(PENDULUM[0], "erk", 1e-12)
     for angle, solver in product((0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, pi), SINGULAR):
         values = {"theta1_0": angle}
         name = f"theta1 = {angle:g} rad, {solver}"
@@ -215,14 +224,14 @@ def _pendulum() -> Iterator[Case]:
 
 
 def _masses() -> Iterator[Case]:
-    changed: tuple[tuple[tuple[str, ...], Values, Reference], ...] = (
-        (BAR, {"column_mass": 0.15}, Reference(BAR[0], "erk")),
-        (BAR, {"m": 2.9}, Reference(BAR[0], "rosenbrock")),
-        (DISK, {"disk_mass": 2.9}, Reference(DISK[0], "rosenbrock")),
-        (DISK, {"bar_mass": 1.46}, Reference(DISK[0], "rosenbrock")),
-        (PENDULUM, {"m": 2.8}, Reference(PENDULUM[0], "erk")),
-        (BICYCLE, {"mB": 85.0}, Reference(BICYCLE[0], "rosenbrock")),
-        (BICYCLE, {"mC": 4.0}, Reference(BICYCLE[0], "rosenbrock")),
+    changed: tuple[tuple[tuple[str, ...], ValuesByName, Counterpart], ...] = (
+        (BAR, {"column_mass": 0.15}, Counterpart(BAR[0], "erk")),
+        (BAR, {"m": 2.9}, Counterpart(BAR[0], "rosenbrock")),
+        (DISK, {"disk_mass": 2.9}, Counterpart(DISK[0], "rosenbrock")),
+        (DISK, {"bar_mass": 1.46}, Counterpart(DISK[0], "rosenbrock")),
+        (PENDULUM, {"m": 2.8}, Counterpart(PENDULUM[0], "erk")),
+        (BICYCLE, {"mB": 85.0}, Counterpart(BICYCLE[0], "rosenbrock")),
+        (BICYCLE, {"mC": 4.0}, Counterpart(BICYCLE[0], "rosenbrock")),
     )
     for models, value, other in changed:
         for model, factor, (name, number) in product(models, FACTORS, value.items()):
@@ -235,7 +244,7 @@ def _tolerances() -> Iterator[Case]:
     values = (nan, -1.0, 0.0, 1e-18, 1e-15, 1e-14, 1e-13, 1e-12, 1e-11, 1e-9, 1e-4, 1e-2, 0.1, 1.0)
     solvers = ("cvodes", "cvodes_adams", "erk", "dop853", "rosenbrock", "idas")
     for rtol, solver in product(values, solvers):
-        other = Reference(PENDULUM[0], "rosenbrock" if solver == "erk" else "erk", 1e-13)
+        other = Counterpart(PENDULUM[0], "rosenbrock" if solver == "erk" else "erk", 1e-13)
         case = Case("tolerances", f"rtol {rtol:g}, {solver}", PENDULUM[0], {}, 2.0)
         bound = max(1e-7, 20 * rtol) if rtol == rtol else 1e-7
         yield replace(
@@ -243,7 +252,7 @@ def _tolerances() -> Iterator[Case]:
         )
     for rtol, solver in product((1e-14, 1e-13, 1e-12, 1e-11), (*IMPLICIT, "dop853")):
         case = Case("tolerances", f"rtol {rtol:g}, {solver}", PENDULUM[3], {}, 2.0)
-        other = Reference(PENDULUM[0], "erk", 1e-13)
+        other = Counterpart(PENDULUM[0], "erk", 1e-13)
         yield replace(case, solver=solver, relative_tolerance=rtol, references=(other,))
 
 

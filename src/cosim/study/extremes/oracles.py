@@ -18,7 +18,7 @@ from cosim.trajectory import Trajectory
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
 
 
-class Verdict(NamedTuple):
+class Ending(NamedTuple):
     """How a case ended.
 
     Attributes:
@@ -37,7 +37,7 @@ class Verdict(NamedTuple):
 def run_case(case: Case) -> Trajectory:
     """Run a case as a user would."""
     return simulate(
-        _model(case.model),
+        _model_of(case.model),
         stop_time=case.stop_time,
         output_interval=case.stop_time / case.points,
         solver=case.solver,
@@ -50,17 +50,17 @@ def run_case(case: Case) -> Trajectory:
 Runner = Callable[[Case], Trajectory]
 
 
-def judge(case: Case, runner: Runner = run_case) -> Verdict:
+def judge(case: Case, runner: Runner = run_case) -> Ending:
     """Run a case and judge it."""
     began = perf_counter()
     try:
-        outcome, error, reason = _judged(case, runner)
+        outcome, error, reason = _judge(case, runner)
     except Exception as defect:  # an error that is none of `CosimError` counts as a crash
         outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
-    return Verdict(outcome, error, reason, perf_counter() - began)
+    return Ending(outcome, error, reason, perf_counter() - began)
 
 
-def _judged(case: Case, runner: Runner) -> tuple[str, float | None, str]:
+def _judge(case: Case, runner: Runner) -> tuple[str, float | None, str]:
     try:
         run = runner(case)
     except (UsageError, UnknownName, InitialConditionError) as refusal:
@@ -79,7 +79,7 @@ def _judged(case: Case, runner: Runner) -> tuple[str, float | None, str]:
 
 def _crank(case: Case, run: Trajectory) -> float:
     """Constant acceleration; bearing loads from the moments of the path (Unit 7, Example 1)."""
-    dae = _model(case.model)
+    dae = _model_of(case.model)
     given = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.states)} | dict(case.values)
     length, alpha, start = given["segment_length"], given["alpha"], given["omega"]
     mass = given["density"] * np.pi / 4 * given["diameter"] ** 2 * length  # of a segment
@@ -134,7 +134,7 @@ def _power(case: Case, run: Trajectory) -> float:
     return float(np.abs(missing).max() / np.abs(run["kinetic_energy"]).max())
 
 
-def _reference(case: Case, run: Trajectory) -> float:
+def _against_reference(case: Case, run: Trajectory) -> float:
     """The largest relative difference from the reference, over the variables of both."""
     true = _first_success(case)
     without = ("xP", "yP") if "bicycle/book" in (run.model, true.model) else ()
@@ -147,7 +147,7 @@ def _first_success(case: Case) -> Trajectory:
     for other in case.references:
         try:
             return simulate(
-                _model(other.model),
+                _model_of(other.model),
                 stop_time=case.stop_time,
                 output_interval=case.stop_time / case.points,
                 solver=other.solver,
@@ -167,7 +167,7 @@ ORACLES: dict[str, Callable[[Case, Trajectory], float]] = {
     "energy": _energy,
     "jacobi": _jacobi,
     "power": _power,
-    "reference": _reference,
+    "reference": _against_reference,
     "upright": _upright,
 }
 
@@ -179,5 +179,5 @@ def _relative(value: Vector, true: Any, floor: float) -> float:
 
 
 @cache
-def _model(name: str) -> Dae:
+def _model_of(name: str) -> Dae:
     return load(name)

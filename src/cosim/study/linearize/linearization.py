@@ -114,7 +114,7 @@ class Linearization:
         """
         rows = self.rows()
         lines = [",".join(rows[0])] if rows else []
-        lines += [",".join(_text(value) for value in row.values()) for row in rows]
+        lines += [",".join(_cell(value) for value in row.values()) for row in rows]
         write_atomically(target, ("\n".join(lines) + "\n").encode())
 
     def __str__(self) -> str:
@@ -165,5 +165,5 @@ def modes(linear: Linearization, groups: tuple[tuple[int, ...], ...]) -> tuple[M
     return tuple(sorted(found, key=lambda mode: (-mode.value.real, -mode.value.imag)))
 
 
-def _text(value: Any) -> str:
+def _cell(value: Any) -> str:
     return f"{value:.17g}" if isinstance(value, float) else str(value)

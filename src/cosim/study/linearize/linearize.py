@@ -21,8 +21,8 @@ from cosim.model.values import Values, assign, listed, number
 from cosim.study.linearize.linearization import Linearization
 
 START, EQUILIBRIUM = "start", "equilibrium"
-MOST_STEPS = 60  # of Newton's method
-ENOUGH = 1e-11  # rate in nominal values per second, at which a state is at rest
+MOST_NEWTON_STEPS = 60  # of Newton's method
+AT_REST = 1e-11  # rate in nominal values per second, at which a state is at rest
 
 
 def linearize(
@@ -63,7 +63,7 @@ def linearize(
             raise UsageError(
                 f"{model}: an FMU is linearized at its start; give start values, or the model"
             )
-        return _of_fmu(model, start_values, outputs)
+        return _linear_fmu(model, start_values, outputs)
     dae, values = model, assign(model, start_values)
     names = _output_names(dae, outputs)
     if isinstance(at, float):
@@ -109,7 +109,7 @@ def _without_influence(depends: Truths) -> tuple[int, ...]:
     return tuple(i for i in every if i not in kept)
 
 
-def _of_fmu(
+def _linear_fmu(
     path: str | os.PathLike[str],
     start: Mapping[str, float] | None,
     outputs: Sequence[str] | None,
@@ -142,7 +142,7 @@ def _of_dae(
     dae: Dae, names: tuple[str, ...], x: Vector, values: Values, time: float, point: str
 ) -> Linearization:
     z = algebraic_values(dae, time, x, values)
-    local = _evaluated(dae, names, time, x, z, values)
+    local = _at_point(dae, names, time, x, z, values)
     by_x, by_u = local.jacobian[:, : len(x)], local.jacobian[:, len(x) :]
     n = len(x)
     return Linearization(
@@ -174,7 +174,7 @@ class _Local:
     jacobian: Vector
 
 
-def _evaluated(
+def _at_point(
     dae: Dae, names: tuple[str, ...], time: float, x: Vector, z: Vector, values: Values
 ) -> _Local:
     function = _jacobians(dae, names)
@@ -239,15 +239,15 @@ def _rest(
 
     def defect(x: Vector) -> tuple[Vector, Vector]:
         z = algebraic_values(dae, 0.0, x, values)
-        local = _evaluated(dae, (), 0.0, x, z, values)
+        local = _at_point(dae, (), 0.0, x, z, values)
         left, slope = (np.array(block) for block in law(x, values.p))
         rows = np.concatenate(((local.rates / sizes)[resting], left.ravel()))
         by_x = (local.jacobian[: len(x)] / sizes[:, None])[np.ix_(resting, kept)]
         return rows, np.vstack((by_x, slope[:, kept])) * nominal
 
     start, (rows, slope) = x, defect(x)
-    for step in range(MOST_STEPS):
-        if np.abs(rows).max(initial=0.0) <= ENOUGH:
+    for step in range(MOST_NEWTON_STEPS):
+        if np.abs(rows).max(initial=0.0) <= AT_REST:
             moved = np.abs(x - start)[kept] / nominal
             if not moved.size or moved.max() == 0:
                 return x, "its start, an equilibrium"

@@ -28,8 +28,8 @@ from cosim.study.sensitivity.variational import (
 )
 from cosim.trajectory import Column, Trajectory
 
-TOLERANCE = 1e-8
-BOUND = 1e-5  # of two methods, scaled
+DERIVATIVE_TOLERANCE = 1e-8
+AGREEMENT_BOUND = 1e-5  # of two methods, scaled
 CHECK_TOLERANCE = 1e-12  # of the runs whose differences are taken
 
 
@@ -41,9 +41,9 @@ def sensitivity(
     start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
     solver: str | None = None,
-    relative_tolerance: float = TOLERANCE,
+    relative_tolerance: float = DERIVATIVE_TOLERANCE,
     check: bool = True,
-    bound: float = BOUND,
+    bound: float = AGREEMENT_BOUND,
     **times: Any,
 ) -> Sensitivity:
     """Differentiate a run: d(output)/d(parameter, start value, constant input) over time.

@@ -15,8 +15,9 @@ from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.keep import Keep
 from cosim.study.sweep.statistics import node_of, sketch_of
-from cosim.study.sweep.store import STATES, Record, Store
-from cosim.study.sweep.subject import Subject, opened
+from cosim.study.sweep.store import STATES, ChunkRecord, Store
+from cosim.study.sweep.subjects.opening import opened_subject
+from cosim.study.sweep.subjects.subject import Rows, Subject
 from cosim.trajectory import Trajectory
 
 
@@ -66,8 +67,8 @@ def compute_chunk(job: Job, first: int, columns: Mapping[str, Vector]) -> Summar
     if store.has(first, count):  # a scheduler may ask again where an answer was lost
         return summary_of(store.read(first, count))
     with store.watching(first, count) as watch:
-        subject = opened(job.subject)
-        ensemble = subject.run(columns, job.outputs, job.settings, job.threads, watch)
+        subject = opened_subject(job.subject)
+        ensemble = subject.run(Rows(columns, job.outputs, job.settings, job.threads), watch)
         if RunState.INTERRUPTED in ensemble.states:
             raise KeyboardInterrupt
         record = _record(job, first, ensemble, watch)
@@ -75,7 +76,7 @@ def compute_chunk(job: Job, first: int, columns: Mapping[str, Vector]) -> Summar
     return summary_of(record, ensemble.values.size, perf_counter() - began)
 
 
-def summary_of(record: Record, numbers: int = 0, seconds: float = 0.0) -> Summary:
+def summary_of(record: ChunkRecord, numbers: int = 0, seconds: float = 0.0) -> Summary:
     """Return what is told of a chunk."""
     states = Counter(str(STATES[i]) for i in record.states)
     return Summary(record.first, len(record), states, numbers, seconds)
@@ -83,7 +84,7 @@ def summary_of(record: Record, numbers: int = 0, seconds: float = 0.0) -> Summar
 
 def lost(job: Job, run: int, reason: str) -> Summary:
     """Write a run that ends every process that computes it as a row."""
-    record = Record(
+    record = ChunkRecord(
         run,
         np.empty(0),
         np.array([STATES.index(RunState.LOST)], dtype=np.int8),
@@ -96,7 +97,7 @@ def lost(job: Job, run: int, reason: str) -> Summary:
     return summary_of(record)
 
 
-def _record(job: Job, first: int, ensemble: Ensemble, watch: Watch) -> Record:
+def _record(job: Job, first: int, ensemble: Ensemble, watch: Watch) -> ChunkRecord:
     states = list(ensemble.states)
     reasons = dict(ensemble.invalid) | dict(ensemble.reasons)
     numbers: dict[str, Vector] = {}
@@ -108,7 +109,7 @@ def _record(job: Job, first: int, ensemble: Ensemble, watch: Watch) -> Record:
         for i in np.flatnonzero(good).tolist():
             watch(i)
             try:
-                found = dict(_function(job.function)(ensemble.run(i)))
+                found = dict(_unpickled(job.function)(ensemble.run(i)))
                 for name, value in found.items():
                     column = numbers.setdefault(str(name), np.full(len(states), np.nan))
                     column[i] = float(value)
@@ -117,7 +118,7 @@ def _record(job: Job, first: int, ensemble: Ensemble, watch: Watch) -> Record:
                 reasons[i] = f"the function failed with {type(error).__name__}: {error}"
     good = np.array([state is RunState.COMPLETE for state in states], dtype=bool)
     statistics = job.keep.statistics
-    return Record(
+    return ChunkRecord(
         first,
         ensemble.time,
         np.array([STATES.index(state) for state in states], dtype=np.int8),
@@ -132,11 +133,11 @@ def _record(job: Job, first: int, ensemble: Ensemble, watch: Watch) -> Record:
 
 
 @lru_cache(2)
-def _function(content: bytes) -> Callable[[Trajectory], Mapping[str, float]]:
+def _unpickled(content: bytes) -> Callable[[Trajectory], Mapping[str, float]]:
     function: Callable[[Trajectory], Mapping[str, float]] = pickle.loads(content)
     return function
 
 
-def good_of(record: Record) -> Truths:
+def good_of(record: ChunkRecord) -> Truths:
     """Tell which runs of a record are complete, (runs,)."""
     return np.asarray(record.states == STATES.index(RunState.COMPLETE), dtype=bool)

@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UnknownName, UsageError
-from cosim.study.sweep.extra import extra
+from cosim.host.optional_packages import optional_module
 from cosim.study.sweep.samples import Samples
 
 METHODS = {"sobol": "sobol", "morris": "morris"}
@@ -36,7 +36,7 @@ def sensitivity_design(
         "names": names,
         "bounds": [[float(low), float(high)] for low, high in ranges.values()],
     }
-    module = extra(f"SALib.sample.{METHODS[method]}")
+    module = optional_module(f"SALib.sample.{METHODS[method]}", "sweep")
     table = module.sample(problem, size, seed=seed)
     columns = dict(zip(names, np.array(table, dtype=float).T, strict=True))
     return Samples(columns, f"SALib {method}:{size}, seed {seed}", problem)
@@ -59,7 +59,7 @@ def indices(samples: Samples, number: Vector, method: str) -> dict[str, Vector]:
     if not np.isfinite(number).all():
         missing = int((~np.isfinite(number)).sum())
         raise UsageError(f"indices: {missing} runs have no number; narrow the ranges")
-    analyze = extra(f"SALib.analyze.{METHODS[method]}").analyze
+    analyze = optional_module(f"SALib.analyze.{METHODS[method]}", "sweep").analyze
     found: Mapping[str, Any]
     if method == "sobol":
         found = analyze(dict(samples.problem), number, seed=0)

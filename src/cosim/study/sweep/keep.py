@@ -9,9 +9,9 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import UnknownName, UsageError
 
-KINDS = ("final", "max", "min", "mean", "rms", "first")
+REDUCTIONS = ("final", "max", "min", "mean", "rms", "first")
 WHOLE = ("trajectories", "statistics")
-_CALL = re.compile(r"\s*(\w+)\s*(?:\(\s*([\w.\[\]]+)\s*(?:,\s*([-+.\deE]+)\s*)?\))?\s*")
+_REDUCTION = re.compile(r"\s*(\w+)\s*(?:\(\s*([\w.\[\]]+)\s*(?:,\s*([-+.\deE]+)\s*)?\))?\s*")
 
 
 @dataclass(frozen=True)
@@ -105,13 +105,13 @@ def keep_from(words: Iterable[str], outputs: Sequence[str]) -> Keep:
         raise UsageError.of_type("sweep: keep", words, "a list, e.g. ['final', 'max(phi)']")
     whole, reductions = set(), list[Reduction]()
     for word in words:
-        match = _CALL.fullmatch(word)
+        match = _REDUCTION.fullmatch(word)
         kind, variable, level = match.groups() if match else (word, None, None)
         if kind in WHOLE and variable is None:
             whole.add(kind)
             continue
-        if kind not in KINDS:
-            raise UnknownName.among("sweep", "thing to keep", word, (*WHOLE, *KINDS))
+        if kind not in REDUCTIONS:
+            raise UnknownName.among("sweep", "thing to keep", word, (*WHOLE, *REDUCTIONS))
         if (kind == "first") != (level is not None):
             raise UsageError(f"sweep: {word}: write e.g. first(phi, 0.5), and others as max(phi)")
         if variable is not None and variable not in outputs:

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from cosim.arrays import Truths, Vector
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
+from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.ensemble import RunState
-from cosim.study.sweep.extra import extra
 from cosim.study.sweep.samples import Samples
-from cosim.study.sweep.statistics import Node, Sketch, added, merged, quantile, settled
+from cosim.study.sweep.statistics import Node, Sketch, added, merged, merged_branches, quantile
 from cosim.study.sweep.store import STATES, Store
 from cosim.trajectory import Column, Trajectory, repr_17
 
@@ -199,7 +199,7 @@ class SweepResult:
         Raises:
             MissingTool: xarray is not there.
         """
-        xarray = extra("xarray")
+        xarray = optional_module("xarray", "sweep")
         flags = {"flag_values": list(range(len(STATES))), "flag_meanings": " ".join(STATES)}
         variables: dict[str, Any] = {
             "status": ("run", self.codes, flags),
@@ -239,7 +239,7 @@ class SweepResult:
 
     def to_zarr(self, path: str | os.PathLike[str]) -> None:
         """Write everything as a zarr folder, which replaces what is there when it is whole."""
-        extra("zarr")
+        optional_module("zarr", "sweep")
         target = Path(path)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as folder:
             made = Path(folder) / "made"
@@ -307,7 +307,7 @@ def collect(
             if temporary:
                 tables.append((record.first, record.values))
         if record.node is not None and record.sketch is not None:
-            nodes = settled([*nodes, record.node])
+            nodes = merged_branches([*nodes, record.node])
             sketch = added(sketch, record.sketch)
     statistics = None
     if nodes:

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
+from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
-from cosim.study.sweep.extra import extra
 from cosim.trajectory import repr_17
 
 DESIGNS = {"sobol": "Sobol", "lhs": "LatinHypercube", "halton": "Halton", "random": ""}
@@ -137,13 +137,13 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
         raise UnknownName.among("sweep", "design", kind, DESIGNS)
     if runs < 1:
         raise ParameterError(f"sweep: {runs} runs; give 1 or more")
-    varied = [name for name, spread in ranges.items() if not _is_number(spread)]
+    varied = [name for name, spread in ranges.items() if not isinstance(spread, int | float)]
     if not varied:
         raise ParameterError(f"sweep: {kind} needs a range; give e.g. phi_dot=0:1")
     if kind == "random":
         unit = np.random.default_rng(seed).random((runs, len(varied)))
     else:
-        qmc = extra("scipy.stats").qmc
+        qmc = optional_module("scipy.stats", "sweep").qmc
         sampler = getattr(qmc, DESIGNS[kind])(len(varied), rng=np.random.default_rng(seed))
         unit = sampler.random(runs)
     quantiles = dict(zip(varied, unit.T, strict=True))
@@ -152,10 +152,6 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
         for name, spread in ranges.items()
     }
     return Samples(columns, f"{kind}:{runs}, seed {seed}")
-
-
-def _is_number(spread: Any) -> bool:
-    return isinstance(spread, int | float)
 
 
 def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:

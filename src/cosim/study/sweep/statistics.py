@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Truths, Vector
-
-Whole = NDArray[np.int64]
+from cosim.arrays import Integers, Truths, Vector
 
 _SHIFT = 45  # keeps sign, exponent and 7 bits of a double: 19 bits
-_KEYS = np.int64(1) << 19
+_SKETCH_KEYS = np.int64(1) << 19
 _MIDDLE = np.int64(1) << 18
 
 
@@ -32,7 +30,7 @@ class Node:
 
     first: int
     size: int
-    count: Whole
+    count: Integers
     mean: Vector
     squares: Vector
     low: Vector
@@ -60,7 +58,7 @@ def node_of(first: int, values: Vector, good: Truths) -> Node:
     return Node(first, size, *(part[0] for part in parts))
 
 
-def settled(nodes: list[Node]) -> list[Node]:
+def merged_branches(nodes: list[Node]) -> list[Node]:
     """Merge the last of consecutive nodes as far as whole branches of the tree are there."""
     stack = list(nodes)
     while len(stack) > 1 and stack[-1].size == stack[-2].size and _siblings(*stack[-2:]):
@@ -73,7 +71,7 @@ def merged(nodes: Iterable[Node]) -> Node:
     """Merge nodes that follow each other; the last may end anywhere."""
     stack: list[Node] = []
     for node in nodes:
-        stack = settled([*stack, node])
+        stack = merged_branches([*stack, node])
     last = stack.pop()
     while stack:  # what is missing to whole branches counts nothing
         last = _joined(stack.pop(), last)
@@ -106,8 +104,8 @@ def _merged(a: list[NDArray], b: list[NDArray]) -> list[NDArray]:  # type: ignor
 class Sketch:
     """Counts of values in bins, for every time and column: codes in increasing order."""
 
-    codes: Whole
-    counts: Whole
+    codes: Integers
+    counts: Integers
 
 
 def sketch_of(values: Vector, good: Truths) -> Sketch:
@@ -117,7 +115,7 @@ def sketch_of(values: Vector, good: Truths) -> Sketch:
     size = (bits & np.int64(0x7FFF_FFFF_FFFF_FFFF)) >> _SHIFT
     keys = np.where(bits < 0, -size, size) + _MIDDLE
     series = np.arange(values[0].size, dtype=np.int64).reshape(values.shape[1:])
-    codes, counts = np.unique(series * _KEYS + keys, return_counts=True)
+    codes, counts = np.unique(series * _SKETCH_KEYS + keys, return_counts=True)
     return Sketch(codes, counts.astype(np.int64))
 
 
@@ -131,13 +129,13 @@ def added(left: Sketch, right: Sketch) -> Sketch:
 
 def quantile(sketch: Sketch, node: Node, q: float) -> Vector:
     """Return a quantile per time and column, (times, columns), within 0.4 % of its value."""
-    series = sketch.codes // _KEYS
+    series = sketch.codes // _SKETCH_KEYS
     total = np.bincount(series, sketch.counts, node.mean.size).astype(np.int64)
     before = np.cumsum(sketch.counts)
     begin = np.concatenate(([0], np.cumsum(total)))[:-1]
     rank = begin + np.maximum(np.ceil(q * total), 1).astype(np.int64)
     place = np.minimum(np.searchsorted(before, rank), len(before) - 1)
-    keys = sketch.codes[place] % _KEYS - _MIDDLE
+    keys = sketch.codes[place] % _SKETCH_KEYS - _MIDDLE
     middle = (np.abs(keys) << _SHIFT) + (np.int64(1) << (_SHIFT - 1))
     found = np.where(keys == 0, 0.0, np.copysign(middle.view(np.float64), keys))
     shaped = np.where(total > 0, found, np.nan).reshape(node.mean.shape)

@@ -27,7 +27,7 @@ _NODE = ("count", "mean", "squares", "low", "high")
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class ChunkRecord:
     """What is kept of consecutive runs.
 
     Attributes:
@@ -125,7 +125,7 @@ class Store:
         matches = (_CHUNK.fullmatch(path.name) for path in self.chunks.iterdir())
         return sorted((int(match[1]), int(match[2])) for match in matches if match)
 
-    def write(self, record: Record) -> None:
+    def write(self, record: ChunkRecord) -> None:
         """Write a chunk."""
         arrays: dict[str, Any] = {
             "time": record.time,
@@ -147,7 +147,7 @@ class Store:
         np.savez(stream, **arrays)
         write_atomically(self._path(record.first, len(record), "npz"), stream.getvalue())
 
-    def read(self, first: int, count: int) -> Record:
+    def read(self, first: int, count: int) -> ChunkRecord:
         """Read a chunk."""
         with np.load(self._path(first, count, "npz")) as found:
             names = json.loads(str(found["names"]))
@@ -158,7 +158,7 @@ class Store:
                 node = Node(first, int(found["size"]), *parts)
                 sketch = Sketch(found["codes"], found["counts"])
             reasons = json.loads(str(found["reasons"]))
-            return Record(
+            return ChunkRecord(
                 first,
                 found["time"],
                 found["states"],
@@ -171,7 +171,7 @@ class Store:
                 sketch,
             )
 
-    def records(self) -> Iterator[Record]:
+    def records(self) -> Iterator[ChunkRecord]:
         """Read every chunk, in order."""
         for first, count in self.finished():
             yield self.read(first, count)

@@ -16,22 +16,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.errors import Interrupted, ParameterError, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.simulate_many import processors
 from cosim.integrate.solver import Solver
 from cosim.study.sweep.chunk import Job
 from cosim.study.sweep.engines.cluster import connected, run_cluster
 from cosim.study.sweep.engines.processes import run_here, run_processes
 from cosim.study.sweep.engines.schedule import Schedule, gaps
-from cosim.study.sweep.extra import extra
 from cosim.study.sweep.keep import keep_from
 from cosim.study.sweep.progress import Progress
 from cosim.study.sweep.result import SweepResult, collect
 from cosim.study.sweep.samples import Samples, as_samples, digest_of
 from cosim.study.sweep.store import Store
-from cosim.study.sweep.subject import as_subject, opened
+from cosim.study.sweep.subjects.opening import as_subject, opened_subject
 from cosim.trajectory import Trajectory
 
-_FORMAT = 1  # of the store
+_STORE_FORMAT = 1  # of the store
 _LANE_CHUNK = 16  # runs; fewer leave lanes empty
 
 Function = Callable[[Trajectory], Mapping[str, float]]
@@ -94,13 +94,13 @@ def sweep(
         MissingTool: A package of the extra `sweep` is not there.
         Interrupted: Ctrl-C; `partial` holds what had finished, and the store keeps it.
     """
-    thing = opened(as_subject(subject))
+    thing = opened_subject(as_subject(subject))
     if store is not None:
-        extra("xarray"), extra("zarr")
+        optional_module("xarray", "sweep"), optional_module("zarr", "sweep")
     if samples is None and (store is None or not resume):
         raise UsageError("sweep: give samples; they may be left out to resume a store")
     chosen = Store(store).samples() if samples is None and store else as_samples(samples)
-    settings = _settings(
+    settings = _kept_settings(
         times=times,
         start_time=start_time,
         stop_time=stop_time,
@@ -126,7 +126,7 @@ def sweep(
         )
         kept_here = Store(Path(folder).resolve() / "sweep" if temporary else Path(folder).resolve())
         manifest = {
-            "format": _FORMAT,
+            "format": _STORE_FORMAT,
             "model": thing.name,
             "model_digest": thing.digest,
             "samples": chosen.origin,
@@ -135,7 +135,7 @@ def sweep(
             "runs": len(chosen),
             "outputs": list(names),
             "keep": kept.words(),
-            "function": _named(function),
+            "function": _function_name(function),
             "settings": settings,
             "computed": how,
             "versions": _versions(),
@@ -211,7 +211,7 @@ class _Crew:
             run_here(job, samples, schedule, tell)
 
 
-def _settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
+def _kept_settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
     """Return what is not None, in forms that JSON keeps."""
     solver = given.get("solver")
     if isinstance(solver, Solver):
@@ -231,7 +231,7 @@ def _settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
     return settings
 
 
-def _named(function: Function | None) -> str | None:
+def _function_name(function: Function | None) -> str | None:
     """Return by what a user's function is told from another."""
     if function is None:
         return None
@@ -244,12 +244,12 @@ def _named(function: Function | None) -> str | None:
 def _packed(function: Function, elsewhere: bool) -> bytes:
     """Return a function as bytes; other processes know nothing of a script's own ones."""
     if elsewhere:
-        found: bytes = extra("cloudpickle").dumps(function)
+        found: bytes = optional_module("cloudpickle", "sweep").dumps(function)
         return found
     try:
         return pickle.dumps(function)
     except (pickle.PicklingError, AttributeError, TypeError):
-        packed: bytes = extra("cloudpickle").dumps(function)
+        packed: bytes = optional_module("cloudpickle", "sweep").dumps(function)
         return packed
 
 

@@ -16,8 +16,8 @@ from cosim.verify.comparison import compare
 from cosim.verify.reference import Reference
 
 WANTED = 4  # halvings that an order is fitted to, the smallest steps that rounding leaves alone
-_MOST = 14  # halvings that are tried
-_LONGEST = 200_000  # steps, as far as that
+_MOST_HALVINGS = 14  # halvings that are tried
+_MOST_STEPS = 200_000  # steps, as far as that
 _LARGEST = 0.05  # error, in nominal values, from which on halving can be expected to help
 _OUTPUTS = 10
 
@@ -75,9 +75,9 @@ def observed_order(scene: Scene, truth: Reference, solver: str) -> Order:
     steps: list[float] = []
     errors: list[float] = []
     expected = SOLVERS[solver].order
-    for halvings in range(_MOST):
+    for halvings in range(_MOST_HALVINGS):
         step = length / 2**halvings
-        if (end - begin) / step > _LONGEST:
+        if (end - begin) / step > _MOST_STEPS:
             break
         try:
             run = simulate(

@@ -106,7 +106,7 @@ class Record:
         """Add a run; it is on the disk when this returns."""
         with self.path.open("a", encoding="utf-8") as stream:
             facts = {"key": self.key} | asdict(event)
-            stream.write(json.dumps({**facts, "sha256": _checksum(facts)}) + "\n")
+            stream.write(json.dumps({**facts, "sha256": _facts_checksum(facts)}) + "\n")
             stream.flush()
             os.fsync(stream.fileno())
 
@@ -115,11 +115,11 @@ class Record:
             try:
                 facts = json.loads(line)
                 checksum = facts.pop("sha256")
-                if checksum == _checksum(facts) and facts.pop("key") == self.key:
+                if checksum == _facts_checksum(facts) and facts.pop("key") == self.key:
                     yield Event.of(facts)
             except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 continue  # cut off by an interruption, or damaged
 
 
-def _checksum(facts: dict[str, Any]) -> str:
+def _facts_checksum(facts: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()

@@ -23,7 +23,7 @@ from cosim.scene.scene import Scene
 from cosim.verify.reference import Reference
 
 _STEPS = 120  # over which a perturbation must not grow
-_SMALL = 1e-6  # of it, in nominal values
+_PERTURBATION = 1e-6  # of it, in nominal values
 _CHANGE = 0.01  # of the eigenvalue over the last tenth of the run, in a steady motion
 
 
@@ -83,7 +83,7 @@ def stability_limit(scene: Scene, truth: Reference, solver: str) -> StabilityLim
     predicted = largest_stable_step(polynomial, mode)
     step = step_function(rhs, tableau)
     nominal = np.array([variable.nominal for variable in dae.states])
-    measured = _measured(step, t, x, vectors, nominal, predicted)
+    measured = _growth_step(step, t, x, vectors, nominal, predicted)
     return StabilityLimit(dae.full_name, solver, mode, predicted, measured)
 
 
@@ -133,7 +133,7 @@ def _limiting_mode(
     return complex(values[first]), (right[:, first], left[:, first])
 
 
-def _measured(
+def _growth_step(
     step: ca.Function,
     t: float,
     x: Vector,
@@ -161,7 +161,7 @@ def _grows(
 ) -> bool:
     right, left = vectors
     shift = np.real(right)
-    shift = shift * _SMALL / np.max(np.abs(shift) / nominal)
+    shift = shift * _PERTURBATION / np.max(np.abs(shift) / nominal)
     apart = []
     states = [x, x + shift]
     for i in range(_STEPS):

@@ -40,7 +40,7 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Unknown:
+class DependentVariable:
     """A variable that the equations determine, and what it depends on, as value references."""
 
     reference: int
@@ -51,9 +51,9 @@ class Unknown:
 class Structure:
     """The unknowns that an importer asks for, by FMI's sections, in ascending order."""
 
-    outputs: tuple[Unknown, ...]
-    derivatives: tuple[Unknown, ...]
-    initial_unknowns: tuple[Unknown, ...]
+    outputs: tuple[DependentVariable, ...]
+    derivatives: tuple[DependentVariable, ...]
+    initial_unknowns: tuple[DependentVariable, ...]
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,10 @@ def model_structure(
     unknown = {i for i in (*observed, *states) if variables[i].start_kind is not Start.EXACT}
     unknown |= set(positions[Role.DERIVATIVE])
 
-    def section(members: Sequence[int], table: dict[int, tuple[int, ...]]) -> tuple[Unknown, ...]:
-        return tuple(Unknown(i, table[i]) for i in sorted(members))
+    def section(
+        members: Sequence[int], table: dict[int, tuple[int, ...]]
+    ) -> tuple[DependentVariable, ...]:
+        return tuple(DependentVariable(i, table[i]) for i in sorted(members))
 
     return Structure(
         section(observed, running),

@@ -45,7 +45,7 @@ def model_header(
 def variable_table(dae: Dae, variables: Sequence[FmuVariable]) -> str:
     """Return `model.c`: every variable, in the order of the value references, and the limits."""
     limits = "".join(f"    {_string(meaning)},\n" for _, meaning in dae.limits)
-    rows = "".join(f"    {{{', '.join(_row(variable))}}},\n" for variable in variables)
+    rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in variables)
     return f"""/* Generated. */
 #include "variables.h"
 #include <float.h>
@@ -61,7 +61,7 @@ const char *const limits[] = {{
 
 
 # Compilers of other people do not get our options; system headers must stay outside.
-_HEAD = """#include <math.h>
+_INCLUDES = """#include <math.h>
 #include "visibility.h"
 INSIDE_BEGIN
 #define CASADI_SYMBOL_EXPORT
@@ -75,7 +75,9 @@ INSIDE_BEGIN
 _LONGEST = 250_000  # characters of a function that stays whole, written in fewer lines
 
 # Start values and derivatives: most of the code, and no solver waits for it in every step.
-_SMALL = re.compile(r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE)
+_SMALL_FUNCTION = re.compile(
+    r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE
+)
 
 
 # Some function must be headed so: a model may have no derivative that is worth its own.
@@ -84,7 +86,7 @@ _HEADING = re.compile(r"^/\* \w+:.*\n(?:SMALL )?(?:static )?int ", re.MULTILINE)
 _MODEL_NAME = re.compile(r"\bmodel_")  # what CasADi makes around a function has its name, too
 
 
-def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
+def equations_c(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     """Return `equations.c`: CasADi's code, its functions visible inside the library only.
 
     Raises:
@@ -93,32 +95,32 @@ def equations(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code = _SMALL.sub(r"\1SMALL ", in_pieces(folded(code), _LONGEST))
+    code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(folded(code), _LONGEST))
     if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
             "use casadi 3.8"
         )
-    return _HEAD + _MODEL_NAME.sub(f"{identifier}_model_", code)
+    return _INCLUDES + _MODEL_NAME.sub(f"{identifier}_model_", code)
 
 
-def _row(variable: FmuVariable) -> tuple[str, ...]:
+def _fields(variable: FmuVariable) -> tuple[str, ...]:
     guess = variable.start if variable.guess is None else variable.guess
     start = guess if variable.start is None else variable.start
     return (
         _string(variable.name),
         variable.role.name,
         variable.start_kind.name,
-        _number(start or 0.0),
-        _number(variable.nominal),
-        _number(variable.minimum),
-        _number(variable.maximum),
-        _number(guess or 0.0),
+        _c_literal(start or 0.0),
+        _c_literal(variable.nominal),
+        _c_literal(variable.minimum),
+        _c_literal(variable.maximum),
+        _c_literal(guess or 0.0),
         str(variable.tunable).lower(),
     )
 
 
-def _number(value: float) -> str:
+def _c_literal(value: float) -> str:
     """Return a C literal of the same bits."""
     if value in (float("inf"), float("-inf")):
         return "DBL_MAX" if value > 0 else "-DBL_MAX"

@@ -6,15 +6,15 @@ Every function follows CasADi's calling convention; fmu/runtime/equations.h decl
 from math import log2
 
 import casadi as ca
-from casadi import MX, SX
+from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
-from cosim.fmi.export.sources.sensitivities import sensitivity_functions
+from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
 
-_CALL = ["t", "x", "z", "u", "p"]
+_ARGUMENTS = ["t", "x", "z", "u", "p"]
 
 
 def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
@@ -30,13 +30,13 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     for function in (
         start_function(dae),
         algebraic_function(dae),
-        _plain(dae, "model_ode", dae.ode),
-        _plain(dae, "model_outputs", dae.outputs, _margins(dae)),
+        _plain_function(dae, "model_ode", dae.ode),
+        _plain_function(dae, "model_outputs", dae.outputs, _margins(dae)),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
     if not uses_dop853(dae, solver):
-        generator.add(step_function(dae, solver))
+        generator.add(solver_step(dae, solver))
     code = str(generator.dump())
     if not dae.states or solver == DOP853:
         return code
@@ -48,13 +48,13 @@ def _margins(dae: Dae) -> SX:
     return ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
 
 
-def _plain(dae: Dae, name: str, *expressions: SX) -> ca.Function:
+def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     names = ["value", "margins"][: len(expressions)]
-    return ca.Function(name, symbols, [*expressions], _CALL, names, {"cse": True})
+    return ca.Function(name, symbols, [*expressions], _ARGUMENTS, names, {"cse": True})
 
 
-def step_function(dae: Dae, plugin: str) -> ca.Function:
+def solver_step(dae: Dae, plugin: str) -> ca.Function:
     """Return `model_step(x, z, q) -> (x_end, z_end)`, the co-simulation solver.
 
     q = (t0, h, relative tolerance, u0, du, p): integrates over h with inputs u0 + s du, s from 0 to
@@ -65,7 +65,7 @@ def step_function(dae: Dae, plugin: str) -> ca.Function:
     t0, h, rtol = SX.sym("t0"), SX.sym("h"), SX.sym("rtol")
     u0, du = SX.sym("u0", dae.u.numel()), SX.sym("du", dae.u.numel())
     q = ca.vertcat(t0, h, rtol, u0, du, dae.p)
-    x, z, parameters = _like(dae.x), _like(dae.z), _like(q)
+    x, z, parameters = argument_like(dae.x), argument_like(dae.z), argument_like(q)
     if not dae.states:  # nothing moves, and CasADi integrates nothing
         return ca.Function("model_step", [x, z, parameters], [x, z])
     # a power of two: scaling there and back changes no bit
@@ -78,7 +78,3 @@ def step_function(dae: Dae, plugin: str) -> ca.Function:
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])
-
-
-def _like(symbol: SX) -> MX:
-    return MX.sym("argument", symbol.sparsity())

@@ -9,12 +9,11 @@ stay, so that results are the same bits. Measured: it makes the file of `bicycle
 import re
 from collections.abc import Iterator, Sequence
 
-_ASSIGNMENT = re.compile(r" +(a\d+)=(.*);")
-_VARIABLE = re.compile(r"\ba\d+\b")
-_STRAIGHT = re.compile(r" +(a\d+=.*|casadi_real a.*|if \(res\[\d+\].*|return 0);")
-_DECLARATION = re.compile(r" +casadi_real a.*;")
-_NUMBER = re.compile(r"\d[\d.e+-]*")  # a negative one might meet another sign
-_BEGIN = "static int casadi_f"
+from cosim.codegen.pieces import DECLARATION, STRAIGHT_LINE, TEMPORARY
+
+_ASSIGNED_ONCE = re.compile(r" +(a\d+)=(.*);")
+_LITERAL = re.compile(r"\d[\d.e+-]*")  # a negative one might meet another sign
+_FUNCTION_BEGIN = "static int casadi_f"
 MOST_CHARACTERS = 150  # of an expression that moves into another one
 MOST_DEPTH = 40  # of its parentheses; C11 grants 63 (5.2.4.1)
 
@@ -25,10 +24,10 @@ def folded(code: str) -> str:
     for i, line in enumerate(lines):
         if begin is None:
             result.append(line)
-            begin = i + 1 if line.startswith(_BEGIN) and line.endswith("{") else None
+            begin = i + 1 if line.startswith(_FUNCTION_BEGIN) and line.endswith("{") else None
         elif line == "}":
             body = lines[begin:i]
-            straight = all(map(_STRAIGHT.fullmatch, body))
+            straight = all(map(STRAIGHT_LINE.fullmatch, body))
             result += _folded_body(body) if straight else body
             result.append(line)
             begin = None
@@ -47,12 +46,12 @@ def _folded_body(lines: Sequence[str]) -> Iterator[str]:
                 yield f" {reader}={waiting.pop(reader)};"
 
     for line, count in zip(lines, uses, strict=True):
-        if _DECLARATION.fullmatch(line):  # declarations
+        if DECLARATION.fullmatch(line):  # declarations
             yield line
             continue
-        assignment = _ASSIGNMENT.fullmatch(line)
+        assignment = _ASSIGNED_ONCE.fullmatch(line)
         text = assignment[2] if assignment else line
-        text = _VARIABLE.sub(lambda found: waiting.pop(found[0], found[0]), text)
+        text = TEMPORARY.sub(lambda found: waiting.pop(found[0], found[0]), text)
         if not assignment:
             yield text
             continue
@@ -60,7 +59,7 @@ def _folded_body(lines: Sequence[str]) -> Iterator[str]:
         yield from written_before(variable)
         if count == 1 and _may_move(text):
             waiting[variable] = text
-            for operand in set(_VARIABLE.findall(text)):
+            for operand in set(TEMPORARY.findall(text)):
                 readers.setdefault(operand, []).append(variable)
         else:
             yield f" {variable}={text};"
@@ -70,10 +69,10 @@ def _uses(lines: Sequence[str]) -> list[int]:
     """Return for each line how often the value that it assigns is used."""
     uses, latest = [0] * len(lines), dict[str, int]()
     for i, line in enumerate(lines):
-        if _DECLARATION.fullmatch(line):
+        if DECLARATION.fullmatch(line):
             continue
-        assignment = _ASSIGNMENT.fullmatch(line)
-        for variable in _VARIABLE.findall(assignment[2] if assignment else line):
+        assignment = _ASSIGNED_ONCE.fullmatch(line)
+        for variable in TEMPORARY.findall(assignment[2] if assignment else line):
             uses[latest[variable]] += 1
         if assignment:
             latest[assignment[1]] = i
@@ -82,7 +81,7 @@ def _uses(lines: Sequence[str]) -> list[int]:
 
 def _may_move(text: str) -> bool:
     """Tell whether an expression can be an operand: closed, short, not deep."""
-    closed = (text.endswith(")") and "?" not in text) or _NUMBER.fullmatch(text)
+    closed = (text.endswith(")") and "?" not in text) or _LITERAL.fullmatch(text)
     return bool(closed) and len(text) < MOST_CHARACTERS and _depth(text) < MOST_DEPTH
 
 

@@ -50,7 +50,7 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
         [ca.jtimes(e, variables, seed) for e in (dae.ode, dae.outputs)[looped:]],
         {"cse": True},
     )
-    arguments = [_like(symbol) for symbol in (*call, *seeds)]
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
     sens_z = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
     *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
@@ -71,7 +71,7 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
             these are too long when None.
     """
     call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
-    arguments = [_like(symbol) for symbol in call]
+    arguments = [argument_like(symbol) for symbol in call]
     if is_large(dae) if in_a_loop is None else in_a_loop:
         laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
         pattern = ca.jacobian_sparsity(laws, unknowns)
@@ -119,7 +119,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
         [ca.jtimes(everything, v, all_seeds, True) for v in (dae.x, dae.u, dae.p, dae.t)],
         {"cse": True},
     )
-    arguments = [_like(symbol) for symbol in (*call, *seeds)]
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
     solved = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
@@ -127,7 +127,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
 
 def start_directional_function(dae: Dae) -> ca.Function:
     """Return `model_start_directional(x, p, seed_x, seed_p)`: of settled starts, along seeds."""
-    x, p, seed_x, seed_p = (_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
+    x, p, seed_x, seed_p = (argument_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
     moved = _along_starts(dae, x, p, seed_x, seed_p)
     return ca.Function("model_start_directional", [x, p, seed_x, seed_p], [moved])
 
@@ -156,5 +156,6 @@ def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
     return ca.Function(name, [dae.x, dae.p, *seeds], results, {"cse": True})
 
 
-def _like(symbol: SX) -> MX:
+def argument_like(symbol: SX) -> MX:
+    """Return a symbol of the same sparsity, as functions around others take it."""
     return MX.sym("argument", symbol.sparsity())

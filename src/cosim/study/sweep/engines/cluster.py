@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from cosim.host.optional_packages import optional_module
 from cosim.study.sweep.chunk import Job, Summary, compute_chunk
 from cosim.study.sweep.engines.processes import after_death
 from cosim.study.sweep.engines.schedule import Schedule
-from cosim.study.sweep.extra import extra
 from cosim.study.sweep.samples import Samples
 
 
@@ -19,14 +19,14 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
         MissingTool: dask.distributed is not there.
         OSError: Nobody answers at the address.
     """
-    distributed = extra("distributed")
+    distributed = optional_module("distributed", "sweep")
     if scheduler != "local":
         with distributed.Client(scheduler, set_as_default=False) as client:
             yield client
         return
     options = {"distributed.scheduler.allowed-failures": 0}  # a chunk that kills is ours to handle
     with (
-        extra("dask").config.set(options),
+        optional_module("dask", "sweep").config.set(options),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, dashboard_address=None, processes=True
         ) as cluster,
@@ -47,7 +47,7 @@ def run_cluster(
     Raises:
         CosimError: A chunk cannot be computed at all.
     """
-    distributed = extra("distributed")
+    distributed = optional_module("distributed", "sweep")
     under_way: dict[Any, tuple[int, int]] = {}
     arriving = distributed.as_completed(loop=client.loop)
 

@@ -18,10 +18,10 @@ from cosim.study.sweep.store import Store
 
 _MOST_FAILED_STARTS = 5  # of processes, one after the other
 
-Tell = Callable[[Summary], None]
+TellSummary = Callable[[Summary], None]
 
 
-def run_here(job: Job, samples: Samples, schedule: Schedule, tell: Tell) -> None:
+def run_here(job: Job, samples: Samples, schedule: Schedule, tell: TellSummary) -> None:
     """Compute all chunks in this process, one after the other."""
     while (chunk := schedule.take(wait=False)) is not None:
         summary = compute_chunk(job, chunk[0], samples.part(*chunk))
@@ -29,7 +29,9 @@ def run_here(job: Job, samples: Samples, schedule: Schedule, tell: Tell) -> None
         tell(summary)
 
 
-def run_processes(job: Job, samples: Samples, schedule: Schedule, tell: Tell, workers: int) -> None:
+def run_processes(
+    job: Job, samples: Samples, schedule: Schedule, tell: TellSummary, workers: int
+) -> None:
     """Compute all chunks in processes of their own.
 
     Raises:

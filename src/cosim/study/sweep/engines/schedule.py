@@ -8,7 +8,7 @@ Range = tuple[int, int]  # first run and number of runs: a power of two that div
 
 TARGET = 1.0  # s, of one chunk
 LARGEST = 1 << 13  # runs
-MOST_NUMBERS = 1 << 21  # of one chunk, in memory
+CHUNK_NUMBERS = 1 << 21  # of one chunk, in memory
 
 
 def gaps(total: int, finished: Sequence[Range]) -> list[Range]:
@@ -88,7 +88,7 @@ class Schedule:
             count = chunk[1]
             if not self._fixed and seconds > 0:
                 rate = count / seconds * TARGET
-                fits = MOST_NUMBERS * count // max(numbers, 1)
+                fits = CHUNK_NUMBERS * count // max(numbers, 1)
                 wanted = int(max(1, min(rate, fits, 4 * self._size, LARGEST)))
                 self._size = max(1 << wanted.bit_length() - 1, min(self._smallest, max(1, fits)))
                 self._size = 1 << self._size.bit_length() - 1

@@ -12,19 +12,19 @@ from cosim.study.sweep.chunk import compute_chunk
 def serve(questions: BinaryIO, answers: BinaryIO) -> None:
     """Take a `Job`, then answer chunks until nobody asks any more."""
     job = pickle.load(questions)
-    _answer(answers, None)
+    _send(answers, None)
     while True:
         try:
             first, columns = pickle.load(questions)
         except EOFError:
             return
         try:
-            _answer(answers, compute_chunk(job, first, columns))
+            _send(answers, compute_chunk(job, first, columns))
         except Exception as error:
-            _answer(answers, error)
+            _send(answers, error)
 
 
-def _answer(answers: BinaryIO, value: object) -> None:
+def _send(answers: BinaryIO, value: object) -> None:
     try:
         content = pickle.dumps(value)
     except Exception:  # an error of somebody else's that cannot be sent

@@ -14,6 +14,7 @@ from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
+from cosim.study.sweep.subjects.subject import Rows
 from cosim.trajectory import Column
 
 _TAKEN = ("start_time", "stop_time", "output_interval", "relative_tolerance")
@@ -47,20 +48,13 @@ class FmuSubject:
                 )
         return f"fmpy {self._fmu.kind}"
 
-    def run(
-        self,
-        given: Mapping[str, Vector],
-        outputs: Sequence[str],
-        settings: Mapping[str, Any],
-        threads: int,
-        watch: Watch,
-    ) -> Ensemble:
+    def run(self, rows: Rows, watch: Watch) -> Ensemble:
         """Run every row, one by one."""
         began = perf_counter()
-        runs = len(next(iter(given.values())))
+        runs, given, outputs = len(rows), rows.given, rows.outputs
         states, reasons = [RunState.FAILED] * runs, dict[int, str]()
         found: dict[int, Vector] = {}
-        taken = {name: value for name, value in settings.items() if name in _TAKEN}
+        taken = {name: value for name, value in rows.settings.items() if name in _TAKEN}
         time = self._fmu.times(*(taken.get(name) for name in _TAKEN[:3]))
         for i in range(runs):
             watch(i)

@@ -1,8 +1,9 @@
 """An FMU on the bench: instances started by the letter, read and driven by value references."""
 
 import ctypes
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +12,21 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION
+from cosim.fmi.check.finding import Finding
 from cosim.fmi.check.parsed import Described, Description, parse
 from cosim.fmi.run.instance import instantiated, read_description
 
+MOST_NAMES = 5  # in one finding
 _MOST_UPDATES = 100  # of discrete states at one time
+
+
+class Note(str):
+    """What a trial has to say besides findings."""
+
+
+Trial = Callable[["Bench", str], Iterator[Finding | Note]]
 
 
 class Skipped(Exception):
@@ -29,10 +40,17 @@ class Bench:
     Attributes:
         folder: Where it lies.
         name: What its user calls it.
+        timeout: Wall time for all trials, s.
     """
 
     folder: Path
     name: str
+    timeout: float = 120.0
+
+    @property
+    def second(self) -> bool:
+        """Whether it is of FMI 2.0."""
+        return self.described.version == "2"
 
     @cached_property
     def fmpy(self) -> Any:
@@ -81,6 +99,16 @@ class Bench:
         text = None if found is None else found.get(name)
         return None if text is None else float(text)
 
+    def offers(self, kind: str, *names: str) -> bool:
+        """Tell whether an interface has one of these capabilities."""
+        attributes = self.described.interfaces[kind]
+        return any(attributes.get(name) == "true" for name in names)
+
+    def step_size(self, kind: str) -> float:
+        """Return the size of communication steps that the file names, s; 0.01 if it does not."""
+        fixed = float(self.described.interfaces[kind].get("fixedInternalStepSize", "0"))
+        return fixed or self.experiment("stepSize") or 0.01
+
     @contextmanager
     def session(self, kind: str) -> Iterator["Session"]:
         """Yield an instance, not yet initialized."""
@@ -88,7 +116,7 @@ class Bench:
             yield Session(self, kind, instance)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Session:
     """A live instance.
 
@@ -96,32 +124,36 @@ class Session:
         bench: Its FMU.
         kind: ModelExchange or CoSimulation.
         instance: Of fmpy.
+        time: How far it has come, s.
     """
 
     bench: Bench
     kind: str
     instance: Any
+    time: float = 0.0
 
     @property
     def start_time(self) -> float:
         """Where it begins, s."""
         return self.bench.experiment("startTime") or 0.0
 
-    def enter(self) -> None:
+    def enter(self, stop_time: float | None = None) -> None:
         """Enter initialization mode."""
-        if self.bench.described.version == "2":
-            self.instance.setupExperiment(startTime=self.start_time)
+        times = {"startTime": self.start_time, "stopTime": stop_time}
+        if self.bench.second:
+            self.instance.setupExperiment(**times)
             self.instance.enterInitializationMode()
         else:
-            self.instance.enterInitializationMode(startTime=self.start_time)
+            self.instance.enterInitializationMode(**times)
+        self.time = self.start_time
 
-    def start(self) -> None:
+    def start(self, stop_time: float | None = None) -> None:
         """Initialize, and in model exchange go on to continuous-time mode."""
-        self.enter()
+        self.enter(stop_time)
         self.instance.exitInitializationMode()
         if self.kind == "CoSimulation":
             return
-        second = self.bench.described.version == "2"
+        second = self.bench.second
         update = self.instance.newDiscreteStates if second else self.instance.updateDiscreteStates
         for _ in range(_MOST_UPDATES):
             if not update()[0]:
@@ -131,13 +163,13 @@ class Session:
     def values(self, variables: Sequence[Described]) -> Vector:
         """Return values of real variables, (n,)."""
         references = [int(v.reference) for v in variables]
-        second = self.bench.described.version == "2"
+        second = self.bench.second
         get = self.instance.getReal if second else self.instance.getFloat64
         return np.array(get(references) if references else [], dtype=float)
 
     def put(self, variable: Described, value: float) -> None:
         """Set a real variable."""
-        second = self.bench.described.version == "2"
+        second = self.bench.second
         put = self.instance.setReal if second else self.instance.setFloat64
         put([int(variable.reference)], [value])
 
@@ -151,14 +183,65 @@ class Session:
         found = self.instance.getDirectionalDerivative(references, [int(known.reference)], [1.0])
         return np.array(found, dtype=float)
 
-    def steps(self, size: float, most: int, until: float = np.inf) -> Iterator[float]:
-        """Make communication steps of one size, s; yield the time after each."""
-        time = self.start_time
+    def steps(self, size: float, most: int) -> Iterator[float]:
+        """Make communication steps of one size, s; yield the time after each, their sum."""
         for _ in range(most):
-            if time + size > until:
-                return
-            result = self.instance.doStep(time, size)
+            try:
+                result = self.instance.doStep(self.time, size)
+            except Exception:
+                if self.bench.second and self._terminated():
+                    return
+                raise
             if isinstance(result, tuple) and result[1]:  # it asks to end the simulation
                 return
-            time += size
-            yield time
+            self.time += size
+            yield self.time
+
+    def _terminated(self) -> bool:
+        """Tell whether a step was discarded because the FMU (2.0) wants to end."""
+        from fmpy.fmi2 import fmi2Terminated
+
+        told = ctypes.c_int(0)
+        with suppress(Exception):
+            component = self.instance.component
+            self.instance.fmi2GetBooleanStatus(component, fmi2Terminated, ctypes.byref(told))
+        return bool(told.value)
+
+    def instantiate_bare(self, *, logger: bool) -> None:
+        """Instantiate anew without the callbacks that importers need not pass, nor with a log.
+
+        Args:
+            logger: Pass a logger, which FMI 2.0 does not expressly allow to be missing.
+        """
+        from fmpy import fmi2, fmi3
+
+        instance = self.instance
+        if self.bench.second:
+            instance.fmi2FreeInstance(instance.component)
+            given = fmi2.defaultCallbacks
+            bare = fmi2.fmi2CallbackFunctions(componentEnvironment=None)
+            if logger:
+                bare.logger = given.logger
+            if not self.bench.offers(self.kind, "canNotUseMemoryManagementFunctions"):
+                bare.allocateMemory, bare.freeMemory = given.allocateMemory, given.freeMemory
+            instance.instantiate(callbacks=bare, loggingOn=False)
+            return
+        instance.fmi3FreeInstance(instance.component)
+        place = str(self.bench.folder / "resources") + os.sep
+        words = (word.encode() for word in (instance.instanceName, instance.guid, place))
+        off, log = fmi3.fmi3Boolean(False), fmi3.fmi3LogMessageCallback()
+        if self.kind == "CoSimulation":
+            update = fmi3.fmi3IntermediateUpdateCallback()
+            made = instance.fmi3InstantiateCoSimulation(
+                *words, off, off, off, off, None, 0, None, log, update
+            )
+        else:
+            made = instance.fmi3InstantiateModelExchange(*words, off, off, None, log)
+        instance.component = made
+        if not made:
+            raise FmuError("it does not instantiate")
+
+
+def some(names: Sequence[str]) -> str:
+    """Return the first few names, as a list in words."""
+    return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")

@@ -1,0 +1,25 @@
+"""Packages of the extras: imported when they are needed, with the command that brings them."""
+
+from importlib import import_module
+from typing import Any
+
+from cosim.errors import MissingTool
+
+
+def optional_module(name: str, extra: str) -> Any:
+    """Return a module of a package that an extra brings.
+
+    Args:
+        name: Its import name, `SALib.sample.sobol`.
+        extra: `data`, `animate` or `sweep`.
+
+    Raises:
+        MissingTool: The package is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise MissingTool(
+            f"{name.partition('.')[0]} is not installed; "
+            f"bring it with: pip install 'cosim-rigid[{extra}]'"
+        ) from error

@@ -1,0 +1,126 @@
+"""Where a run crosses a position in which its constraints lose rank.
+
+Branches of motion meet there, bars that all lie in a line for instance: equations with multipliers
+have no solution at the very position, and a solver whose steps straddle it may leave along another
+branch without an error to be seen. The condition of the constraints, which a model declares as a
+monitor, has its pole there; outputs alone would miss it.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from casadi_models.dae import Dae
+from cosim.arrays import Vector
+from cosim.codegen.functions import equations
+from cosim.integrate.diagnosis.validity import Breach
+from cosim.memo import kept_per_thread
+
+MONITOR = "constraint_condition"
+LOST = 1e3  # condition, somewhere between two outputs, that counts as loss of rank
+SUSPECTED = 3.0  # intervals within which lines through neighbours reach 0 from both sides, at most
+_POINTS, _ZOOMS = 33, 4
+
+
+@kept_per_thread(8)
+def watching_rank(dae: Dae) -> Dae:
+    """Return a model whose last limit is the distance of its constraints from losing rank.
+
+    It is one over their condition: 1 at best, 0 where rank is lost. A model without that monitor is
+    returned as it is.
+    """
+    condition = _condition(dae)
+    if condition is None:
+        return dae
+    return replace(dae, limits=(*dae.limits, (1 / condition, "the constraints have full rank")))
+
+
+def crossings(
+    dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
+) -> list[Breach]:
+    """Return the first position between outputs, or at one, where constraints lose rank.
+
+    Args:
+        dae: The model.
+        time: Output times, s, (n,).
+        states, algebraics, u: There, n columns each.
+        p: Parameters.
+        rank: Last limit of `watching_rank` there, (n,).
+    """
+    law, n = _law(dae), len(time)
+    for k in _suspects(time, rank):
+        # along the motion, and along what it was before and after, lest the branch has changed
+        parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
+        found = []
+        for begin, end in parts:
+            at = slice(begin, end)
+            end_values = (time[at], states[:, at], algebraics[:, at], u[:, at])
+            rates = np.array(equations(dae)(end_values[0][None], *end_values[1:], p)[0])
+            curve = _curve(time[at] - time[k], states[:, at], rates)
+            found.append(_closest(law, curve, time[k : k + 2], algebraics[:, k], u[:, k], p))
+        distance, when = min(found)
+        if distance * LOST < 1:
+            return [
+                Breach(
+                    k + 1,
+                    f"from {time[k + 1]:g} s on the motion may be another one: the constraints "
+                    f"lose rank at {when:.4g} s ({MONITOR} {1 / max(distance, 1e-16):.0e}), where "
+                    "branches of motion meet; dop853 with projection keeps to its own",
+                )
+            ]
+    return []
+
+
+def _condition(dae: Dae) -> SX | None:
+    known = [*dae.monitors]
+    known += zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)
+    return next((expression for v, expression in known if v.name == MONITOR), None)
+
+
+@kept_per_thread(8)
+def _law(dae: Dae) -> ca.Function:
+    condition = _condition(dae)
+    assert condition is not None
+    return ca.Function("rank", dae.arguments, [1 / condition], {"cse": True})
+
+
+def _suspects(time: Vector, rank: Vector) -> list[int]:
+    """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
+    found = []
+    for k in range(1, len(rank) - 2):
+        before = (rank[k - 1] - rank[k]) / (time[k] - time[k - 1])
+        after = (rank[k + 2] - rank[k + 1]) / (time[k + 2] - time[k + 1])
+        if before > 0 and after > 0:
+            reach = rank[k] / before + rank[k + 1] / after
+            if reach <= SUSPECTED * (time[k + 1] - time[k]):
+                found.append(k)
+    return found
+
+
+def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:
+    """Return the coefficients of the polynomial with these states and rates, lowest first."""
+    powers = np.arange(2 * len(time))
+    values = time[:, None] ** powers
+    slopes = powers * time[:, None] ** np.maximum(powers - 1, 0)
+    both = np.vstack((values, slopes)), np.hstack((states, rates)).T
+    return np.asarray(np.linalg.solve(*both), dtype=float)
+
+
+def _closest(
+    law: ca.Function, curve: Vector, span: Vector, z: Vector, u: Vector, p: Vector
+) -> tuple[float, float]:
+    """Return the least distance from losing rank along a curve between two times, and when."""
+    low, high = 0.0, float(span[1] - span[0])
+    best, when = np.inf, 0.0
+    for _ in range(_ZOOMS):
+        s = np.linspace(low, high, _POINTS)
+        x: Vector = (s[:, None] ** np.arange(len(curve)) @ curve).T
+        distances = np.array(law((span[0] + s)[None], x, z, u, p)).ravel()
+        distances = np.where(np.isfinite(distances), distances, np.inf)
+        i = int(np.argmin(distances))
+        best, when = float(distances[i]), float(s[i])
+        width = (high - low) / (_POINTS - 1)
+        low, high = max(low, when - width), min(high, when + width)
+    return best, float(span[0]) + when

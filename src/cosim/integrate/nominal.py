@@ -1,0 +1,120 @@
+"""Unknowns in their nominal values, so that one absolute tolerance fits all of them.
+
+As in FMUs, whose co-simulation solver counts like that. What counts as 1 is a power of two:
+dividing by it and multiplying again changes no bit.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import log2
+
+import casadi as ca
+import numpy as np
+from casadi import DM
+
+from casadi_models.dae import Dae, Start, Variable
+from cosim.arrays import Vector
+from cosim.memo import kept_per_thread
+
+NOT_GIVEN = 1.0  # the nominal value of a variable that has none of its own
+SMALL = 1e-3  # states that stay below get a nominal value of their own
+NOISE = 1e-7  # what states that begin at 0 may reach without being meant
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """What counts as 1 in the error control of a run, SI: powers of two.
+
+    Attributes:
+        x, z: Of states and algebraic unknowns.
+    """
+
+    x: tuple[float, ...]
+    z: tuple[float, ...]
+
+    @classmethod
+    def declared(cls, dae: Dae) -> "Nominal":
+        """Return the nominal values that a model has."""
+        x, z = (tuple(power(v.nominal) for v in group) for group in (dae.states, dae.algebraics))
+        return cls(x, z)
+
+    @classmethod
+    def none(cls, dae: Dae) -> "Nominal":
+        """Return those of solvers without error control: 1."""
+        return cls((1.0,) * len(dae.states), (1.0,) * len(dae.algebraics))
+
+    @property
+    def columns(self) -> tuple[Vector, Vector]:
+        """Of states and algebraic unknowns, (nx, 1) and (nz, 1)."""
+        return np.array(self.x).reshape(-1, 1), np.array(self.z).reshape(-1, 1)
+
+    def from_start(self, dae: Dae, z0: Vector) -> "Nominal":
+        """Return them with those of algebraic unknowns that nobody gave, by their start."""
+        z = zip(dae.algebraics, self.z, np.abs(z0), strict=True)
+        return replace(self, z=tuple(n if given(v) else power(max(n, size)) for v, n, size in z))
+
+    def from_run(self, dae: Dae, states: Vector, algebraics: Vector) -> "Nominal":
+        """Return them with those of small states that nobody gave, by what they reached.
+
+        Args:
+            dae: The model.
+            states, algebraics: The run, (nx, n) and (nz, n).
+        """
+
+        def own(variable: Variable, nominal: float, row: Vector) -> float:
+            size = np.abs(row).max()
+            meant = size > NOISE or (variable.start_kind is Start.EXACT and row[0] != 0)
+            small = 0 < size < SMALL * nominal and meant
+            return power(size) if small and not given(variable) else nominal
+
+        return replace(self, x=tuple(map(own, dae.states, self.x, states)))
+
+    def from_failure(self, dae: Dae, states: Vector, algebraics: Vector) -> "Nominal":
+        """Return them with those of algebraic unknowns that nobody gave, by the largest of a unit.
+
+        What begins at 0 shows nothing of its size; others of its unit do. See `from_run`.
+        """
+        largest: dict[str, float] = {}
+        for v, row in zip(dae.algebraics, algebraics, strict=True):
+            largest[v.unit] = max(largest.get(v.unit, 0.0), np.abs(row).max(initial=0.0))
+        z = zip(dae.algebraics, self.z, strict=True)
+        return replace(
+            self, z=tuple(n if given(v) else max(n, power(largest[v.unit] or n)) for v, n in z)
+        )
+
+    def unlike(self, dae: Dae, other: "Nominal") -> Mapping[str, float]:
+        """Return by name what another one has elsewhere."""
+        both = zip((*dae.states, *dae.algebraics), self.x + self.z, other.x + other.z, strict=True)
+        return {v.name: after for v, before, after in both if before != after}
+
+
+def given(variable: Variable) -> bool:
+    """Tell whether a variable has a nominal value of its own."""
+    return variable.nominal != NOT_GIVEN
+
+
+def power(size: float) -> float:
+    """Return the power of two next to a positive size."""
+    return float(2.0 ** round(log2(size)))
+
+
+@kept_per_thread(16)
+def scaled(dae: Dae, nominal: Nominal) -> Dae:
+    """Return a model whose states and algebraic unknowns are measured in nominal values.
+
+    What solvers need is rewritten: equations and invariants; outputs, limits and starts are not.
+    """
+    if set(nominal.x + nominal.z) <= {1.0}:
+        return dae
+    x, z = DM(nominal.x), DM(nominal.z)
+
+    def rewritten(*expressions: ca.SX) -> list[ca.SX]:
+        return ca.substitute([*expressions], [dae.x, dae.z], [x * dae.x, z * dae.z])
+
+    ode, alg = rewritten(dae.ode, dae.alg)
+    invariants = []
+    for invariant in dae.invariants:
+        residual, sizes = rewritten(invariant.residual, invariant.sizes)
+        moved = sizes / x[list(invariant.states)]
+        invariants.append(replace(invariant, residual=residual, sizes=moved))
+    return replace(dae, ode=ode / x, alg=alg, invariants=tuple(invariants))

@@ -1,0 +1,1 @@
+"""What is swept: a model, a scene or an FMU."""

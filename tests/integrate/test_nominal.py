@@ -1,0 +1,144 @@
+"""Tolerances that count in nominal values, given or found."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from casadi import SX
+
+import cosim
+from casadi_models.dae import Model
+from cosim.integrate.nominal import Nominal, scaled
+from cosim.integrate.simulate import simulate
+from cosim.integrate.solvers import SOLVERS
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BINARY = 2.0**20  # micrometres in a metre, nearly, and no rounding
+ADAPTIVE = [name for name, solver in SOLVERS.items() if solver.adaptive]
+
+
+def swing(size: float, nominal: float, algebraic: bool):
+    """Return a pendulum whose length is measured in another unit, 1 / size of the usual one."""
+    model = Model("swing", stop_time=3.0, output_interval=0.1)
+    facts = {"nominal": nominal} if nominal != 1 else {}
+    s = model.state("s", "m", 0.5 * size, "arc", **facts)
+    v = model.state("v", "m/s", 0.0, "speed", **facts)
+    model.derivative(s, v)
+    rate = -9.81 * size * ca.sin(s / size)
+    if algebraic:
+        a = model.algebraic("a", "m/s2", 0.0, "acceleration", **facts)
+        model.equation((a - rate) / size)
+        rate = a
+    model.derivative(v, rate)
+    return model.freeze()
+
+
+def interpreted(solver: str) -> dict:
+    return {"solver": solver, "compiled": solver == "dop853"}
+
+
+@pytest.mark.parametrize("algebraic", [False, True])
+@pytest.mark.parametrize("solver", ADAPTIVE)
+def test_unit_of_measure_changes_no_bit_of_a_run(solver, algebraic):
+    if algebraic and not SOLVERS[solver].solves_dae:
+        return
+    settings = interpreted(solver) | {"outputs": ["s", "v"], "absolute_tolerance": 1e-10}
+    runs = [simulate(swing(size, size, algebraic), **settings) for size in (1.0, BINARY)]
+    assert runs[0].stats["steps"] == runs[1].stats["steps"]
+    np.testing.assert_array_equal(runs[0].values, runs[1].values / BINARY)
+
+
+def test_lanes_count_in_nominal_values_too():
+    runs = [
+        cosim.simulate_many(swing(size, size, False), {"v": np.linspace(0, 1, 5) * size})
+        for size in (1.0, BINARY)
+    ]
+    np.testing.assert_array_equal(runs[0].steps, runs[1].steps)
+    np.testing.assert_array_equal(runs[0]["s"], runs[1]["s"] / BINARY)
+
+
+def test_given_absolute_tolerance_counts_in_nominal_values():
+    steps = [
+        simulate(swing(1.0, nominal, False), solver="erk", absolute_tolerance=a, compiled=False)
+        for nominal, a in ((4.0, 1e-6), (1.0, 4e-6), (1.0, 1e-6))
+    ]
+    assert steps[0].stats["steps"] == steps[1].stats["steps"] != steps[2].stats["steps"]
+
+
+def test_bare_integrator_counts_in_nominal_values():
+    dae = swing(BINARY, BINARY, True)
+    grid = np.linspace(0, 3, 31)
+    run = simulate(dae, solver="idas", compiled=False)
+    found = cosim.integrator(dae, grid, solver="idas", compiled=False)
+    end = found(**cosim.start_vectors(dae))
+    np.testing.assert_allclose(np.array(end["xf"])[0], run["s"], rtol=1e-13)
+    np.testing.assert_allclose(np.array(end["zf"])[0], run["a"], rtol=1e-6)
+
+
+def decay(size: float):
+    """Return what turns into its square at a rate of its own size; none has a nominal value."""
+    model = Model("decay", stop_time=2.0, output_interval=0.1)
+    a = model.state("a", "1", size, "first")
+    b = model.state("b", "1", 0.0, "what became of it")
+    model.derivative(a, -(a**2) / size)
+    model.derivative(b, a**2 / size)
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "rosenbrock"])
+@pytest.mark.parametrize("size", [1e-6, 1e-9])
+def test_small_states_get_nominal_values_of_their_own(solver, size):
+    """a(t) = size / (1 + t)."""
+    run = simulate(decay(size), solver=solver, compiled=False)
+    exact = size / (1 + run.time)
+    wrong = np.abs(run["a"] / exact - 1).max()
+    assert wrong < 1e-6  # measured 2e-8 to 3e-7
+    assert "nominal values found from the run: a " in run.stats["note"]
+    given = simulate(decay(size), solver=solver, compiled=False, absolute_tolerance=1e-10)
+    assert np.abs(given["a"] / exact - 1).max() > 100 * wrong  # as it was asked for
+    assert "note" not in given.stats
+
+
+def test_state_that_is_nothing_but_noise_gets_none():
+    model = Model("flat", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "turns")
+    y = model.state("y", "1", 0.0, "and turns")
+    z = model.state("z", "1", 0.0, "of what should be nothing")
+    model.derivative(ca.vertcat(x, y), ca.vertcat(-y, x))
+    model.derivative(z, x**2 + y**2 - 1)
+    run = simulate(model.freeze(), compiled=False)
+    assert "note" not in run.stats
+
+
+def test_large_unknowns_without_nominal_values_stop_idas_no_longer():
+    """Accelerations of 1e5 rad/s2 pass 0, where 1e-12 of them was asked for."""
+    dae = cosim.load(f"{EXAMPLES / 'andrews.py'}:build")
+
+    def bare(variables):
+        return tuple(replace(v, nominal=1.0) for v in variables)
+
+    plain = replace(dae, states=bare(dae.states), algebraics=bare(dae.algebraics))
+    settings = {"relative_tolerance": 1e-10, "compiled": False, "outputs": ["q_1"]}
+    run, other = simulate(plain, **settings), simulate(dae, **settings)
+    assert run["q_1"][-1] == pytest.approx(other["q_1"][-1], rel=1e-8)
+
+
+def test_scaled_invariants_vanish_with_the_model_s():
+    dae = swing(BINARY, BINARY, False)
+    assert scaled(dae, Nominal.none(dae)) is dae
+    assert Nominal.declared(dae) == Nominal((BINARY, BINARY), ())
+    pendulum = cosim.load(f"{EXAMPLES / 'pendulum_a01.py'}:build")
+    nominal = Nominal((4.0,) * len(pendulum.states), (1.0,) * len(pendulum.algebraics))
+    inner = scaled(pendulum, nominal)
+    for old, new in zip(pendulum.invariants, inner.invariants, strict=True):
+        laws = [
+            ca.Function("law", [pendulum.x, pendulum.p], [i.residual, SX(i.sizes)])
+            for i in (old, new)
+        ]
+        x = np.arange(1.0, 1 + len(pendulum.states))
+        p = [v.start for v in pendulum.parameters]
+        (residual, sizes), (again, less) = laws[0](x, p), laws[1](x / 4, p)
+        np.testing.assert_array_equal(np.array(residual), np.array(again))
+        np.testing.assert_allclose(np.array(sizes), 4 * np.array(less))

@@ -1,0 +1,94 @@
+"""A name means one thing: it has one home in the product.
+
+Counted are functions, classes and constants of modules. Methods are not: they belong to their
+class. A private name may occur in a second module, by chance; in a third one it is a habit.
+"""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from math import inf
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1] / "src" / "cosim"
+# What several modules define on purpose, and why
+ALLOWED = {
+    "add_parser": "a verb: its options",
+    "run": "a verb: what it does",
+    "_main": "what a child process runs when it is started by this module's name",
+    "simulate": "what `cosim` offers, over that of road one: accuracy and budget besides",
+    "run_scene": "what `cosim` offers, over that of a scene: accuracy and budget besides",
+    "SOLVERS": "of road one; of co-simulation in an FMU",
+    "Target": "what code is compiled for; what is differentiated by",
+    "dependencies": "the trial of an FMU, named like the others; what export finds",
+}
+
+
+def sources() -> dict[str, str]:
+    """Return the text of every module by its path in `src/cosim`."""
+    return {
+        path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted(ROOT.rglob("*.py"))
+    }
+
+
+def defined(source: str) -> Iterator[str]:
+    """Yield the names that a module defines."""
+    for node in ast.parse(source).body:
+        match node:
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
+                yield name
+            case ast.ClassDef(name=name):
+                yield name
+            case ast.Assign(targets=targets):
+                yield from (t.id for t in targets if isinstance(t, ast.Name))
+            case ast.AnnAssign(target=ast.Name(id=name)):
+                yield name
+
+
+def shared(modules: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the names with more homes than they may have, with these modules."""
+    homes: dict[str, list[str]] = defaultdict(list)
+    for module, source in modules.items():
+        for name in set(defined(source)):
+            homes[name].append(module)
+    return {n: found for n, found in homes.items() if len(found) > _most(n)}
+
+
+def _most(name: str) -> float:
+    """Return how many modules may define a name; Python's own (`__all__`) belong to each."""
+    return inf if name.startswith("__") else 2 if name.startswith("_") else 1
+
+
+def unexplained(names: Iterable[str]) -> set[str]:
+    """Return those of some names that nobody allowed."""
+    return set(names) - set(ALLOWED)
+
+
+def test_a_name_has_one_home():
+    found = shared(sources())
+    assert {name: found[name] for name in unexplained(found)} == {}
+
+
+def test_every_allowed_name_is_needed():
+    assert set(ALLOWED) - set(shared(sources())) == set()
+
+
+@pytest.mark.parametrize(
+    "text", ["def same(): ...", "class same: ...", "same = 1", "same: int = 1", "a = same = 1"]
+)
+def test_guard_sees_a_second_home(text):
+    assert unexplained(shared({"a.py": text, "b.py": "def same(): ..."})) == {"same"}
+
+
+def test_guard_sees_a_private_name_in_a_third_module():
+    two = {"a.py": "_same = 1", "b.py": "def _same(): ..."}
+    assert shared(two) == {}
+    assert unexplained(shared({**two, "c.py": "class _same: ..."})) == {"_same"}
+
+
+def test_guard_leaves_methods_and_locals_alone():
+    module = "class {}:\n    def same(self):\n        same = 1"
+    assert shared({"a.py": module.format("A"), "b.py": module.format("B")}) == {}
