@@ -43,6 +43,12 @@ class Dae:
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
+
+    Example:
+        >>> import cosim
+        >>> dae = cosim.load("bicycle")
+        >>> [v.name for v in dae.inputs], dae.ode.shape
+        (['steer_torque', 'roll_torque', 'rear_wheel_torque'], (11, 1))
     """
 
     name: str

@@ -40,6 +40,13 @@ class Model(Starting, Scenery):
         stop_time: End of the run that the model is shown with, s.
         output_interval: Distance of its output times, s.
         reference_tolerance: See `Experiment`.
+
+    Example:
+        >>> model = Model("decay", description="a decay")
+        >>> x = model.state("x", "1", 1.0, "what is left")
+        >>> model.derivative(x, -x)
+        >>> model.freeze().full_name
+        'decay'
     """
 
     def __init__(

@@ -169,18 +169,22 @@ Status get_validity(Instance *self, const uint32_t references[], size_t count, b
     return status;
 }
 
-/* The margins of the limits, for importers that look for the instants at which they change sign. */
+/* The margins of the limits, for importers that look for the instants at which they change sign:
+   what they try is no crossing yet. */
 Status get_indicators(Instance *self, double values[], size_t count) {
     if (count != N_INDICATORS)
         return refuse(self, ERROR, "%zu asked, the model has %d event indicators", count,
                       N_INDICATORS);
     if (count == 0) return OK;
     if (!values) return refuse(self, ERROR, "there is no room for %zu values", count);
-    const Status status = refresh(self, OUTPUTS);
+    double margins[ROOM(N_LIMITS)];
+    const Status status = get_margins(self, margins);
     if (status != OK) return status;
-    for (size_t i = FIRST_INDICATOR; i < N_VARIABLES; i++)
-        if (!isfinite(self->state.values[i])) return refuse_not_finite(self, i);
-    memcpy(values, self->state.values + FIRST_INDICATOR, count * sizeof *values);
+    for (int i = 0; i < N_INDICATORS; i++)
+        if (!isfinite(margins[i]))
+            return refuse(self, DISCARD, "the margin of '%s' is %g at time %.17g", limits[i],
+                          margins[i], self->state.values[TIME]);
+    memcpy(values, margins, count * sizeof *values);
     return OK;
 }
 

@@ -63,14 +63,19 @@ void pass_values(Instance *self) {
     self->arg[4] = values + FIRST_PARAMETER;
 }
 
+/* The margins alone, noted nowhere; 0 is success. */
+static int compute_margins(Instance *self, double margins[]) {
+    pass_values(self);
+    self->res[0] = NULL;
+    self->res[1] = margins;
+    return model_outputs(self->arg, self->res, self->iw, self->w, 0);
+}
+
 /* What to add to a message of failure at the present values. */
 Hint limit_hint(Instance *self) {
     double margins[ROOM(N_LIMITS)];
     for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
-    pass_values(self);
-    self->res[0] = NULL;
-    self->res[1] = margins;
-    if (N_LIMITS > 0) model_outputs(self->arg, self->res, self->iw, self->w, 0);
+    if (N_LIMITS > 0) compute_margins(self, margins);
     return nearest_limit(self, margins);
 }
 
@@ -139,4 +144,12 @@ Status refresh(Instance *self, unsigned results) {
 /* Look whether limits are left, where nobody has read an output. */
 void note_limits(Instance *self) {
     if (N_LIMITS > 0) refresh(self, OUTPUTS);
+}
+
+/* The margins of the limits at the present values, which need not be those of a solution. */
+Status get_margins(Instance *self, double margins[]) {
+    const Status status = refresh(self, ALGEBRAICS);
+    if (status != OK || !compute_margins(self, margins)) return status;
+    return refuse(self, DISCARD, "the margins of the limits cannot be computed at time %.17g",
+                  self->state.values[TIME]);
 }

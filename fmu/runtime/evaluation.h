@@ -13,6 +13,7 @@ void pass_values(Instance *self);
 Status refresh(Instance *self, unsigned results);
 void note_limits(Instance *self);
 Hint limit_hint(Instance *self);
+Status get_margins(Instance *self, double margins[]);
 
 INSIDE_END
 

@@ -20,6 +20,7 @@
 #define gather INSIDE_NAME(MODEL_PREFIX, gather)
 #define get_block INSIDE_NAME(MODEL_PREFIX, get_block)
 #define get_indicators INSIDE_NAME(MODEL_PREFIX, get_indicators)
+#define get_margins INSIDE_NAME(MODEL_PREFIX, get_margins)
 #define get_nominals INSIDE_NAME(MODEL_PREFIX, get_nominals)
 #define get_rates INSIDE_NAME(MODEL_PREFIX, get_rates)
 #define get_validity INSIDE_NAME(MODEL_PREFIX, get_validity)

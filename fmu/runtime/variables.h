@@ -37,8 +37,8 @@ enum {
     N_VARIABLES = FIRST_OUTPUT + NY
 };
 
-/* The margins of the limits, the last outputs of a model that tells whether it is valid. */
-enum { N_INDICATORS = HAS_VALID ? N_LIMITS : 0, FIRST_INDICATOR = N_VARIABLES - N_INDICATORS };
+/* A model that tells whether it is valid has the margins of its limits as event indicators. */
+enum { N_INDICATORS = HAS_VALID ? N_LIMITS : 0 };
 
 INSIDE_BEGIN
 

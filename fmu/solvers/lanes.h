@@ -13,7 +13,7 @@
 #endif
 
 #ifndef LANES
-#define LANES 1
+#error "define LANES, the number of systems side by side, before solvers are included"
 #endif
 
 typedef double V __attribute__((vector_size(LANES * 8)));

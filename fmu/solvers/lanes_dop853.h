@@ -15,16 +15,11 @@
 
 #include "lanes.h"
 
-#ifndef NX
-#define NX 1 /* states; generated code says how many */
-#endif
-#ifndef NP
-#define NU 1 /* inputs */
-#define NP 1 /* parameters */
-#define NC 1 /* constants: what depends on parameters alone */
-#define NN 1 /* states that outputs need */
-#define NY 1 /* outputs */
-#define NL 1 /* limits */
+/* States, inputs, parameters, constants (what depends on parameters alone), states that outputs
+ * need, outputs, limits. */
+#if !defined NX || !defined NU || !defined NP || !defined NC || !defined NN || !defined NY ||      \
+    !defined NL
+#error "define NX, NU, NP, NC, NN, NY and NL before solvers are included"
 #endif
 
 enum { STAGES = 12, END = STAGES, EXTENDED = 16, REPORT = 8 };

@@ -7,14 +7,9 @@
 
 #include "lanes.h"
 
-#ifndef NX
-#define NX 1 /* states; generated code says how many */
-#endif
-#ifndef NP
-#define NU 1 /* inputs */
-#define NP 1 /* parameters */
-#define NC 1 /* constants: what depends on parameters alone */
-#define NY 1 /* outputs and margins of the limits */
+/* States, inputs, parameters, constants (what depends on parameters alone), outputs and margins. */
+#if !defined NX || !defined NU || !defined NP || !defined NC || !defined NY
+#error "define NX, NU, NP, NC and NY before solvers are included"
 #endif
 
 /* The model; generated code fills it. */

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #ifndef NX
-#define NX 2 /* for who reads or checks this file alone; the model defines it */
+#error "define NX, the number of states, before solvers are included"
 #endif
 
 /* Gives dx/dt; returns 0 where it has a value. */

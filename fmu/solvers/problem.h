@@ -6,10 +6,8 @@
 
 #include "ode.h"
 
-#ifndef NZ
-#define NZ 1 /* algebraic unknowns; see NX in ode.h */
-#define NU 1 /* inputs */
-#define NC 1 /* constants */
+#if !defined NZ || !defined NU || !defined NC
+#error "define NZ, NU and NC: how many algebraic unknowns, inputs and constants there are"
 #endif
 
 /* Codes 0 to 3 are those of CasADi's own integrators. */

@@ -32,7 +32,16 @@ class PartialRun(Protocol):
 
 
 class CosimError(Exception):
-    """Root of all errors of this package; `exit_code` is what the command line returns."""
+    """Root of all errors of this package; `exit_code` is what the command line returns.
+
+    Example:
+        >>> import cosim
+        >>> try:
+        ...     cosim.load("bycicle")
+        ... except cosim.CosimError as error:
+        ...     error.exit_code
+        3
+    """
 
     exit_code = 1
 

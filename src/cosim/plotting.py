@@ -2,7 +2,8 @@
 
 import io
 import math
-from collections.abc import Sequence
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 from typing import Any
@@ -108,6 +109,34 @@ def draw_panels(
     return figure
 
 
+def draw_costs(
+    title: str, labels: tuple[str, str], points: Mapping[str, Sequence[tuple[float, float]]]
+) -> Figure:
+    """Draw points on logarithmic axes, a line for each name.
+
+    Args:
+        title: Stands above them.
+        labels: Of the horizontal and the vertical axis.
+        points: (x, y) by name, positive.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Picture(figsize=(5.6, 3.6), layout="constrained")
+        axis = figure.subplots()
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        for i, (name, pairs) in enumerate(points.items()):
+            look = {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)]}
+            axis.plot(
+                *zip(*sorted(pairs), strict=True), marker="o", markersize=3, label=name, **look
+            )
+        axis.set_xlabel(labels[0])
+        axis.set_ylabel(labels[1])
+        axis.set_title(title)
+        if points:
+            axis.legend()
+    return figure
+
+
 def shade_invalid(axis: Axes, time: Vector, invalid_from: float) -> None:
     """Shade the span of a time axis in which a run is outside its model."""
     if not len(time) or invalid_from > time[-1]:
@@ -139,6 +168,12 @@ def keep_constant_flat(axis: Axes, values: Vector, nominal: float) -> None:
         middle = float(values.flat[0])
         margin = 0.1 * abs(middle) if abs(middle) > 1e-9 * nominal else nominal
         axis.set_ylim(middle - margin, middle + margin)
+
+
+def embedded(figure: Figure, alt: str) -> str:
+    """Return a figure as HTML that needs no file."""
+    content = b64encode(picture(figure, "png", dpi=60)).decode()
+    return f'<img alt="{alt}" src="data:image/png;base64,{content}"/>'
 
 
 def picture(figure: Figure, kind: str, dpi: int = DPI) -> bytes:

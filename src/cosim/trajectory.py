@@ -50,6 +50,7 @@ class Trajectory:
         stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
         drawing: What the model looks like, with the run's parameters; None where nobody knows.
+        numbers: Parameters and constant inputs that it was run with, SI; None where nobody knows.
         again: Computes the run at other times within its span; None where nothing can.
 
     Raises:
@@ -73,6 +74,7 @@ class Trajectory:
     status: str = "complete"
     drawing: Drawing | None = field(default=None, repr=False)
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
+    numbers: Mapping[str, float] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
@@ -256,17 +258,14 @@ class Trajectory:
     def _repr_html_(self) -> str:
         if not len(self) or not self.columns:
             return html_table((), self._headline())
-        from base64 import b64encode
-
-        from cosim.plotting import picture
+        from cosim.plotting import embedded
 
         shown = self.select(self.names[:SHOWN_PANELS])
-        content = b64encode(picture(shown.plot(), "png", dpi=60)).decode()
         rows = summary_rows(self.columns, self.time, self.values, when=True)
         left = len(rows) - MOST_LINES
         table = html_table(rows[:MOST_LINES], self._headline(), digits=6)
         more = f"<p>... and {left} more: run.summary()</p>" if left > 0 else ""
-        return f'<img alt="curves" src="data:image/png;base64,{content}"/>{table}{more}'
+        return f"{embedded(shown.plot(), 'curves')}{table}{more}"
 
     def _ipython_key_completions_(self) -> list[str]:
         return ["time", *self.names]
@@ -315,7 +314,9 @@ class Trajectory:
         Raises:
             ExportError: The file cannot be written.
         """
-        facts = {"model": self.model, "stats": dict(self.stats), "status": self.status}
+        facts: dict[str, Any] = {"model": self.model, "stats": dict(self.stats)}
+        facts |= {"status": self.status}
+        facts |= {"numbers": None if self.numbers is None else dict(self.numbers)}
         content = npz_bytes(self.columns, self.time, self.values, facts)
         if not isinstance(target, str | os.PathLike):
             target.write(content)

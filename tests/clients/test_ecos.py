@@ -36,13 +36,15 @@ def test_rider_keeps_the_bicycle_up_in_ecos(pair):
     np.testing.assert_allclose(2 * fine - coarse, pair.expected, rtol=0, atol=2e-5)
 
 
-def test_ecos_runs_the_pair_from_one_ssp_file(pair, tmp_path):
+@pytest.mark.parametrize("parameter_files", [False, True])
+def test_ecos_runs_the_pair_from_one_ssp_file(pair, tmp_path, parameter_files):
     path = cosim.fmi.ssp.write_ssp(
         tmp_path / "ride.ssp",
         {"bicycle": pair.bicycle, "rider": pair.rider},
         CONNECTIONS,
         values={f"bicycle.{name}": value for name, value in STARTS.items()},
         stop_time=SPAN,
+        parameter_files=parameter_files,
     )
     with ecospy.EcosSimulation(ssp_path=str(path), step_size=0.001) as simulation:
         simulation.init(parameter_set="initialValues")

@@ -4,7 +4,7 @@ import ctypes
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from ctypes import (
     CFUNCTYPE,
     byref,
@@ -109,6 +109,13 @@ class EventInfo(ctypes.Structure):
         *((name, c_int) for name in ("needed", "terminate", "nominals", "values", "defined")),
         ("next_time", c_double),
     ]
+
+
+# fmi3IntermediateUpdateCallback
+UPDATE = CFUNCTYPE(
+    None, c_void_p, c_double, c_bool, c_bool, c_bool, c_bool,
+    ctypes.POINTER(c_bool), ctypes.POINTER(c_double),
+)  # fmt: skip
 
 
 def reals(*values: float) -> ctypes.Array:
@@ -254,6 +261,8 @@ class Fmu3(Fmu):
         name: str | None = "one",
         events: bool = False,
         logging: bool = True,
+        early: bool = True,
+        update: Callable[..., None] | None = None,
     ) -> None:
         super().__init__(lib, names)
         signature = CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
@@ -262,8 +271,9 @@ class Fmu3(Fmu):
         create = getattr(lib, f"fmi3Instantiate{kind}")
         create.restype = c_void_p
         texts = [text if text is None else text.encode() for text in (name, token)]
-        extra = {0: [], 1: [events, True, None, c_size_t(0)], 2: []}[interface]
-        callbacks = {0: [], 1: [None], 2: [None, None, None]}[interface]
+        extra = {0: [], 1: [events, early, None, c_size_t(0)], 2: []}[interface]
+        self._update = UPDATE(update) if update else None
+        callbacks = {0: [], 1: [self._update], 2: [None, None, None]}[interface]
         self.component = create(
             *texts, None, False, logging, *extra, None, self._logger, *callbacks
         )

@@ -4,6 +4,7 @@ import io
 import json
 import struct
 import subprocess
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from PIL import Image
 import cosim
 from cosim.errors import ExportError, MissingTool, UnknownName, UsageError
 from cosim.present.playback import turning
-from cosim.present.playback.animate import Animation, animate
+from cosim.present.playback.animate import Animation, animate, drawing_of
 from cosim.present.playback.meshes import arrow, joined, mesh_of
 from cosim.present.playback.playback import playback
 from cosim.present.playback.render import draw_pose
@@ -309,6 +310,43 @@ def test_run_of_an_unknown_model_asks_for_one(run):
 def test_run_without_a_drawing_takes_that_of_a_model(run, tmp_path):
     path = animate(replace(run, drawing=None), tmp_path / "x.png", model=spinning(4.0))
     assert path.stat().st_size > 1000
+
+
+ARM = {"length": 1.5}  # m, three times the pendulum's own
+
+
+def height_of_the_tip(run):
+    """Return the lowest point of the drawn path of the tip, m."""
+    played = playback(run, drawing_of(run), times=[0.0])
+    return min(path.points[:, 2].min() for path in played.paths)
+
+
+def test_variants_and_fmus_are_drawn_with_the_parameters_they_ran_with(exported):
+    span = {"stop_time": 0.2, "output_interval": 0.1}
+    native = cosim.simulate("double_pendulum", start_values=ARM, **span)
+    many = cosim.simulate_many(
+        cosim.load("double_pendulum"), {"length": [0.5, ARM["length"]]}, **span
+    )
+    fmu = cosim.simulate_fmu(exported("double_pendulum/quaternion"), start=ARM, **span)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        expected = height_of_the_tip(native)
+        for run in (many.run(1), fmu):
+            assert height_of_the_tip(run) == pytest.approx(expected, rel=1e-4)
+            rod = playback(run, drawing_of(run), times=[0.0]).props
+            assert any(ARM["length"] in prop.size for prop in rod)
+    assert native.numbers["length"] == fmu.numbers["length"] == ARM["length"]
+    assert height_of_the_tip(many.run(0)) > expected / 2
+
+
+def test_run_from_a_file_says_whose_parameters_it_is_drawn_with(tmp_path):
+    cosim.simulate("double_pendulum", stop_time=0.1).to_csv(tmp_path / "run.csv")
+    read = replace(cosim.Trajectory.read_csv(tmp_path / "run.csv"), model="double_pendulum")
+    with pytest.warns(UserWarning, match="does not know its parameters; it is drawn with those of"):
+        animate(read, tmp_path / "x.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        animate(read, tmp_path / "x.png", values={"length": 0.5})
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from helpers.harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
 FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir()]
+SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
+DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
 
 
@@ -30,9 +32,22 @@ def compiled(header: Path, include: list[str]) -> subprocess.CompletedProcess[st
 
 
 @pytest.mark.parametrize("header", sorted(SOLVERS.glob("*.h")), ids=lambda path: path.name)
-def test_a_solver_header_compiles_alone(header):
-    done = compiled(header, [])
+def test_a_solver_header_compiles_with_nothing_but_sizes(header):
+    done = compiled(header, DEFINED)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("header", "missing"),
+    [
+        ("dop853.h", "NX"), ("fixed.h", "NX"), ("problem.h", "NC"), ("lanes.h", "LANES"),
+        ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"),
+    ],
+)  # fmt: skip
+def test_a_forgotten_size_is_an_error_and_no_default(header, missing):
+    done = compiled(SOLVERS / header, [d for d in DEFINED if not d.startswith(f"-D{missing}=")])
+    assert done.returncode != 0
+    assert re.search(rf"#error .*\b{missing}\b", done.stderr)
 
 
 @pytest.mark.parametrize("solver", ["step", "dop853"], indirect=True, scope="session")

@@ -17,6 +17,7 @@ from cosim.cli.parser import command_line
 from cosim.cli.streams import NO_ROOM, flushed, mend_streams
 from cosim.cli.supervised import can_supervise, supervised
 from cosim.errors import CosimError
+from cosim.host.progress import shown_on_terminal
 from cosim.text.escaping import sentence, visible
 
 
@@ -53,7 +54,8 @@ def _run_verb(args: argparse.Namespace) -> int:
             if not args.debug:
                 warnings.showwarning = _warn
             _refuse_unwritable(args)
-            code: int = args.run(args)
+            with shown_on_terminal(args.quiet):
+                code: int = args.run(args)
         sys.stdout.flush()
         return code
     except CosimError as error:

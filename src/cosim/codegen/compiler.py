@@ -19,12 +19,14 @@ from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from time import perf_counter
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
 from cosim.host.bounded import physical_memory, run_bounded
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -42,6 +44,7 @@ _HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # but what 
 # code whatever -ffp-contract says; its vectorizer of such code is what has to be switched off.
 _APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
 
+_SPENT: ContextVar[float] = ContextVar("time_compiling", default=0.0)  # s
 # What compilers say, or their driver of them, when there is no more memory
 _EXHAUSTED = re.compile(
     r"out of memory|memory exhausted|cannot allocate memory|bad_alloc|OutOfMemory"
@@ -211,7 +214,7 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         if _only_kept.get():
             raise NotKept(f"{folder} does not hold {key.partition(' ')[0]}")
         _refuse_noexec(folder)
-        with alone(folder, digest), temporary_folder(folder) as build:
+        with compiling(), alone(folder, digest), temporary_folder(folder) as build:
             if found := _kept(folder, digest):  # made by another process meanwhile
                 return found
             source, library = build / "code.c", build / f"code{SUFFIX}"
@@ -231,6 +234,22 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return target
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Say and clock that code is generated and compiled in here."""
+    began = perf_counter()
+    try:
+        with doing("compiling (once)"):
+            yield
+    finally:
+        _SPENT.set(_SPENT.get() + perf_counter() - began)
+
+
+def time_compiling() -> float:
+    """Return for how long this thread has been compiling so far, s."""
+    return _SPENT.get()
 
 
 def _kept(folder: Path, digest: str) -> Path | None:

@@ -6,15 +6,13 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+from casadi_models.units import known
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import zipped
+from cosim.fmi.parameter_set import SSC, SSD, TYPE, parameter_set, to_file, unit_list
 from cosim.trajectory import repr_17
-
-_SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
-_SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
-_SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 
 
 def write_ssp(
@@ -24,8 +22,9 @@ def write_ssp(
     *,
     values: Mapping[str, float] | None = None,
     stop_time: float | None = None,
+    parameter_files: bool = False,
 ) -> Path:
-    """Write an SSP file.
+    """Write an SSP file; connectors and values carry their units.
 
     Args:
         target: The file, replaced when everything has succeeded.
@@ -33,6 +32,8 @@ def write_ssp(
         connections: ("FROM.OUTPUT", "TO.INPUT") pairs.
         values: Start values and parameters by "COMPONENT.VARIABLE", in the FMUs' units.
         stop_time: Of the default experiment, s.
+        parameter_files: Whether the values stand in files of their own, `resources/NAME.ssv`, which
+            can be exchanged; else they stand in the description of the system.
 
     Returns:
         Path of the file.
@@ -41,37 +42,54 @@ def write_ssp(
         UnknownName: A component or a variable does not exist.
         UsageError: A connection does not lead from an output to an input.
         FmuError, ExportError: A file cannot be read or written.
+
+    Example:
+        >>> import cosim
+        >>> path = cosim.export_fmu(cosim.load("crank_shaft"), "crank.fmu")
+        >>> write_ssp("shaft.ssp", {"crank": path}, [], values={"crank.omega": 10.0}).name
+        'shaft.ssp'
     """
     described = {name: _described(path) for name, path in components.items()}
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
-    for prefix, uri in (("ssd", _SSD), ("ssc", _SSC), ("ssv", _SSV)):
-        ET.register_namespace(prefix, uri)
-    name = Path(target).stem
-    root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name=name)
-    system = ET.SubElement(root, f"{{{_SSD}}}System", name=name)
-    elements = ET.SubElement(system, f"{{{_SSD}}}Elements")
+    name, files, used = Path(target).stem, dict[str, bytes](), set[str]()
+    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
+    system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
+    elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     for component, description in described.items():
-        own = {k: v for k, v in (values or {}).items() if k.partition(".")[0] == component}
-        elements.append(_component(component, description, own))
+        own = {
+            key.partition(".")[2]: value
+            for key, value in (values or {}).items()
+            if key.partition(".")[0] == component
+        }
+        units = {v.name: unit_of(v) for v in description.modelVariables}
+        used |= {unit for unit in units.values() if unit}
+        element = _component(component, description, units)
+        if own:
+            chosen = parameter_set("initialValues", own, units)
+            file = f"resources/{component}.ssv"
+            if parameter_files:
+                files[file] = to_file(chosen)
+            element.append(_binding(file if parameter_files else None, chosen))
+        elements.append(element)
     for key in values or {}:
         _side(described, key, None)
-    joints = ET.SubElement(system, f"{{{_SSD}}}Connections")
+    joints = ET.SubElement(system, f"{{{SSD}}}Connections")
     for (source, output), (sink, entry) in ends:
         ET.SubElement(
             joints,
-            f"{{{_SSD}}}Connection",
+            f"{{{SSD}}}Connection",
             startElement=source,
             startConnector=output,
             endElement=sink,
             endConnector=entry,
         )
+    if used:
+        root.append(unit_list(f"{{{SSD}}}Units", used))
     if stop_time is not None:
         span = {"startTime": "0.0", "stopTime": repr_17(stop_time)}
-        ET.SubElement(root, f"{{{_SSD}}}DefaultExperiment", span)
-    ET.indent(root)
-    structure: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+        ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
     fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in components.items()}
-    return write_atomically(target, zipped({"SystemStructure.ssd": structure, **fmus}))
+    return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
 
 
 def _described(path: str | os.PathLike[str]) -> Any:
@@ -84,31 +102,43 @@ def _described(path: str | os.PathLike[str]) -> Any:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
 
 
-def _component(name: str, description: Any, values: Mapping[str, float]) -> ET.Element:
+def unit_of(variable: Any) -> str | None:
+    """Return the unit of a variable that the table of units knows."""
+    declared = variable.declaredType
+    unit = variable.unit or (declared.unit if declared else None)
+    return unit if unit is not None and known(unit) else None
+
+
+def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:
     component = ET.Element(
-        f"{{{_SSD}}}Component",
+        f"{{{SSD}}}Component",
         name=name,
         type="application/x-fmu-sharedlibrary",
         source=f"resources/{name}.fmu",
     )
-    connectors = ET.SubElement(component, f"{{{_SSD}}}Connectors")
+    connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:
         if variable.causality in ("input", "output", "parameter"):
             connector = ET.SubElement(
-                connectors, f"{{{_SSD}}}Connector", name=variable.name, kind=variable.causality
+                connectors, f"{{{SSD}}}Connector", name=variable.name, kind=variable.causality
             )
-            ET.SubElement(connector, f"{{{_SSC}}}Real")
-    if values:
-        bindings = ET.SubElement(component, f"{{{_SSD}}}ParameterBindings")
-        binding = ET.SubElement(bindings, f"{{{_SSD}}}ParameterBinding")
-        inline = ET.SubElement(binding, f"{{{_SSD}}}ParameterValues")
-        own = {"version": "1.0", "name": "initialValues"}
-        chosen = ET.SubElement(inline, f"{{{_SSV}}}ParameterSet", own)
-        parameters = ET.SubElement(chosen, f"{{{_SSV}}}Parameters")
-        for key, value in values.items():
-            entry = ET.SubElement(parameters, f"{{{_SSV}}}Parameter", name=key.partition(".")[2])
-            ET.SubElement(entry, f"{{{_SSV}}}Real", value=repr_17(value))
+            unit = units[variable.name]
+            if variable.type == "Boolean":
+                ET.SubElement(connector, f"{{{SSC}}}Boolean")
+            else:
+                ET.SubElement(connector, f"{{{SSC}}}Real", {"unit": unit} if unit else {})
     return component
+
+
+def _binding(file: str | None, chosen: ET.Element) -> ET.Element:
+    """Return what gives a component its values: a file, or the set itself."""
+    bindings = ET.Element(f"{{{SSD}}}ParameterBindings")
+    if file is not None:
+        ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding", type=TYPE, source=file)
+        return bindings
+    binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
+    ET.SubElement(binding, f"{{{SSD}}}ParameterValues").append(chosen)
+    return bindings
 
 
 def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:

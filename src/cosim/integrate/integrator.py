@@ -58,6 +58,13 @@ def integrator(
         ParameterError: The grid is not increasing or not finite.
         UsageError: Derivatives are asked for of so long a grid; and see `simulate`.
         UnknownName, MissingTool: See `simulate`.
+
+    Example:
+        >>> import cosim
+        >>> dae = cosim.load("crank_shaft")
+        >>> run = integrator(dae, [0.0, 0.5, 1.0], solver="erk", compiled=False)
+        >>> run(**cosim.start_vectors(dae))["xf"].shape
+        (2, 3)
     """
     times = checked_grid(grid)
     chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
@@ -105,6 +112,11 @@ def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> 
 
     Raises:
         UnknownName, ParameterError, InitialConditionError: See `simulate`.
+
+    Example:
+        >>> import cosim
+        >>> start_vectors(cosim.load("crank_shaft"), {"omega": 10.0})["x0"]
+        array([ 0., 10.])
     """
     values = assign(dae, start_values)
     x0 = initial_values.start_values(dae, values)

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -10,7 +9,9 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
+from cosim.codegen.compiler import time_compiling
 from cosim.errors import CompilerExhausted, Interrupted, SolverError, UnknownName, UsageError
+from cosim.host.progress import doing
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
@@ -113,21 +114,21 @@ def simulate(
         raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
     if project and solver is None:
         solver = Dop853.name
-    numbers = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, projected=project, **numbers)  # type: ignore[arg-type]
+    settings = {name: value for name, value in shorthand.items() if name in NUMBERS}
+    chosen = chosen_solver(dae, solver, projected=project, **settings)  # type: ignore[arg-type]
     problem = Problem(dae, grid.tobytes(), inputs, True, sensitivities=False, project=project)
-    choice = Choice(bool(compiled))
-    if compiled is None:
-        choice = worthwhile(dae, chosen, len(grid), partial(engine_of, problem, chosen))
-    problem = replace(problem, compiled=choice.compiled)
-    try:
-        solution = first = solve(problem, chosen, values, on_invalid)
-    except CompilerExhausted as error:
-        if compiled or chosen.compiled_only or project:
-            raise
-        choice = Choice(False, f"interpreted: {error}")
-        problem = replace(problem, compiled=False)
-        solution = first = solve(problem, chosen, values, on_invalid)
+    before = time_compiling()
+    with doing(dae.full_name):
+        choice = _choice(problem, chosen, compiled)
+        problem = replace(problem, compiled=choice.compiled)
+        try:
+            solution = first = solve(problem, chosen, values, on_invalid)
+        except CompilerExhausted as error:
+            if compiled or chosen.compiled_only or project:
+                raise
+            choice = Choice(False, f"interpreted: {error}")
+            problem = replace(problem, compiled=False)
+            solution = first = solve(problem, chosen, values, on_invalid)
     choice.add(first.solve_time)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
@@ -140,11 +141,16 @@ def simulate(
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, choice, perf_counter() - began)
-    drawing = dae.drawing.with_numbers(numbers_of(dae, values))
+    if (compiling := time_compiling() - before) > 0:
+        stats = replace(stats, compile_time=compiling)
+    numbers = numbers_of(dae, values)
+    drawing = dae.drawing.with_numbers(numbers)
     columns, places = recorded_columns(dae, names)
     everything = places == tuple(range(solution.table.shape[1]))
     table = solution.table if everything else solution.table[:, places]
-    run = Trajectory(dae.full_name, time, columns, table, stats, status, drawing=drawing)
+    run = Trajectory(
+        dae.full_name, time, columns, table, stats, status, drawing=drawing, numbers=numbers
+    )
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
     if first.reason:
@@ -160,6 +166,14 @@ def simulate(
             run,
         )
     return run
+
+
+def _choice(problem: Problem, solver: Solver, compiled: bool | None) -> Choice:
+    """Return whether a run is compiled, as its caller wants it or as it pays."""
+    if compiled is not None:
+        return Choice(compiled)
+    points = len(problem.grid)
+    return worthwhile(problem.dae, solver, points, lambda: engine_of(problem, solver))
 
 
 def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:

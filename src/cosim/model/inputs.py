@@ -29,6 +29,10 @@ class InputSeries:
     Raises:
         ParameterError: The shapes do not fit, a name or a time occurs twice, a time is earlier
             than the one before it, or a number is not finite.
+
+    Example:
+        >>> InputSeries(("torque",), [0.0, 1.0], [[0.0], [2.0]]).at([0.5, 3.0])
+        array([[1., 2.]])
     """
 
     names: tuple[str, ...]
@@ -99,6 +103,12 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
         UnknownName: A column is no input of the model.
         ParameterError: A cell is missing, no finite number, out of bounds, or a time does not
             increase; line and column are named.
+
+    Example:
+        >>> from pathlib import Path
+        >>> _ = Path("torque.csv").write_text("time,steer_torque\\n0,0\\n1,2\\n")
+        >>> read_inputs("torque.csv").names
+        ('steer_torque',)
     """
     rows = _table_rows(Path(path))
     names = _header(f"{path}, line 1", rows[0] if rows else [], dae)

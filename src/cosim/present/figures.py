@@ -43,6 +43,12 @@ def draw_figures(
     Raises:
         UnknownName: A run lacks a variable.
         UsageError: The two runs have other output times.
+
+    Example:
+        >>> import cosim
+        >>> scene = cosim.read_scene("crank_torque.toml")
+        >>> len(draw_figures(scene.figures, cosim.run_scene(scene)))
+        1
     """
     for each in (run, other):
         if not isinstance(each, Trajectory | None) or run is None:

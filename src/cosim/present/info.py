@@ -36,6 +36,11 @@ class Info:
         tables: Rows by kind of variable, with real numbers: start, minimum, maximum, nominal;
             None where there is none.
         limits: (margin at the start, meaning) of what the model is good for.
+
+    Example:
+        >>> import cosim
+        >>> [row["name"] for row in cosim.info("crank_shaft").tables["states"]]
+        ['phi', 'omega']
     """
 
     facts: Mapping[str, str]

@@ -28,6 +28,10 @@ class Settings:
     Raises:
         ParameterError: The run would end before it begins; or a number is not finite or positive.
         UsageError: Two things are given of which one decides on the other.
+
+    Example:
+        >>> Settings(stop_time=2.0, solver="erk", relative_tolerance=1e-6).stop_time
+        2.0
     """
 
     start_time: float = 0.0
@@ -66,6 +70,10 @@ class FigureSpec:
         equal: Whether one metre is as long on both axes.
         labels: What stands at the vertical axes, one per panel; the variables' names when empty.
         legends: What the curves are called, a tuple for each panel; their meaning when empty.
+
+    Example:
+        >>> FigureSpec("lean and steer", (("phi", "delta"), ("psi",))).names
+        ('phi', 'delta', 'psi')
     """
 
     title: str
@@ -99,6 +107,12 @@ class Scene:
 
     Raises:
         UnknownName, ParameterError, InitialConditionError: A value does not fit; see `assign`.
+
+    Example:
+        >>> import cosim
+        >>> scene = Scene("slow", cosim.load("crank_shaft"), values={"omega": 10.0})
+        >>> cosim.run_scene(scene)["omega"][0]
+        np.float64(10.0)
     """
 
     name: str

@@ -49,16 +49,28 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     dae = _model(file)
     outputs = _outputs(file, dae)
     constants, series = _inputs(file, dae)
-    values = {
-        **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
-        **_values(file, "start", _table(file, "start"), dae, _startable(dae)),
-        **constants,
-    }
+    values = {**_own_values(file, dae), **constants}
     settings = _settings(file)
     figures = read_figures(file, dae, outputs)
     title = _text(file, "title") if "title" in file.data else ""
     with file.naming():
         return Scene(file.path.stem, dae, title, values, series, outputs, settings, figures)
+
+
+def scene_values(dae: Dae) -> dict[str, tuple[str, dict[str, float]]]:
+    """Return titles and values, SI, of the shipped scenes of a model that have some, by name.
+
+    Example:
+        >>> from cosim.scene.scene_file import scene_values
+        >>> scene_values(cosim.load("crank_shaft"))["crank_shaft"][1]
+        {'alpha': 10.0, 'omega': 50.0}
+    """
+    found = {}
+    for path in shipped_scenes():
+        file = read_toml(path)
+        if file.data["model"] == dae.full_name and (values := _own_values(file, dae)):
+            found[path.stem] = (_text(file, "title"), values)
+    return found
 
 
 def find_scene(path: str | os.PathLike[str]) -> Path:
@@ -141,6 +153,13 @@ def _misplaced(
         return UsageError(f"{where}: {name} is a result of {dae.full_name} and cannot be set")
     kind = {"parameters": "parameter", "start": "state", "inputs": "input"}[table]
     return UnknownName.among(f"{where}: {dae.full_name}", kind, name, known)
+
+
+def _own_values(file: TomlFile, dae: Dae) -> dict[str, float]:
+    return {
+        **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
+        **_values(file, "start", _table(file, "start"), dae, _startable(dae)),
+    }
 
 
 def _inputs(file: TomlFile, dae: Dae) -> tuple[dict[str, float], InputSeries | None]:

@@ -12,7 +12,12 @@ from cosim.arrays import Vector
 
 @dataclass(frozen=True)
 class Column:
-    """What is known of a recorded variable: name, SI unit, display unit, nominal, meaning."""
+    """What is known of a recorded variable: name, SI unit, display unit, nominal, meaning.
+
+    Example:
+        >>> Column("phi", "rad", "deg").shown(np.array([np.pi]))
+        array([180.])
+    """
 
     name: str
     unit: str = "1"

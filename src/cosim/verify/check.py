@@ -56,6 +56,12 @@ class Check:
         return Verdict.COARSE if nearest <= self.comparison.bound else Verdict.DIFFERS
 
     @property
+    def wall_time(self) -> float | None:
+        """What the second run took without the compiler, s; None where there is no run."""
+        wall: float | None = self.stats.get("wall_time")
+        return None if wall is None else wall - (self.stats.get("compile_time") or 0.0)
+
+    @property
     def reason(self) -> str:
         """Why the run failed, what was done to find out, or what to try."""
         return self.failure or self.note
@@ -74,7 +80,7 @@ class Check:
             "at": worst and worst.time,
             "bound": compared and compared.bound,
             "verdict": str(self.verdict),
-            "wall_time": self.stats.get("wall_time"),
+            "wall_time": self.wall_time,
             "rhs_calls": self.stats.get("rhs_calls"),
             "left_out": " ".join(self.left_out) or None,
             "reason": self.reason or None,

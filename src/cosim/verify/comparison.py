@@ -31,6 +31,12 @@ class Comparison:
         differences: One per common variable, falling.
         bound: Up to where the scaled difference is agreement.
         note: How other output times were met; empty where both runs have the same ones.
+
+    Example:
+        >>> import cosim
+        >>> a, b = (cosim.simulate("crank_shaft", stop_time=1, solver=s) for s in ("cvodes", "erk"))
+        >>> cosim.compare(a, b).agrees
+        True
     """
 
     first: str

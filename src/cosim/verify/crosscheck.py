@@ -15,6 +15,7 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.fmi.export.package import export_fmu
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
@@ -111,6 +112,11 @@ def crosscheck(
         UnknownName: A model does not exist.
         UsageError, ParameterError: A number or a scene makes no sense.
         MissingTool: There is no C compiler.
+
+    Example:
+        >>> checks = crosscheck("crank_shaft/driven", stop_time=0.5)
+        >>> [str(check.road) for check in checks], checks.agree
+        (['fmu-me', 'fmu-cs'], True)
     """
     number("crosscheck", "bound", bound, positive=True)
     if isinstance(models, str | Scene):
@@ -146,7 +152,8 @@ def _all_checks(
             )
             scene = replace(scene, settings=settings)
             try:
-                run = run_scene(scene)
+                with doing(str(Road.NATIVE)):
+                    run = run_scene(scene)
             except _FAILURES as error:
                 yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue
@@ -197,7 +204,8 @@ def _roads(scene: Scene, run: Trajectory, bound: float, given: bool) -> Iterator
     """Compare the FMU's runs with a run through CasADi's integrators."""
     dae = scene_dae(scene)
     with temporary_folder() as folder:
-        path = export_fmu(dae, Path(folder) / "model.fmu")
+        with doing(f"{dae.full_name}, export"):
+            path = export_fmu(dae, Path(folder) / "model.fmu")
         for road in FMU_ROADS:
             yield _road(scene, dae, path, run, road, bound, given)
 
@@ -209,7 +217,8 @@ def _road(
     solver = run.stats["solver"]
 
     def again(scene: Scene) -> Trajectory:
-        return run_fmu(scene, dae, path, road)
+        with doing(f"{dae.full_name}, {road}"):
+            return run_fmu(scene, dae, path, road)
 
     try:
         other = again(scene)
@@ -243,7 +252,8 @@ def _judged(
     settings = scene.settings
     tolerance = settings.relative_tolerance or 0.0
     try:
-        best = reference(scene)
+        with doing(f"{scene.dae.full_name}, reference"):
+            best = reference(scene)
         truth, doubt = best.run.select(names), best.error(names)
     except CosimError as error:
         advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"

@@ -115,6 +115,12 @@ def reference(scene: Scene | Dae) -> Reference:
     Raises:
         SolverError: No two methods reach the stop time.
         CosimError: The start values contradict the constraints; see `simulate`.
+
+    Example:
+        >>> import cosim
+        >>> found = reference(cosim.load("crank_shaft"))
+        >>> found.error(["phi"]) < 1e-8
+        True
     """
     if isinstance(scene, Dae):
         scene = Scene(scene.full_name, scene)

@@ -8,10 +8,11 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from warnings import warn
 from xml.etree import ElementTree as ET
@@ -23,6 +24,7 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
 from cosim.files import refuse_unwritable, write_atomically
+from cosim.fmi.aliases import flat_names
 from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.export.solver_choice import ROSENBROCK, solver_for
@@ -39,9 +41,8 @@ from cosim.trajectory import Column, Trajectory
 from cosim.verify.check import Check, Verdict
 from cosim.verify.comparison import compare
 from cosim.verify.crosscheck import BOUND
+from cosim.verify.related_files import MEASURED, REFERENCE, Sets, related_files
 
-REFERENCE = "documentation/reference.csv"
-MEASURED = "documentation/reference.json"
 OWN = "reference"
 MOST_ROWS = 201
 CONSTANT_NOISE = (
@@ -54,7 +55,12 @@ PALETTE_SIZE = 16  # of the picture
 
 
 def export_with_proof(
-    dae: Dae, target: str | os.PathLike[str], *, reference: bool = True, **options: Any
+    dae: Dae,
+    target: str | os.PathLike[str],
+    *,
+    reference: bool = True,
+    sets: Sets = MappingProxyType({}),
+    **options: Any,
 ) -> Path:
     """Export an FMU with a reference result, the measured difference from it, and a picture.
 
@@ -64,6 +70,8 @@ def export_with_proof(
         dae: The model.
         target: The file, replaced when everything has succeeded.
         reference: Whether there shall be a reference result.
+        sets: A line of text and values, SI, by name: files of parameters inside the FMU, each with
+            what of it the FMU lets be set.
         options: See `export_fmu`.
 
     Raises:
@@ -84,7 +92,11 @@ def export_with_proof(
             proof = _proof(dae, local, str(target))
         with zipfile.ZipFile(plain) as fmu:
             files = {name: fmu.read(name) for name in fmu.namelist()}
-    content = zipped(files | proof)
+    if "model.png" in files or "terminalsAndIcons/icon.png" in files:
+        proof.pop("model.png", None)  # the mechanism is a better icon than a result
+    files |= proof
+    files |= related_files(files, sets)
+    content = zipped(files)
     remember(content)
     return write_atomically(target, content)
 
@@ -106,7 +118,7 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
                 said = f"{check.failure}; the FMU is written without this part of its proof"
             warn(f"{target}: {check.road}: {said}", stacklevel=3)
     text = io.StringIO(newline="")
-    run.to_csv(text)
+    _under_its_names(run, local).to_csv(text)
     worst = {c.road: c.comparison.worst for c in checks if c.comparison}
     facts = {
         "model": run.model,
@@ -148,8 +160,9 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
                 why = sentence(str(facts["no reference"]))
                 raise FmuError(f"{path} carries no reference result: {why}")
             table = entry_content(fmu, REFERENCE).decode()
-            against = _whose(path, ET.fromstring(entry_content(fmu, DESCRIPTION)))
-            run = _from_csv(table, facts)
+            description = ET.fromstring(entry_content(fmu, DESCRIPTION))
+            against = _whose(path, description)
+            run = _from_csv(table, facts, flat_names(description))
             tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
             doubt = float(facts.get("estimated error in nominal values", 0.0))
     except (KeyError, ValueError, TypeError, IndexError, RecursionError, csv.Error) as error:
@@ -249,8 +262,19 @@ def _result_checks(
         yield Check(run.model, road, OWN, difference, dict(again.stats), doubt=doubt)
 
 
-def _from_csv(table: str, facts: dict[str, Any]) -> Trajectory:
+def _under_its_names(run: Trajectory, path: Path) -> Trajectory:
+    """Return a result with the names of an FMU's variables, which may be structured."""
+    with opened(path) as fmu:
+        names = flat_names(ET.fromstring(entry_content(fmu, DESCRIPTION)))
+    own = {flat: name for name, flat in names.items()}
+    return replace(
+        run, columns=tuple(replace(c, name=own.get(c.name, c.name)) for c in run.columns)
+    )
+
+
+def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Trajectory:
     head, *rows = csv.reader(io.StringIO(table))
+    head = [flat.get(name, name) for name in head]
     numbers = np.array(rows, dtype=float)
     columns = tuple(
         Column(name, facts["unit"][name], nominal=facts["nominal"][name]) for name in head[1:]

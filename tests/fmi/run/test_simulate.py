@@ -2,21 +2,15 @@
 
 import ctypes
 import re
-import signal
-import tempfile
-import threading
 import zipfile
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import fmpy
 import numpy as np
 import pytest
 from helpers.fmu_files import remove, rewritten, set_attributes, with_description
-from helpers.small_models import decay
 
 import cosim
-from casadi_models.dae import Dae, Model
 from cosim.errors import (
     FmuError,
     ParameterError,
@@ -24,53 +18,12 @@ from cosim.errors import (
     UnknownName,
     UsageError,
 )
-from cosim.fmi.archive import DESCRIPTION, unpacked
+from cosim.fmi.archive import unpacked
 
 INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
-
-def blow_up() -> Dae:
-    """Return x' = x^2 from x = 0.7: infinite at 1.4286 s."""
-    model = Model("blow_up", description="no solution for long", source="a test", stop_time=2.0)
-    x = model.state("x", "1", 0.7, "what grows")
-    model.derivative(x, x**2)
-    return model.freeze()
-
-
-def gap() -> Dae:
-    """Return x' = 0 with x(0)^2 = size, which has no solution for a negative size."""
-    model = Model("gap", description="start from an equation", source="a test", stop_time=1.0)
-    x = model.state("x", "1", 1.0, "root")
-    size = model.parameter("size", "1", 4.0, "square of the root")
-    model.derivative(x, 0)
-    model.start_equation(x, x**2 - size, "closure of the gap")
-    return model.freeze()
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory):
-    """FMUs of small models by name and version."""
-    folder = tmp_path_factory.mktemp("small")
-    models = {"decay": decay(), "blow_up": blow_up(), "gap": gap()}
-    return {
-        (name, fmi): cosim.export_fmu(dae, folder / f"{name}_{fmi}.fmu", fmi=fmi)
-        for name, dae in models.items()
-        for fmi in (2, 3)
-    }
-
-
-@pytest.fixture(autouse=True)
-def no_trace(tmp_path, monkeypatch):
-    """Whatever happens: no temporary folder stays, and nobody changes the current folder."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    before = Path.cwd()
-    yield
-    assert list(folder.iterdir()) == []
-    assert Path.cwd() == before
-
+pytestmark = pytest.mark.usefixtures("no_trace")
 
 # -- what may be asked for ----------------------------------------------------------------------
 
@@ -302,103 +255,3 @@ def test_start_without_solution_is_an_error_with_the_reason(interface, fmi, fmus
     assert cosim.simulate_fmu(fmus["gap", fmi], interface=interface)["x"][0] == pytest.approx(2.0)
     with pytest.raises(FmuError, match="the start values of x cannot be calculated"):
         cosim.simulate_fmu(fmus["gap", fmi], interface=interface, start={"size": -1.0})
-
-
-# -- runs that went wrong -----------------------------------------------------------------------
-
-
-@INTERFACES
-@VERSIONS
-def test_run_that_ends_early_is_an_error(interface, fmi, fmus):
-    """CVODE of fmpy stops near the pole; the solver inside says how far it came."""
-    with pytest.raises(FmuError) as caught:
-        cosim.simulate_fmu(fmus["blow_up", fmi], interface=interface)
-    if interface == "CoSimulation":
-        reached = r"fmi\dDoStep: the step from 1\.4\d+ to 1\.4\d+ came no further than 1\.428"
-        assert re.search(reached, str(caught.value))
-
-
-class Puppet:
-    """fmpy's instance, with one method replaced."""
-
-    def __init__(self, monkeypatch, name: str, replacement) -> None:
-        original = getattr(fmpy.fmi2.FMU2Slave, name)
-        monkeypatch.setattr(
-            fmpy.fmi2.FMU2Slave, name, lambda *a, **k: replacement(original, *a, **k)
-        )
-
-
-def test_result_that_is_no_number_is_an_error(fmus, monkeypatch):
-    def poisoned(original, instance, vr):
-        values = original(instance, vr)
-        return [float("nan") if value < 1.9 * 0.7 else value for value in values]
-
-    Puppet(monkeypatch, "getReal", poisoned)
-    with pytest.raises(FmuError, match="x is not finite at 0 s"):
-        cosim.simulate_fmu(fmus["decay", 2])
-
-
-def test_fmu_that_repeats_a_discarded_step_for_ever_is_stopped(fmus, monkeypatch):
-    """fmpy tries a discarded step again at the same time, without end."""
-
-    def discarded(original, *_arguments, **_more):
-        raise fmpy.fmi1.FMICallException("fmi2DoStep", 2)
-
-    Puppet(monkeypatch, "doStep", discarded)
-    monkeypatch.setattr(fmpy.fmi2.FMU2Slave, "getBooleanStatus", lambda *_: False)
-    with pytest.raises(FmuError, match="the run ended at 0 s, before the stop time 1 s"):
-        cosim.simulate_fmu(fmus["decay", 2], interface="CoSimulation")
-
-
-def test_instance_is_freed_when_a_run_fails(fmus, monkeypatch):
-    freed = []
-    Puppet(monkeypatch, "freeInstance", lambda f, *a: (freed.append(1), f(*a)))
-    with pytest.raises(FmuError):
-        cosim.simulate_fmu(fmus["blow_up", 2], interface="CoSimulation")
-    assert freed == [1]
-
-
-def test_description_of_another_version_is_an_error(fmus, tmp_path):
-    path = with_description(
-        fmus["decay", 2], tmp_path / "x.fmu", set_attributes(".", fmiVersion="4")
-    )
-    with pytest.raises(FmuError, match=r"modelDescription\.xml cannot be read"):
-        cosim.simulate_fmu(path)
-
-
-def test_texts_are_not_recorded_and_cannot_be_asked_for(fmus, tmp_path):
-    def add_text(root: ET.Element) -> None:
-        variables = root.find("ModelVariables")
-        text = ET.SubElement(
-            variables, "ScalarVariable", name="text", valueReference="0", causality="output",
-            variability="discrete", initial="calculated",
-        )  # fmt: skip
-        ET.SubElement(text, "String")
-
-    path = with_description(fmus["decay", 2], tmp_path / "x.fmu", add_text)
-    assert cosim.simulate_fmu(path).names == ("x", "y")
-    with pytest.raises(UsageError, match="text is not a single number"):
-        cosim.simulate_fmu(path, outputs=["text"])
-
-
-def test_no_folder_for_temporary_files_is_told(fmus, monkeypatch, tmp_path):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
-    with pytest.raises(FmuError, match=r"there is no folder for temporary files.*TMPDIR"):
-        cosim.simulate_fmu(fmus["decay", 2])
-
-
-def test_description_of_the_archive_is_the_one_that_counts(fmus):
-    with zipfile.ZipFile(fmus["decay", 2]) as archive:
-        assert archive.namelist().count(DESCRIPTION) == 1
-
-
-@pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
-@pytest.mark.parametrize("seconds", [0.3, 0.31, 0.32])  # mostly within a callback of ctypes
-def test_ctrl_c_ends_a_run_wherever_it_is(fmus, interface, seconds):
-    path, span = fmus["decay", 2], {"stop_time": 1e4, "output_interval": 0.01}
-    timer = threading.Timer(seconds, signal.raise_signal, [signal.SIGINT])
-    before = signal.getsignal(signal.SIGINT)
-    timer.start()
-    with pytest.raises(KeyboardInterrupt):
-        cosim.simulate_fmu(path, interface=interface, **span)
-    assert signal.getsignal(signal.SIGINT) is before

@@ -7,24 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.oscillators import K, oscillator
-from helpers.small_models import decay, table
+from helpers.oscillators import oscillator
+from helpers.promises import OTHER, error
+from helpers.small_models import table
 
 import cosim
 from casadi_models.dae import Model
-from cosim.api import run_scene, simulate
-from cosim.cli.arguments import named_scene
+from cosim.api import simulate
 from cosim.cli.main import main
-from cosim.codegen.c_sources import cache_folder
 from cosim.errors import ParameterError, SolverError, UsageError
-from cosim.scene.scene import Scene, Settings
-from cosim.scene.variants import variant
-from cosim.study.accuracy.fmu import export_accurate
-from cosim.study.accuracy.front import FRONT_TOLERANCES, measured_front
+from cosim.scene.scene import Settings
+from cosim.study.accuracy.front import measured_front
 from cosim.study.accuracy.solver_selection import promise_kept, promised_run
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
-OTHER = {"k": 3.1 * K, "x": -0.7, "v": 1.9}  # far from what the front was measured with
 
 
 def lorenz():
@@ -34,17 +30,6 @@ def lorenz():
     for state, rate in ((x, 10 * (y - x)), (y, x * (28 - z) - y), (z, x * y - 8 / 3 * z)):
         model.derivative(state, rate)
     return model.freeze()
-
-
-def closed_form(time, values):
-    """Return x of x'' = -k x + sin(t) from x, v at t = 0."""
-    k, x, v = (values[name] for name in ("k", "x", "v"))
-    w, drive = np.sqrt(k), 1 / (k - 1)
-    return drive * np.sin(time) + x * np.cos(w * time) + (v - drive) / w * np.sin(w * time)
-
-
-def error(run, values=OTHER):
-    return np.abs(run["x"] - closed_form(run.time, values)).max()
 
 
 def chosen(run):
@@ -59,11 +44,6 @@ def front_errors():
     return {
         (e.configuration.solver, e.configuration.tolerance): e.errors["x"] for e in front.events
     }
-
-
-@pytest.fixture(params=[False, True], ids=["ode", "dae"])
-def dae(request):
-    return oscillator(algebraic=request.param).dae
 
 
 class Runs:
@@ -112,71 +92,6 @@ def test_returned_run_is_the_more_accurate_of_the_two(accuracy):
     assert np.ptp(run.values - runs.one.values) == pytest.approx(0, abs=1e-15)
     shift = float((run.values - runs.one.values)[0, 0])
     assert shift == pytest.approx(min(known[asked] for asked in runs.asked[-2:]), abs=1e-15)
-
-
-def test_front_promises_what_its_configurations_keep(dae):
-    """At the model's own values, measured errors are those from the closed form."""
-    own = {"k": K, "x": 1.0, "v": 0.5}
-    front = measured_front(dae, compiled=True).cheapest_first(["x"])
-    floor = cosim.reference(dae).error(["x"])
-    errors = [m.error for m in front]
-    assert errors == sorted(errors, reverse=True)
-    for m in front:
-        configuration = m.configuration
-        run = simulate(dae, solver=configuration.solver, relative_tolerance=configuration.tolerance)
-        assert m.error == pytest.approx(error(run, own), rel=0.01, abs=2 * floor)
-
-
-def test_other_values_of_a_scene_need_no_other_front():
-    small = Scene("small", decay("front_of_decay"), settings=Settings(accuracy=1e-6))
-    before = set((cache_folder() / "fronts").glob("*"))
-    for rate in (0.5, 0.7, 3.0):
-        run = run_scene(replace(small, values={"rate": rate}))
-        assert np.abs(run["x"] - np.exp(-rate * run.time)).max() <= 1e-6
-    assert len(set((cache_folder() / "fronts").glob("*")) - before) == 1
-
-
-def test_front_is_measured_once_and_again_where_its_file_is_damaged(monkeypatch):
-    dae = decay("damaged_front")
-    before = set((cache_folder() / "fronts").glob("*"))
-    first = measured_front(dae, compiled=True)
-    (place,) = set((cache_folder() / "fronts").glob("*")) - before
-    assert measured_front(dae, compiled=True) == first
-    whole = place.read_bytes()
-    place.write_bytes(whole[:-40])
-    with pytest.warns(RuntimeWarning, match="was damaged; it is made again"):
-        again = measured_front(dae, compiled=True)
-    assert {e.configuration for e in again.events} == {e.configuration for e in first.events}
-    assert measured_front(dae, compiled=True) == again  # whole again
-
-
-def test_reference_of_one_output_serves_the_accuracy_of_another():
-    """Both need the same states, and so the same reduced model."""
-    dae = oscillator().dae
-    cosim.reference(cosim.reduce(dae, ["x"]))
-    assert "v" in cosim.reference(cosim.reduce(dae, ["v"])).run.names
-    assert simulate(cosim.reduce(dae, ["x", "v"]), accuracy=1e-6).stats["error_estimate"] <= 1e-6
-
-
-def test_solver_that_needs_too_many_calls_is_not_tried_any_tighter(monkeypatch):
-    monkeypatch.setattr("cosim.study.accuracy.front.MOST_CALLS", 300)
-    events = measured_front(decay("calls"), compiled=True).events
-    calls = [e.rhs_calls for e in events if e.configuration.solver == "erk"]
-    assert len(calls) < len(FRONT_TOLERANCES)
-    assert calls[-2] <= 300 < calls[-1]
-
-
-def test_without_a_cache_the_front_is_measured_all_the_same(monkeypatch, tmp_path):
-    (tmp_path / "fronts").write_text("a file where the folder should be")
-    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
-    assert simulate(decay(), accuracy=1e-6).stats["error_estimate"] <= 1e-6
-
-
-def test_interpreted_equations_have_a_front_of_their_own():
-    run = simulate(oscillator().dae, start=OTHER, accuracy=1e-6, compiled=False)
-    assert not run.stats["compiled"]
-    assert "dop853" not in promise_kept(run)
-    assert error(run) <= 1e-6
 
 
 def test_chaotic_motion_is_not_taken_for_a_result():
@@ -359,56 +274,3 @@ def test_failed_promise_ends_with_exit_code_1_and_the_labelled_run(tmp_path, cap
     assert main([*run, "--accuracy", "3e-16", "--output-file", str(target)]) == 1
     assert "accuracy 3e-16 is not reached" in capsys.readouterr().err
     assert len(target.read_text().splitlines()) == 12
-
-
-def test_promise_is_for_integrators_not_for_an_fmu(exported, capsys):
-    path = str(exported("crank_shaft"))
-    assert main(["simulate", path, "--accuracy", "1e-6"]) == 2
-    assert "--accuracy is for models" in capsys.readouterr().err
-    scene = replace(named_scene("crank_shaft"), settings=Settings(accuracy=1e-6))
-    with pytest.raises(UsageError, match="cosim export --accuracy"):
-        run_scene(scene, "fmu-cs")
-    for name in ("fmu-cs", "erk"):
-        assert variant(scene, name)[0].settings.accuracy is None
-
-
-@pytest.mark.parametrize("accuracy", [1e-4, 1e-8])
-def test_exported_fmu_has_the_accuracy_by_default_on_both_interfaces(tmp_path, accuracy):
-    dae = oscillator().dae
-    fmu = export_accurate(dae, tmp_path / "o.fmu", accuracy)
-    for interface in ("CoSimulation", "ModelExchange"):
-        run = cosim.simulate_fmu(fmu.path, interface=interface)
-        true = error(run, {"k": K, "x": 1.0, "v": 0.5})
-        assert true <= accuracy
-        # of all outputs, the largest; measured 1 to 3 times that of x
-        assert fmu.errors[interface].scaled >= 0.99 * true - 1e-13
-        assert fmu.errors[interface].scaled <= accuracy
-    assert fmu.tolerance in FRONT_TOLERANCES
-
-
-def test_looser_tolerance_would_not_have_done_for_both(tmp_path):
-    dae = oscillator().dae
-    fmu = export_accurate(dae, tmp_path / "o.fmu", 1e-6)
-    looser = FRONT_TOLERANCES[FRONT_TOLERANCES.index(fmu.tolerance) - 1]
-    run = cosim.simulate_fmu(fmu.path, interface="ModelExchange", relative_tolerance=looser)
-    best = cosim.reference(dae).run
-    assert cosim.compare(best, run).worst.scaled > 1e-6 / 3  # the margin
-
-
-def test_accuracy_out_of_an_fmus_reach_is_refused_and_nothing_written(tmp_path):
-    with pytest.raises(ParameterError, match="the FMU's own solver reaches"):
-        export_accurate(oscillator().dae, tmp_path / "o.fmu", 1e-16)
-    assert not list(tmp_path.iterdir())
-
-
-def test_export_on_the_command_line_tells_tolerance_and_errors(tmp_path, capsys):
-    target = tmp_path / "crank.fmu"
-    assert main(["export", "crank_shaft", "--accuracy", "1e-6", "-o", str(target)]) == 0
-    told = capsys.readouterr().err
-    assert "accuracy 1e-06: tolerance " in told
-    assert "CoSimulation" in told
-    tolerance = told.partition("tolerance ")[2].partition(",")[0]
-    from fmpy import read_model_description
-
-    experiment = read_model_description(str(target)).defaultExperiment
-    assert float(experiment.tolerance) == float(tolerance)

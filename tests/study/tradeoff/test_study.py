@@ -1,11 +1,15 @@
 """`tradeoff`: counts repeat, errors are what they are said to be, nothing is lost on the way."""
 
+import base64
+import io
 import json
+import re
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cosim.cli.main import main
 from cosim.errors import MissingTool, ParameterError, SolverError, UnknownName, UsageError
@@ -48,6 +52,15 @@ def measured(cost, error, name="m"):
         configuration, Outcome(), error, "x", {"x": error}, rhs_calls=cost,
         solver_time=Timing(cost, cost, cost, 1),
     )  # fmt: skip
+
+
+def test_notebook_shows_the_picture_and_the_front(study):
+    shown = study._repr_html_()
+    content = base64.b64decode(re.search(r'src="data:image/png;base64,([^"]+)"', shown)[1])
+    picture = np.asarray(Image.open(io.BytesIO(content)).convert("L"))
+    assert picture.shape[1] > 300
+    assert (picture < 128).mean() > 0.005  # axes, words and lines
+    assert shown.count("<tr>") > 1
 
 
 def test_counts_and_errors_repeat_exactly(study):

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     runs, _, code = runs_of(args, everything=args.outputs is None)
     model, values = args.shown_model, None
     if any(run.drawing is None for run in runs):  # parameters that an FMU or a result was run with
-        values = start_numbers(args, None if model is None else load(model))
+        values = start_numbers(args, None if model is None else load(model)) or None
     path = animate(
         runs,
         args.output_file,

@@ -40,6 +40,17 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--adjoint", action="store_true", help="offer adjoint derivatives (FMI 3.0)"
     )
+    parser.add_argument(
+        "--valid",
+        action="store_true",
+        help="a Boolean output 'valid': true while every limit of the model holds",
+    )
+    parser.add_argument(
+        "--names",
+        default="flat",
+        metavar="flat|structured",
+        help="fx_A or A.f[1]; cosim knows both; flat by default",
+    )
     for name in ("author", "license", "date"):
         parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} that the FMU tells")
     parser.add_argument(
@@ -61,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName, UsageError
     from cosim.scene.roads import scene_dae
+    from cosim.scene.scene_file import scene_values
     from cosim.verify.reference_result import export_with_proof
 
     refuse_timeout(args)
@@ -72,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     target, accuracy = args.output_file or f"{name}.fmu", scene.settings.accuracy
     options: dict[str, Any] = {"fmi": int(args.fmi), "identifier": name, "solver": args.fmu_solver}
     options |= {"platforms": names_in(args.platform), "adjoint": args.adjoint}
+    options |= {"valid": args.valid, "names": args.names}
     given = {name: getattr(args, name) for name in ("author", "license", "date")}
     options["about"] = {name: text for name, text in given.items() if text is not None}
     if args.tunable is not None:
@@ -81,7 +94,12 @@ def run(args: argparse.Namespace) -> int:
     if args.tolerance is not None:
         options["tolerance"] = args.tolerance
     if accuracy is None:
-        path = export_with_proof(dae, target, reference=args.reference == "auto", **options)
+        sets = scene_values(scene.dae)
+        if scene.values:
+            sets[name] = (scene.title or f"values of {scene.name}", dict(scene.values))
+        path = export_with_proof(
+            dae, target, reference=args.reference == "auto", sets=sets, **options
+        )
     else:
         from cosim.study.accuracy.fmu import export_accurate
 

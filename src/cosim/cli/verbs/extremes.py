@@ -32,6 +32,7 @@ def add_parser(verbs: Verbs) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the limit cases."""
+    from cosim.host.progress import doing
     from cosim.study.extremes.campaign import WRONG, explore, select_cases
 
     if args.figure:
@@ -39,11 +40,17 @@ def run(args: argparse.Namespace) -> int:
 
         picture_format(args.figure)  # refuses before anything has been computed
     cases = select_cases(args.models, long=args.long)
-    findings = []
-    for finding in explore(cases, timeout=args.timeout):
-        findings.append(finding)
-        if not args.quiet:
-            _tell(finding, f"{len(findings)}/{len(cases)}", every=args.verbose)
+    findings: list[CaseFinding] = []
+
+    def current() -> str:
+        now = cases[min(len(findings), len(cases) - 1)]
+        return f"{len(findings)}/{len(cases)} {now.model}, {now.name}"
+
+    with doing(current, lambda: len(findings) / len(cases)):
+        for finding in explore(cases, timeout=args.timeout):
+            findings.append(finding)
+            if not args.quiet:
+                _tell(finding, f"{len(findings)}/{len(cases)}", every=args.verbose)
     _deliver_findings(args, findings)
     return 4 if any(finding.verdict.outcome in WRONG for finding in findings) else 0
 
@@ -57,8 +64,6 @@ def _tell(finding: CaseFinding, count: str, *, every: bool) -> None:
         error = "" if row["error"] is None else f" {row['error']:.1e} (bound {row['bound']:g})"
         told = f"{row['family']}: {row['model']}, {row['case']}: {row['outcome']}{error}"
         print(f"{count} {told} {row['reason']}".rstrip(), file=sys.stderr, flush=True)
-    elif sys.stderr.isatty():
-        print(f"\r{count}", end="", file=sys.stderr, flush=True)
 
 
 def _deliver_findings(args: argparse.Namespace, findings: Sequence[CaseFinding]) -> None:

@@ -14,15 +14,15 @@ from casadi_models.dae import Dae
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.compiler import cached_library, processor_abilities
 from cosim.codegen.initialization import start_function
-from cosim.codegen.runge_kutta import dop853
-from cosim.codegen.runge_kutta.lanes import vector_sum, vector_sums, vector_text
-from cosim.codegen.runge_kutta.stage_sums import numbers
+from cosim.codegen.runge_kutta.lanes import vector_text
+from cosim.codegen.runge_kutta.stage_sums import LANES, Names, dop853_sums, numbers
 from cosim.errors import UsageError
 from cosim.memo import kept_per_thread
 
 RUN_REPORT = 8  # numbers in the report of a run
 SIZES = (1, 2, 4, 8)  # numbers of lanes
 
+_NAMES = Names("model_node", "stage_sum", "dense_sum", "error_5", "error_3")
 _LONG = ctypes.c_longlong
 _ARRAY = ctypes.c_void_p
 
@@ -156,14 +156,10 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             f"static const int model_needed[] = {{{places}}};",
             *(vector_text(function, name) for name, function in functions.items()),
             numbers("model_nominal", [2.0 ** round(log2(v.nominal)) for v in dae.states]),
-            numbers("model_node", dop853.NODES),
-            vector_sums("stage_sum", dop853.A),
-            vector_sums("dense_sum", dop853.DENSE),
-            vector_sum("error_5", dop853.ERROR_5),
-            vector_sum("error_3", dop853.ERROR_3),
+            dop853_sums(_NAMES, LANES),
             "static const LaneModel model = {",
-            "    constants, rhs, observe, model_needed, model_nominal, model_node,",
-            "    stage_sum, dense_sum, error_5, error_3",
+            "    constants, rhs, observe, model_needed, model_nominal,",
+            f"    {', '.join(_NAMES)}",
             "};",
         )
     )

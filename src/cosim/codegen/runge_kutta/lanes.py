@@ -3,8 +3,6 @@
 What is printed stands behind fmu/solvers/lanes.h. Every operation works on each lane by itself.
 """
 
-from collections.abc import Sequence
-
 import casadi as ca
 
 from cosim.errors import UsageError
@@ -82,23 +80,6 @@ def vector_text(function: ca.Function, name: str) -> str:
         f"static void {name}(const V *const *in, V *const *out) {{\n"
         f"    (void)in, (void)out;\n{body}\n}}"
     )
-
-
-def vector_sums(name: str, rows: Sequence[Sequence[tuple[int, float]]]) -> str:
-    """Return `name(row, k, sum)`: of each row (stage, weight) the sum of slopes, stages from 1."""
-    cases = "".join(f"    case {i}: {_lane_loop(row)} break;\n" for i, row in enumerate(rows))
-    head = f"static void {name}(int row, V (*k)[NX], V *sum) {{"
-    return f"{head}\n    switch (row) {{\n{cases}    }}\n}}"
-
-
-def vector_sum(name: str, row: Sequence[tuple[int, float]]) -> str:
-    """Return `name(k, sum)`: the sum of slopes of one row (stage, weight)."""
-    return f"static void {name}(V (*k)[NX], V *sum) {{ {_lane_loop(row)} }}"
-
-
-def _lane_loop(row: Sequence[tuple[int, float]]) -> str:
-    terms = " + ".join(f"every({weight!r}) * k[{stage - 1}][i]" for stage, weight in row)
-    return f"for (int i = 0; i < NX; ++i) sum[i] = {terms or 'every(0)'};"
 
 
 def _literal(value: float) -> str:

@@ -35,6 +35,11 @@ def check_fmu(source: Source) -> list[str]:
 
     Raises:
         FmuError, SecurityError: The file is no FMU or dangerous, see `cosim.fmi.archive`.
+
+    Example:
+        >>> import cosim
+        >>> check_fmu(cosim.export_fmu(cosim.load("crank_shaft"), "crank.fmu"))
+        []
     """
     with opened(source) as archive:
         return [finding.sentence for finding in findings_of(archive)]

@@ -14,6 +14,7 @@ from cosim.codegen.compiler import FLAGS, compile_with_less, find_compiler
 from cosim.errors import CacheError, ExportError
 from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 
 
@@ -32,10 +33,21 @@ def binaries(
         ExportError: The cache folder cannot be written.
     """
     every = [target for members in chosen.values() for target in members]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the threads wait for compilers
-        compiled = dict(
-            zip(every, pool.map(lambda t: compiled_library(sources, name, t), every), strict=True)
-        )
+    left = {target: folder for folder, members in chosen.items() for target in members}
+
+    def library(target: Target) -> bytes:
+        content = compiled_library(sources, name, target)
+        left.pop(target)
+        return content
+
+    with (
+        doing(
+            lambda: f"compiling for {', '.join(dict.fromkeys([*left.values()]))}",
+            lambda: 1 - len(left) / len(every),
+        ),
+        ThreadPoolExecutor(os.cpu_count()) as pool,  # the threads wait for compilers
+    ):
+        compiled = dict(zip(every, pool.map(library, every), strict=True))
     return {
         f"binaries/{folder}/{name}{members[0].suffix}": compiled[members[0]]
         if len(members) == 1

@@ -20,11 +20,14 @@ from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
 from cosim.fmi.export.dependencies import dependencies
 from cosim.fmi.export.description.build_description import build_description
-from cosim.fmi.export.description.documentation import documentation_page
 from cosim.fmi.export.description.fmi2_xml import FMI2
 from cosim.fmi.export.description.fmi3_xml import FMI3
 from cosim.fmi.export.description.model_description import Identity, model_description
+from cosim.fmi.export.description.structured_names import structured
+from cosim.fmi.export.documents.documentation import documentation_page
+from cosim.fmi.export.documents.pictures import DIAGRAM, pictures
 from cosim.fmi.export.identifier import model_identifier
+from cosim.fmi.export.margins import with_margins
 from cosim.fmi.export.solver_choice import solver_for, uses_dop853
 from cosim.fmi.export.sources.c_files import equations_c, model_header, variable_table
 from cosim.fmi.export.tunable import tunable_parameters
@@ -36,6 +39,7 @@ from cosim.model.values import A_DAE, listed, number
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 VERSIONS = {2: FMI2, 3: FMI3}
 ABOUT = {"author": "author", "license": "license", "date": "generationDateAndTime"}
+NAMES = FLAT, STRUCTURED = ("flat", "structured")
 _DOP853 = ("dop853.h", "interpolant.h", "ode.h")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
@@ -53,6 +57,8 @@ def export_fmu(
     tunable: Sequence[str] | None = None,
     adjoint: bool = False,
     about: Mapping[str, str] | None = None,
+    valid: bool = False,
+    names: str = FLAT,
 ) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
 
@@ -73,6 +79,9 @@ def export_fmu(
             3.8.2 gets wrong Jacobians from them: it writes all directions over the first.
         about: What the description says besides: "author", "license", "date" (ISO 8601). Without a
             date, the same model gives the same bytes at any time.
+        valid: Whether there is a Boolean output `valid`, true while every limit of the model
+            holds; the margins of the limits are then event indicators.
+        names: "flat" (`fx_A`) or "structured" (`A.f[1]`); the tools here know both.
 
     Returns:
         Path of the FMU.
@@ -81,9 +90,15 @@ def export_fmu(
         ExportError: The name is no C name, or the file cannot be written.
         UnknownName: The model has no such output, or FMI no such version, platform or solver.
         UsageError: The solver cannot solve for algebraic unknowns; a parameter cannot be tunable;
-            FMI 2.0 has no adjoint derivatives; or an argument is of a type that is of no use.
+            FMI 2.0 has no adjoint derivatives; the model has no limits that `valid` could tell of;
+            or an argument is of a type that is of no use.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
+
+    Example:
+        >>> import cosim
+        >>> export_fmu(cosim.load("crank_shaft"), "crank.fmu", fmi=3).name
+        'crank.fmu'
     """
     if not isinstance(dae, Dae):
         raise UsageError.of_type("export_fmu", dae, A_DAE)
@@ -108,8 +123,19 @@ def export_fmu(
         tunable = listed(f"{dae.full_name}: tunable", tunable)
     if adjoint and fmi == 2:
         raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
+    if names not in NAMES:
+        raise UnknownName.among("export", "kind of names", names, NAMES)
     files = source_files(
-        dae, name, tolerance, fmi, solver, tunable=tunable, adjoint=adjoint, about=about or {}
+        dae,
+        name,
+        tolerance,
+        fmi,
+        solver,
+        tunable=tunable,
+        adjoint=adjoint,
+        about=about or {},
+        valid=valid,
+        names=names,
     )
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
     content = zipped(files | binaries(sources, name, chosen))
@@ -132,10 +158,15 @@ def source_files(
     tunable: Sequence[str] | None = None,
     adjoint: bool = False,
     about: Mapping[str, str] = MappingProxyType({}),
+    valid: bool = False,
+    names: str = FLAT,
 ) -> dict[str, bytes]:
     """Return the content of the FMU by path, without binaries; see `export_fmu`."""
     solver = solver_for(dae, solver)
-    variables = fmu_variables(dae, tunable_parameters(dae, tunable))
+    dae = with_margins(dae) if valid else dae
+    variables = fmu_variables(dae, tunable_parameters(dae, tunable), valid=valid)
+    if names == STRUCTURED:
+        variables = structured(variables)
     others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
     code = {
@@ -148,19 +179,25 @@ def source_files(
     compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
     tool = f"cosim-rigid {version('cosim-rigid')}"
     told = {ABOUT[key]: text for key, text in about.items()}
-    draft = Identity(name, "", tool, compiled, tolerance, adjoint, told)
+    indicators = len(dae.limits) if valid else 0
+    draft = Identity(name, "", tool, compiled, tolerance, adjoint, told, indicators)
     depends = dependencies(dae)
     unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
     digest = hashlib.sha256()
     for part in (unsigned, *code.values(), *runtime.values()):
         digest.update(part)
     signed = replace(draft, guid=f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}")
-    code["model.h"] = model_header(dae, name, signed.guid, tolerance, fmi, solver).encode()
+    code["model.h"] = model_header(dae, signed, fmi, solver, valid=valid).encode()
     code["buildDescription.xml"] = build_description(signed)
+    drawn = pictures(dae, fmi)
+    page = documentation_page(
+        dae, variables, solver, tolerance, DIAGRAM if DIAGRAM in drawn else None
+    )
     return {
+        **drawn,
         "modelDescription.xml": model_description(dae, signed, variables, depends, VERSIONS[fmi]),
         **{f"documentation/licenses/{e.name}": e.read_bytes() for e in license_texts()},
-        "documentation/index.html": documentation_page(dae, variables, solver, tolerance).encode(),
+        "documentation/index.html": page.encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
     }
 

@@ -9,6 +9,8 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, Unit
 from cosim.codegen.initialization import start_function
 
+VALID = "valid"
+
 
 class Role(Enum):
     """What a variable is in the FMU; the names are those of the C runtime."""
@@ -20,6 +22,7 @@ class Role(Enum):
     INPUT = "input"
     PARAMETER = "parameter"
     OUTPUT = "output"
+    VALIDITY = "validity"  # no number; the runtime knows it without a row in its table
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class FmuVariable:
         tunable: Whether an importer may change a parameter during a run.
         guess: Where the solution of a calculated start begins; `start` is then its result, which
             importers are told, None where there is none.
+        alias: The name that the tools here know it by, where importers see another.
     """
 
     name: str
@@ -51,16 +55,24 @@ class FmuVariable:
     derivative_of: int | None = None
     tunable: bool = False
     guess: float | None = None
+    alias: str | None = None
 
 
-def fmu_variables(dae: Dae, tunable: Collection[str] = ()) -> tuple[FmuVariable, ...]:
+def fmu_variables(
+    dae: Dae, tunable: Collection[str] = (), *, valid: bool = False
+) -> tuple[FmuVariable, ...]:
     """Return time, states, derivatives, algebraics, inputs, parameters, outputs, in this order.
 
     Args:
         dae: The model.
         tunable: Names of the parameters that may change during a run.
+        valid: Whether the Boolean output `valid` comes last.
     """
-    return tuple(_variables(dae, tunable))
+    numbers = tuple(_variables(dae, tunable))
+    if not valid:
+        return numbers
+    meaning = "whether every limit of the model holds"
+    return (*numbers, FmuVariable(VALID, meaning, "", Role.VALIDITY, observed=True))
 
 
 def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:

@@ -5,8 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import chdir, contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 from cosim.errors import FmuError, SecurityError, UnknownName
+from cosim.fmi.aliases import flat_names
+from cosim.fmi.archive import DESCRIPTION
 from cosim.text.escaping import sentence
 
 INTERFACES = ("ModelExchange", "CoSimulation")
@@ -19,16 +22,32 @@ _MESSAGES = 3  # of an FMU's log, in an error
 def read_description(folder: Path, name: object) -> Any:
     """Return fmpy's model description of an unpacked FMU.
 
+    Variables of FMUs that were exported here with structured names have their flat ones, by which
+    runs on other roads know them; the structured ones are their aliases.
+
     Raises:
         FmuError: The file is not as the FMI wants it.
     """
     from fmpy import read_model_description
 
     try:
-        return read_model_description(str(folder), validate=False)
+        description = read_model_description(str(folder), validate=False)
+        names = flat_names(ET.parse(folder / DESCRIPTION).getroot())
     except Exception as error:
         told = f"{type(error).__name__}: {sentence(str(error))}"
         raise FmuError(f"{name}: modelDescription.xml cannot be read: {told}") from error
+    if names:
+        _flatten(description, names)
+    return description
+
+
+def _flatten(description: Any, names: Mapping[str, str]) -> None:
+    from fmpy.model_description import VariableAlias
+
+    for variable in description.modelVariables:
+        if variable.name in names:
+            variable.aliases = [VariableAlias(name=variable.name)]
+            variable.name = names[variable.name]
 
 
 def choose_interface(folder: Path, description: Any, wanted: str | None, name: object) -> str:
@@ -145,5 +164,7 @@ def may_be_set(variable: Any) -> bool:
 
 
 def by_name(description: Any) -> Mapping[str, Any]:
-    """Return the variables by name."""
-    return {variable.name: variable for variable in description.modelVariables}
+    """Return the variables by name, and by their other names."""
+    variables = {variable.name: variable for variable in description.modelVariables}
+    aliases = {a.name: v for v in variables.values() for a in getattr(v, "aliases", ())}
+    return aliases | variables

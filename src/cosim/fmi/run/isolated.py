@@ -23,6 +23,7 @@ from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
 from cosim.fmi.run.limits import LIMITS_VARIABLE, Limits
 from cosim.host.processes import MARK, end_all
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.inputs import InputSeries
 from cosim.model.values import number
@@ -65,7 +66,8 @@ def simulate_apart(
         place = str(Path(path).absolute())
         told = {"path": place, "options": options, "inputs": _written(inputs)}
         (folder / _REQUEST).write_text(json.dumps(told))
-        code, printed = _child(folder, timeout)
+        with doing(f"running {Path(path).name}"):
+            code, printed = _child(folder, timeout)
         if printed and sys.stderr is not None:
             sys.stderr.write(printed)
         if code is None:

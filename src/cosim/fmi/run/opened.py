@@ -18,6 +18,7 @@ from cosim.fmi.run.instance import (
 from cosim.fmi.run.simulate import (
     column_of,
     given_numbers,
+    numbers_of_run,
     recorded,
     rows_of,
     simulated,
@@ -108,7 +109,8 @@ class OpenedFmu:
         columns = tuple(column_of(self.variables[name]) for name in names)
         took = perf_counter() - began
         stats = {"solver": f"fmpy {self.kind}", "solve_time": took, "wall_time": took}
-        return Trajectory(self.description.modelName, time, columns, rows, stats)
+        numbers = numbers_of_run(self.variables, values)
+        return Trajectory(self.description.modelName, time, columns, rows, stats, numbers=numbers)
 
     def close(self) -> None:
         """Free the instance and remove what was unpacked."""

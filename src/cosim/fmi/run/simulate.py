@@ -27,6 +27,7 @@ from cosim.fmi.run.instance import (
     may_be_set,
     read_description,
 )
+from cosim.host.progress import doing
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import time_grid
@@ -74,6 +75,13 @@ def simulate_fmu(
         SecurityError: The archive would write outside its folder, or its XML is dangerous.
         UnknownName: A variable or the interface does not exist.
         UsageError, ParameterError: A variable cannot be set or recorded, or a number is wrong.
+
+    Example:
+        >>> import cosim
+        >>> path = cosim.export_fmu(cosim.load("crank_shaft"), "crank.fmu")
+        >>> run = simulate_fmu(path, start={"omega": 10.0}, stop_time=1)
+        >>> round(run.final["omega"], 6)  # 10 rad/s2 for a second
+        20.0
     """
     began = perf_counter()
     with unpacked(path) as folder:
@@ -112,7 +120,24 @@ def simulate_fmu(
     if calls is not None:
         stats["rhs_calls"] = calls[0]
     columns = tuple(column_of(variables[name]) for name in names)
-    return Trajectory(description.modelName, time, columns, rows, stats)
+    numbers = numbers_of_run(variables, values)
+    return Trajectory(description.modelName, time, columns, rows, stats, numbers=numbers)
+
+
+def numbers_of_run(variables: Mapping[str, Any], given: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters and inputs that an FMU is run with: what is given, else its own."""
+    kinds = ("parameter", "input")
+    found = {n: v.start for n, v in variables.items() if v.causality in kinds and is_number(v)}
+    own = {name: float(start) for name, start in found.items() if _is_float(start)}
+    return own | {name: value for name, value in given.items() if name in found}
+
+
+def _is_float(text: Any) -> bool:
+    try:
+        float(text)
+    except (TypeError, ValueError):  # there is none, it is an array, or true
+        return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -179,27 +204,31 @@ def given_numbers(
     for name in start:
         if name not in variables:
             raise UnknownName.among(str(path), "start value", name, settable)
-        if name not in settable:
+        if variables[name].name not in settable:
             raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
-    return {name: number(str(path), name, value) for name, value in start.items()}
+    return {variables[name].name: number(str(path), name, value) for name, value in start.items()}
 
 
 def recorded(
     path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
 ) -> list[str]:
     if outputs is None:
-        return [n for n, v in variables.items() if v.causality == "output" and is_number(v)]
+        return [
+            n
+            for n, v in variables.items()
+            if v.causality == "output" and is_number(v) and n == v.name
+        ]
     wanted = listed(f"{path}: outputs", outputs)
     for name in wanted:
         if name not in variables:
             raise UnknownName.among(str(path), "output", name, variables)
         if not is_number(variables[name]):
             raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(wanted))
+    return list(dict.fromkeys(variables[name].name for name in wanted))
 
 
 def _input_variables(description: Any) -> dict[str, Any]:
-    return {v.name: v for v in description.modelVariables if v.causality == "input"}
+    return {n: v for n, v in by_name(description).items() if v.causality == "input"}
 
 
 def refuse_series(
@@ -246,28 +275,34 @@ def _driven(
     return inputs.drive_model_exchange(instance, series, references, constants)
 
 
-def _moving(start: float, interrupts: Sequence[int]) -> Callable[[float, Any], bool]:
-    """Return what stops fmpy after Ctrl-C, or where time stands still.
+def _moving(
+    start: float, stop: float, interrupts: Sequence[int]
+) -> tuple[Callable[[float, Any], bool], Callable[[], float]]:
+    """Return what stops fmpy after Ctrl-C, or where time stands still; and how far it is.
 
     Where an FMU discards a step, fmpy repeats it for ever.
     """
     last = start
+
+    def done() -> float:
+        return (last - start) / (stop - start) if stop > start else 0.0
 
     def moves(time: float, _recorder: Any) -> bool:
         nonlocal last
         last, before = time, last
         return time > before and not interrupts
 
-    return moves
+    return moves, done
 
 
 def simulated(explained: Callable[[Exception], FmuError], start: float, **arguments: Any) -> Any:
     from fmpy import simulate_fmu as run
 
     with _noticed_interrupts() as interrupts, _noticed_errors() as errors:
-        moving = _moving(start, interrupts)
+        moving, done = _moving(start, arguments["stop_time"], interrupts)
         try:
-            result = run(start_time=start, step_finished=moving, **arguments)
+            with doing("running the FMU", done):
+                result = run(start_time=start, step_finished=moving, **arguments)
         except Exception as error:
             if interrupts:
                 raise KeyboardInterrupt from error

@@ -17,6 +17,8 @@ from cosim.trajectory import Column, Trajectory
 if TYPE_CHECKING:
     import xarray as xr
 
+    from casadi_models.dae import Drawing
+
 
 class RunState(StrEnum):
     """How a run ended."""
@@ -47,6 +49,14 @@ class Ensemble:
         error: Sum of the estimated errors of each run's steps, relative to the states' size, in
             the solver's norm, (runs,); not a number where the solver estimates none.
         stats: What all of it took: solver, relative_tolerance, solve_time [s], wall_time [s], ...
+        drawing: What the model looks like; None where nobody knows.
+        numbers: Parameters and constant inputs where nothing was given, SI; None where unknown.
+
+    Example:
+        >>> import cosim
+        >>> many = cosim.simulate_many(cosim.load("crank_shaft"), {"omega": [40, 50]}, stop_time=1)
+        >>> many.status, many["phi"].shape
+        ('2 complete', (2, 101))
     """
 
     model: str
@@ -62,6 +72,8 @@ class Ensemble:
     rhs_calls: Integers
     error: Vector
     stats: Mapping[str, Any] = field(default_factory=dict)
+    drawing: Drawing | None = field(default=None, repr=False)
+    numbers: Mapping[str, float] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -102,8 +114,14 @@ class Ensemble:
         if i in self.invalid:
             stats["invalid"] = [self.invalid[i]]
         status = "complete" if self.states[i] is RunState.COMPLETE else self.reasons[i]
+        numbers = drawing = None
+        if self.numbers is not None:
+            given = {name: float(column[i]) for name, column in self.start_values.items()}
+            numbers = {name: given.get(name, value) for name, value in self.numbers.items()}
+            drawing = self.drawing and self.drawing.with_numbers(numbers)
+        table = self.values[i, :n]
         return Trajectory(
-            self.model, self.time[:n], self.columns, self.values[i, :n], stats, status
+            self.model, self.time[:n], self.columns, table, stats, status, drawing, None, numbers
         )
 
     def to_xarray(self) -> xr.Dataset:

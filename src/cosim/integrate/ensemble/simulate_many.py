@@ -23,7 +23,7 @@ from cosim.integrate.solvers import chosen_solver
 from cosim.model.inputs import InputSeries
 from cosim.model.many_values import assign_many
 from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import listed, number
+from cosim.model.values import assign, listed, number, numbers_of
 
 
 def simulate_many(
@@ -76,6 +76,13 @@ def simulate_many(
         UnknownName, UsageError, MissingTool: See `simulate`.
         ParameterError: Arrays differ in length, or times do not increase.
         Interrupted: Ctrl-C; `partial` is the ensemble with the runs that had ended.
+
+    Example:
+        >>> import cosim
+        >>> gravity = {"g": [1.62, 9.81]}  # of the Moon, of the Earth
+        >>> many = simulate_many(cosim.load("bicycle"), gravity, outputs=["phi"], stop_time=1)
+        >>> many["phi"].shape
+        (2, 101)
     """
     began = perf_counter()
     if not isinstance(on_invalid, str) or on_invalid not in ON_INVALID:
@@ -118,7 +125,12 @@ def simulate_many(
     ensemble = _without_first(ensemble, first)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **ensemble.stats}
-    ensemble = replace(ensemble, stats=stats | {"wall_time": perf_counter() - began})
+    ensemble = replace(
+        ensemble,
+        stats=stats | {"wall_time": perf_counter() - began},
+        drawing=dae.drawing,
+        numbers=numbers_of(dae, assign(dae)),
+    )
     if interrupted:
         done = int(ensemble.complete.sum())
         raise Interrupted(

@@ -6,6 +6,7 @@ import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
+from functools import partial
 from threading import current_thread, main_thread
 from time import perf_counter
 
@@ -13,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.host.progress import doing
 from cosim.integrate.engine import Counts, Engine
 
 INTERRUPTED = "interrupted"
@@ -52,7 +54,8 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
     with redirect_stderr(told), _interruptible(engine.library) as interrupts:
         try:
-            succeeded = call_on_arrays(engine.function, arguments, (states, algebraics))
+            with doing("solving", partial(_filled, states)):
+                succeeded = call_on_arrays(engine.function, arguments, (states, algebraics))
         except RuntimeError as error:  # CasADi has no narrower type
             reason = _flag(str(error))
         else:
@@ -73,6 +76,12 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     elif reached < n:
         reason = "a state is not finite"
     return Reached(states[:reached].T, algebraics[:reached].T, counts, reason, took)
+
+
+def _filled(rows: Vector) -> float:
+    """Return how much of a table has been written, from its start on, while it is."""
+    first = rows.reshape(len(rows), -1)[:, 0]
+    return float(np.argmax(~np.isfinite(first)) / len(first)) if len(first) else 0.0
 
 
 def call_on_arrays(

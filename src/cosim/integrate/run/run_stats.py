@@ -17,6 +17,7 @@ class RunStats(Mapping[str, Any]):
         steps, rhs_calls, jacobian_calls: How often.
         compiled: Whether the equations were machine code.
         wall_time: What everything took, s.
+        compile_time: Of that, what it took to compile equations that the cache did not have, s.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
         note: What was done that was not asked for.
         invalid_from: From when on it does, s; None where it does not.
@@ -33,6 +34,7 @@ class RunStats(Mapping[str, Any]):
     jacobian_calls: int | None = None
     compiled: bool
     wall_time: float
+    compile_time: float | None = None
     invalid: tuple[str, ...] = ()
     note: str | None = None
     invalid_from: float | None = None

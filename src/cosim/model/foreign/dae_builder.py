@@ -30,6 +30,15 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
     Raises:
         UsageError: The builder holds events or discrete states, something is not determined, or
             its expressions cannot be written out in scalar operations.
+
+    Example:
+        >>> import casadi as ca
+        >>> builder = ca.DaeBuilder("decay")
+        >>> x = builder.add("x")
+        >>> builder.set_start("x", 1.0)
+        >>> builder.eq(builder.der(x), -x)
+        >>> from_dae_builder(builder).states[0].name
+        'x'
     """
     if not isinstance(builder, ca.DaeBuilder):
         raise UsageError.of_type("from_dae_builder", builder, "a casadi.DaeBuilder")

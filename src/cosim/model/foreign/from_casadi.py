@@ -65,6 +65,13 @@ def from_casadi(
     Raises:
         UsageError: Something is missing, of the wrong size, or has neither equations nor C code.
         UnknownName: A value is given for what does not exist.
+
+    Example:
+        >>> import casadi as ca
+        >>> x, k = ca.SX.sym("x"), ca.SX.sym("k")
+        >>> dae = from_casadi({"x": x, "p": k, "ode": -k * x}, {"x": 1, "k": 2}, {"twice": 2 * x})
+        >>> [v.name for v in dae.variables]
+        ['x', 'twice', 'k']
     """
     who = f"from_casadi({name})"
     if not isinstance(outputs, Mapping | None):

@@ -118,18 +118,17 @@ def _node_value(name: str, node: MX, operands: list[SX]) -> SX:
     if node.op() == ca.OP_SOLVE and node.dep(1).size1() <= LARGEST_SOLVE:
         right, matrix = operands
         return ca.solve(matrix.T if node.info()["tr"] else matrix, right)
-    symbols = [MX.sym(f"i{k}", node.dep(k).sparsity()) for k in range(node.n_dep())]
+    deps = [node.dep(k) for k in range(node.n_dep())]
+    symbols = [MX.sym(f"i{k}", dep.sparsity()) for k, dep in enumerate(deps)]
     if node.op() == ca.OP_SOLVE:  # by a method of which C code can be generated
-        right, matrix = symbols
-        result = ca.solve(matrix.T if node.info()["tr"] else matrix, right, "qr")
+        matrix_like = symbols[1].T if node.info()["tr"] else symbols[1]
+        result = ca.solve(matrix_like, symbols[0], "qr")
     else:
-        (result,) = ca.graph_substitute([node], [node.dep(k) for k in range(node.n_dep())], symbols)
+        (result,) = ca.graph_substitute([node], deps, symbols)
     function = ca.Function(name, symbols, [result], {"never_inline": True})
-    dense = [
-        ca.project(operand, symbol.sparsity())
-        for operand, symbol in zip(operands, symbols, strict=True)
-    ]
-    return function.call(dense)[0]
+    values = [ca.project(o, s.sparsity()) for o, s in zip(operands, symbols, strict=True)]
+    called: SX = function.call(values)[0]
+    return called
 
 
 def _inlined_call(who: str, symbols: list[MX], expressions: list[MX], values: list[SX]) -> list[SX]:

@@ -37,6 +37,12 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     Raises:
         UnknownName: The model has no such output; another formulation that has it is named.
         UsageError: No output is wanted, or one is named twice; or an argument is no list.
+
+    Example:
+        >>> import cosim
+        >>> small = reduce(cosim.load("bicycle"), ["phi", "delta"])
+        >>> len(small.states), small.observed
+        (6, ('phi', 'delta'))
     """
     if not isinstance(dae, Dae):
         raise UsageError.of_type("reduce", dae, A_DAE)

@@ -66,7 +66,7 @@ def animate(
             object that a notebook shows.
         model: Whose shapes are drawn, for a run that does not know its model (of an FMU, or read
             from a file): a Dae or a name that `load` takes.
-        values: Parameters of that run where they differ from the model's own, SI.
+        values: Parameters of that run, SI, where it does not know them (one read from a file).
         at: Times of the poses of a still picture, s; the start when None. Earlier ones are pale.
         labels: Variables to write beside the picture, in display units.
         view: Where the camera is at first: "iso", "front", "side" or "top".
@@ -83,6 +83,11 @@ def animate(
         UnknownName: The file's ending, the view or a label is not known.
         MissingTool: An extra package is not installed.
         ExportError: The file cannot be written.
+
+    Example:
+        >>> import cosim
+        >>> animate(cosim.simulate("crank_shaft", stop_time=0.1), "crank.png").name
+        'crank.png'
     """
     shown = [runs] if isinstance(runs, Trajectory) else list(runs)
     if not shown or not all(isinstance(run, Trajectory) for run in shown):
@@ -156,8 +161,14 @@ def drawing_of(
             "with model= or --model MODEL"
         )
     dae = load(model) if isinstance(model, str) else model
-    numbers = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.inputs)}
-    return dae.drawing.with_numbers({**numbers, **(values or {})})
+    own = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.inputs)}
+    if values is None and run.numbers is None and own:
+        warn(
+            f"{run.model}: the run does not know its parameters; it is drawn with those of "
+            f"{dae.full_name}: give others by values= or -p",
+            stacklevel=3,
+        )
+    return dae.drawing.with_numbers({**own, **(run.numbers or {}), **(values or {})})
 
 
 def guessed_model(paths: Sequence[str]) -> str:

@@ -51,6 +51,10 @@ def linearize(
         InitialConditionError: The start contradicts the constraints; or there is no equilibrium
             near it.
         CosimError: See `simulate` and `fmu_linear`.
+
+    Example:
+        >>> linearize("bar_on_frame/reduced", outputs=["theta"]).A.shape
+        (4, 4)
     """
     if isinstance(at, str) and at not in (START, EQUILIBRIUM):
         raise UnknownName.among("linearize", "point", at, (START, EQUILIBRIUM, "a time in s"))

@@ -96,6 +96,11 @@ def linearize_sweep(
     Raises:
         ParameterError: The values do not increase or decrease.
         CosimError: See `linearize`.
+
+    Example:
+        >>> found = linearize_sweep("bar_on_frame/reduced", "b", [0.1, 0.2], outputs=["theta"])
+        >>> len(found.values)
+        2
     """
     grid = np.array([number("linearize", name, value) for value in values])
     steps = np.diff(grid)

@@ -72,6 +72,12 @@ def sensitivity(
         UsageError: An input follows a series; or there is nothing to differentiate (by).
         InitialConditionError: A start value is calculated: it follows from others.
         SolverError: A run failed, or the second method disagrees.
+
+    Example:
+        >>> import cosim
+        >>> found = sensitivity(cosim.load("crank_shaft"), with_respect_to=["alpha"], stop_time=1)
+        >>> float(found["phi", "alpha"][-1].round(6))  # of t^2 / 2
+        0.5
     """
     number("sensitivity", "bound", bound, positive=True)
     start_values = plain_values(dae, start_values or {})

@@ -98,6 +98,12 @@ class SweepResult:
         meanings: Of the numbers.
         store: The folder; None where there is none.
         tables: The trajectories by chunk: first run and (runs, times, columns).
+
+    Example:
+        >>> import cosim
+        >>> found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, stop_time=1, workers=0)
+        >>> len(found)
+        2
     """
 
     model: str

@@ -93,6 +93,12 @@ def sweep(
             holds another sweep.
         MissingTool: A package of the extra `sweep` is not there.
         Interrupted: Ctrl-C; `partial` holds what had finished, and the store keeps it.
+
+    Example:
+        >>> run = {"stop_time": 1, "workers": 0}
+        >>> found = sweep("crank_shaft", {"omega": [40, 50]}, keep=["final"], **run)
+        >>> found["omega_final"]
+        array([50., 60.])
     """
     thing = opened_subject(as_subject(subject))
     if store is not None:

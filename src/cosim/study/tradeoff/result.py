@@ -120,7 +120,20 @@ class Tradeoff:
         return f"{self._title()}\n{text_table(self._best(), most=MOST_LINES - 1)}"
 
     def _repr_html_(self) -> str:
-        return html_table(self._best(), self._title())
+        from cosim.plotting import draw_costs, embedded  # matplotlib takes its time
+
+        timed = any(m.solver_time for m in self.competing)
+        cost, factor = ("solver_time", 1e3) if timed else ("rhs_calls", 1.0)
+        points: dict[str, list[tuple[float, float]]] = {}
+        for m in self.competing:
+            if m.error is not None and (price := m.cost(cost)):
+                point = factor * price, max(m.error, self.floor)
+                points.setdefault(m.configuration.solver, []).append(point)
+        label = "time of the solver [ms]" if timed else "right-hand sides evaluated"
+        fronts = {name: _lower_left(pairs) for name, pairs in points.items()}
+        figure = draw_costs(self.scene, (label, "largest global error [nominal values]"), fronts)
+        table = html_table(self._best(), self._title())
+        return f"{embedded(figure, 'error against cost')}{table}"
 
     def _title(self) -> str:
         return (
@@ -164,6 +177,15 @@ class Tradeoff:
             "measurements": rows,
         }
         return json.dumps(facts, indent=1) + "\n"
+
+
+def _lower_left(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the points of which none is both cheaper and more accurate."""
+    front: list[tuple[float, float]] = []
+    for price, error in sorted(points):
+        if not front or error < front[-1][1]:
+            front.append((price, error))
+    return front
 
 
 def pareto_front(

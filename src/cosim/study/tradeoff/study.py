@@ -54,6 +54,13 @@ def tradeoff(
 
     Raises:
         CosimError: The scene cannot be run at all, or there is no reference for it.
+
+    Example:
+        >>> from cosim.study.tradeoff.configuration import Selection
+        >>> few = Selection(solvers=("erk",), tolerances=(1e-6, 1e-9), roads=("native",))
+        >>> study = tradeoff("crank_shaft/driven", selection=few, repeats=1)
+        >>> len(study.measurements)
+        2
     """
     if isinstance(scene, str):
         if every_formulation is None:

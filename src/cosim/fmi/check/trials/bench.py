@@ -220,8 +220,9 @@ class Session:
             instance.fmi2FreeInstance(instance.component)
             given = fmi2.defaultCallbacks
             bare = fmi2.fmi2CallbackFunctions(componentEnvironment=None)
-            if logger:
-                bare.logger = given.logger
+            if logger:  # fmpy's own needs an environment
+                instance.quiet = fmi2.fmi2CallbackLoggerTYPE(lambda *_message: None)
+                bare.logger = instance.quiet
             if not self.bench.offers(self.kind, "canNotUseMemoryManagementFunctions"):
                 bare.allocateMemory, bare.freeMemory = given.allocateMemory, given.freeMemory
             instance.instantiate(callbacks=bare, loggingOn=False)

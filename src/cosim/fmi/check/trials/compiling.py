@@ -22,6 +22,7 @@ UNCOMPILABLE = Rule(
     "add what is missing; fmpy compile shows the same",
 )
 _TIMEOUT = 60.0  # s, of one file
+_SYSTEM = ("m", "dl", "pthread", "rt")  # libraries that come with a C compiler
 _MESSAGE = re.compile(r".*\b(?:error|undefined reference)\b.*", re.IGNORECASE)
 
 
@@ -32,17 +33,20 @@ class _Build:
     files: list[str] = field(default_factory=list)
     definitions: list[str] = field(default_factory=list)
     includes: list[str] = field(default_factory=list)
-    foreign: str = ""
+    libraries: list[str] = field(default_factory=list)
 
 
 def sources(bench: Bench, kind: str) -> Iterator[Finding]:
     """Every listed source file compiles, and together they lack nothing."""
     identifier = bench.described.interfaces[kind].get("modelIdentifier", "")
     build = _listed(bench, kind, identifier)
+    first = next(iter(bench.described.interfaces))
+    if kind != first and build == _listed(bench, first, identifier):
+        raise Skipped(f"they are those of {first}")
     if not build.files:
         raise Skipped("it lists no sources")
-    if build.foreign:
-        raise Skipped(f"its sources need {build.foreign}")
+    if foreign := [name for name in build.libraries if name not in _SYSTEM]:
+        raise Skipped(f"its sources need {', '.join(foreign)}")
     if any(not name.endswith(".c") for name in build.files):
         raise Skipped("its sources are not all in C")
     try:
@@ -61,7 +65,8 @@ def sources(bench: Bench, kind: str) -> Iterator[Finding]:
             return
     whole = ["-Wl,--no-undefined"] if sys.platform == "linux" else []
     link = [*compiler, "-shared", *map(str, objects), *whole, "-o", str(Path("all.so").absolute())]
-    if told := _fails([*link, "-lm"], folder):
+    libraries = [f"-l{name}" for name in {*build.libraries, "m"}]
+    if told := _fails([*link, *libraries], folder):
         yield UNCOMPILABLE.at("sources", f"they do not make a library: {told}")
 
 
@@ -84,7 +89,7 @@ def _listed(bench: Bench, kind: str, identifier: str) -> _Build:
             for e in configuration.iter("PreprocessorDefinition")
             if e.get("optional") != "true"
         ]
-        build.foreign = ", ".join(e.get("name", "") for e in configuration.iter("Library"))
+        build.libraries = [e.get("name", "") for e in configuration.iter("Library")]
     return build
 
 

@@ -52,7 +52,8 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                     break
         except Exception as error:
             if stop is None or session.time + SIZE <= stop:
-                own = _own_steps_fail(bench, kind, session.time + SIZE)
+                fatal = "(fatal)" in str(error)  # after which no instance may be made
+                own = fatal or _own_steps_fail(bench, kind, session.time + SIZE)
                 told = f"a step of 1/60 s fails at {session.time:.6g} s: {error}"
                 yield (FAILING if own else SUMS).at(kind, told)
                 return
@@ -74,7 +75,8 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
         try:
             done = len(list(session.steps(size, _FEW_STEPS)))
         except Exception as error:
-            if session.time < ends - 1.5 * size or _own_steps_fail(bench, kind, float(ends)):
+            early = session.time < ends - 1.5 * size or "(fatal)" in str(error)
+            if early or _own_steps_fail(bench, kind, float(ends)):
                 raise
             told = (
                 f"the last step ends {ends - limit:.1g} s beyond the stop time and fails: {error}"

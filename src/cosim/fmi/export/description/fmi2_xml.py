@@ -2,11 +2,17 @@
 
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.export.description.model_description import Dialect, Identity, Structure
+from cosim.fmi.aliases import TOOL
+from cosim.fmi.export.description.model_description import BOOLEAN, REAL, Dialect, Identity
+from cosim.fmi.export.description.structure import Structure
 
 
 def _root(identity: Identity) -> dict[str, str]:
-    return {"fmiVersion": "2.0", "guid": identity.guid, "numberOfEventIndicators": "0"}
+    return {
+        "fmiVersion": "2.0",
+        "guid": identity.guid,
+        "numberOfEventIndicators": str(identity.indicators),
+    }
 
 
 def _interfaces(identity: Identity) -> list[ET.Element]:
@@ -15,6 +21,7 @@ def _interfaces(identity: Identity) -> list[ET.Element]:
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": "true",
+        "canNotUseMemoryManagementFunctions": "true",
     }
     exchange = {"completedIntegratorStepNotNeeded": "true"}
     stepping = {
@@ -39,12 +46,20 @@ def _quantity(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
     return element
 
 
-def _variable(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
+def _variable(kind: str, general: dict[str, str], facts: dict[str, str]) -> ET.Element:
     element = ET.Element("ScalarVariable", general)
     if "derivative" in facts:  # an index, the value reference plus one
         facts = facts | {"derivative": str(int(facts["derivative"]) + 1)}
-    ET.SubElement(element, "Real", facts)
+    ET.SubElement(element, {REAL: "Real", BOOLEAN: "Boolean"}[kind], facts)
     return element
+
+
+def _alias(name: str, meaning: str) -> ET.Element:
+    """Return an annotation: a second variable of the same reference would be an output twice."""
+    annotations = ET.Element("Annotations")
+    tool = ET.SubElement(annotations, "Tool", name=TOOL)
+    ET.SubElement(tool, "Alias", name=name, description=meaning)
+    return annotations
 
 
 def _structure(structure: Structure) -> ET.Element:
@@ -65,4 +80,13 @@ def _structure(structure: Structure) -> ET.Element:
     return element
 
 
-FMI2 = Dialect(_root, _interfaces, _quantity, _variable, _structure, fixed_are_knowns=False)
+FMI2 = Dialect(
+    _root,
+    _interfaces,
+    _quantity,
+    _variable,
+    _alias,
+    _structure,
+    fixed_are_knowns=False,
+    numbers_types_apart=True,
+)

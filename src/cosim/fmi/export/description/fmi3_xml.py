@@ -2,7 +2,9 @@
 
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.export.description.model_description import Dialect, Identity, Structure
+from cosim.fmi.aliases import TOOL
+from cosim.fmi.export.description.model_description import BOOLEAN, REAL, Dialect, Identity
+from cosim.fmi.export.description.structure import Structure
 
 
 def _root(identity: Identity) -> dict[str, str]:
@@ -19,7 +21,12 @@ def _interfaces(identity: Identity) -> list[ET.Element]:
     if identity.adjoint:
         common["providesAdjointDerivatives"] = "true"
     exchange = {"needsCompletedIntegratorStep": "false"}
-    stepping = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+    stepping = {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canReturnEarlyAfterIntermediateUpdate": "true",
+        "maxOutputDerivativeOrder": "1",
+        "providesIntermediateUpdate": "true",
+    }
     return [
         ET.Element("ModelExchange", common | exchange),
         ET.Element("CoSimulation", common | stepping),
@@ -30,8 +37,16 @@ def _quantity(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
     return ET.Element("Float64Type", general | facts)
 
 
-def _variable(general: dict[str, str], facts: dict[str, str]) -> ET.Element:
-    return ET.Element("Float64", general | facts)
+def _variable(kind: str, general: dict[str, str], facts: dict[str, str]) -> ET.Element:
+    return ET.Element({REAL: "Float64", BOOLEAN: "Boolean"}[kind], general | facts)
+
+
+def _alias(name: str, meaning: str) -> ET.Element:
+    """Return an annotation: FMPy up to 0.3.32 wants an `Alias` of an output among the unknowns."""
+    annotations = ET.Element("Annotations")
+    annotation = ET.SubElement(annotations, "Annotation", type=TOOL)
+    ET.SubElement(annotation, "Alias", name=name, description=meaning)
+    return annotations
 
 
 def _structure(structure: Structure) -> ET.Element:
@@ -40,6 +55,7 @@ def _structure(structure: Structure) -> ET.Element:
         "Output": structure.outputs,
         "ContinuousStateDerivative": structure.derivatives,
         "InitialUnknown": structure.initial_unknowns,
+        "EventIndicator": structure.indicators,
     }
     for tag, unknowns in sections.items():
         for unknown in unknowns:
@@ -50,4 +66,13 @@ def _structure(structure: Structure) -> ET.Element:
 
 
 # The table of `dependencies` (2.4.8) counts all parameters as knowns.
-FMI3 = Dialect(_root, _interfaces, _quantity, _variable, _structure, fixed_are_knowns=True)
+FMI3 = Dialect(
+    _root,
+    _interfaces,
+    _quantity,
+    _variable,
+    _alias,
+    _structure,
+    fixed_are_knowns=True,
+    numbers_types_apart=False,
+)

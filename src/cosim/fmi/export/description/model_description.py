@@ -2,15 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
+from math import inf, isfinite
 from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
 from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.description.quantities import QUANTITIES
+from cosim.fmi.export.description.structure import Structure, model_structure
 from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
-from cosim.model.reduction.structure import Pattern
+
+REAL, BOOLEAN = "real", "boolean"  # types of variables
+_FAR = 1e9
 
 LOG_CATEGORIES = {
     "logStatusWarning": "what was done although it may not be meant",
@@ -28,6 +31,7 @@ class Identity:
         sources: Files to compile, by name.
         adjoint: Whether it offers adjoint derivatives (FMI 3.0).
         about: author, license and generationDateAndTime, as far as they are given.
+        indicators: Number of event indicators.
     """
 
     identifier: str
@@ -37,23 +41,7 @@ class Identity:
     tolerance: float
     adjoint: bool = False
     about: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class DependentVariable:
-    """A variable that the equations determine, and what it depends on, as value references."""
-
-    reference: int
-    dependencies: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Structure:
-    """The unknowns that an importer asks for, by FMI's sections, in ascending order."""
-
-    outputs: tuple[DependentVariable, ...]
-    derivatives: tuple[DependentVariable, ...]
-    initial_unknowns: tuple[DependentVariable, ...]
+    indicators: int = 0
 
 
 @dataclass(frozen=True)
@@ -64,17 +52,21 @@ class Dialect:
         root: Attributes of the whole, from the identity.
         interfaces: Elements of model exchange and co-simulation.
         quantity: Element of a declared type, likewise.
-        variable: Element of a variable, from its attributes and those of its type.
+        variable: Element of a variable, from its type, its attributes and those of its type.
+        alias: What an element of a variable holds to give it a second name.
         structure: Element of the model structure.
         fixed_are_knowns: Whether unknowns depend on fixed parameters, too.
+        numbers_types_apart: Whether the value references of each type begin at 0.
     """
 
     root: Callable[[Identity], dict[str, str]]
     interfaces: Callable[[Identity], list[ET.Element]]
     quantity: Callable[[dict[str, str], dict[str, str]], ET.Element]
-    variable: Callable[[dict[str, str], dict[str, str]], ET.Element]
+    variable: Callable[[str, dict[str, str], dict[str, str]], ET.Element]
+    alias: Callable[[str, str], ET.Element]
     structure: Callable[[Structure], ET.Element]
     fixed_are_knowns: bool
+    numbers_types_apart: bool
 
 
 def model_description(
@@ -101,8 +93,10 @@ def model_description(
     root.append(default_experiment(dae, identity.tolerance))
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
-        listed.append(dialect.variable(*_attributes(reference, variable)))
-    structure = model_structure(variables, depends, fixed_are_knowns=dialect.fixed_are_knowns)
+        listed.append(_element(reference, variable, dialect))
+    structure = model_structure(
+        variables, depends, identity.indicators, fixed_are_knowns=dialect.fixed_are_knowns
+    )
     root.append(dialect.structure(structure))
     return to_bytes(root)
 
@@ -113,6 +107,18 @@ def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.
     for unit in sorted({v.unit for v in variables} & set(QUANTITIES), key=QUANTITIES.__getitem__):
         name = QUANTITIES[unit]
         element.append(dialect.quantity({"name": name}, {"quantity": name, "unit": unit}))
+    return element
+
+
+def _element(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Element:
+    general, facts = _attributes(reference, variable)
+    kind = REAL
+    if variable.role is Role.VALIDITY:
+        kind, facts = BOOLEAN, {}
+        general["valueReference"] = "0" if dialect.numbers_types_apart else str(reference)
+    element = dialect.variable(kind, general, facts)
+    if variable.alias:
+        element.append(dialect.alias(variable.alias, variable.meaning))
     return element
 
 
@@ -134,7 +140,8 @@ def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], 
         facts["displayUnit"] = variable.display_unit
     if variable.derivative_of is not None:
         facts["derivative"] = str(variable.derivative_of)
-    for name, bound in (("min", variable.minimum), ("max", variable.maximum)):
+    lowest, highest = meant_bounds(variable)
+    for name, bound in (("min", lowest), ("max", highest)):
         if isfinite(bound):
             facts[name] = shortest(bound)
     if variable.nominal != 1:
@@ -144,51 +151,25 @@ def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], 
     return general, facts
 
 
-def model_structure(
-    variables: Sequence[FmuVariable], depends: Dependencies, *, fixed_are_knowns: bool
-) -> Structure:
-    """Return outputs, derivatives and initial unknowns with their true dependencies."""
-    positions = {role: [i for i, v in enumerate(variables) if v.role is role] for role in Role}
-    time, states = positions[Role.TIME], positions[Role.STATE]
-    inputs, parameters = positions[Role.INPUT], positions[Role.PARAMETER]
-    computed = [*positions[Role.DERIVATIVE], *positions[Role.ALGEBRAIC], *positions[Role.OUTPUT]]
-    knowns = [*time, *states, *inputs, *parameters]
-    running = _lists(computed, depends.running, knowns)
-    if not fixed_are_knowns:
-        fixed = {i for i in parameters if not variables[i].tunable}
-        running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
-    running |= {i: (i,) for i in states}
-    initial = _lists([*states, *computed], depends.initial, knowns)
-    observed = [i for i, v in enumerate(variables) if v.observed]
-    unknown = {i for i in (*observed, *states) if variables[i].start_kind is not Start.EXACT}
-    unknown |= set(positions[Role.DERIVATIVE])
+def meant_bounds(variable: FmuVariable) -> tuple[float, float]:
+    """Return the bounds as a reader means them.
 
-    def section(
-        members: Sequence[int], table: dict[int, tuple[int, ...]]
-    ) -> tuple[DependentVariable, ...]:
-        return tuple(DependentVariable(i, table[i]) for i in sorted(members))
-
-    return Structure(
-        section(observed, running),
-        section(positions[Role.DERIVATIVE], running),
-        section([*unknown], initial),
+    What guards a positive number against overflow, a billionth and a billion times its size or
+    beyond, is 0 and no bound at all; the runtime keeps to the guard.
+    """
+    guards = variable.role is Role.PARAMETER and 0 < variable.minimum <= variable.nominal / _FAR
+    lowest = 0.0 if guards else variable.minimum
+    return (
+        lowest,
+        inf if guards and variable.maximum >= variable.nominal * _FAR else variable.maximum,
     )
-
-
-def _lists(
-    rows: Sequence[int], pattern: Pattern, columns: Sequence[int]
-) -> dict[int, tuple[int, ...]]:
-    return {
-        row: tuple(sorted(c for c, needed in zip(columns, line, strict=True) if needed))
-        for row, line in zip(rows, pattern, strict=True)
-    }
 
 
 def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
     """Return the units in use, each with its base units and the display units in use."""
     element = ET.Element("UnitDefinitions")
     displays: dict[str, set[str]] = {}
-    for variable in variables:
+    for variable in (v for v in variables if v.unit):
         displays.setdefault(variable.unit, set())
         if variable.display_unit:
             displays[variable.unit].add(variable.display_unit)
@@ -246,6 +227,8 @@ def initial_of(variable: FmuVariable) -> str | None:
 
 def variability(variable: FmuVariable) -> str:
     """Return FMI's variability."""
+    if variable.role is Role.VALIDITY:
+        return "discrete"
     if variable.role is not Role.PARAMETER:
         return "continuous"
     return "tunable" if variable.tunable else "fixed"

@@ -8,33 +8,33 @@ import casadi as ca
 from casadi_models.dae import Dae
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
+from cosim.fmi.export.description.model_description import Identity
 from cosim.fmi.export.solver_choice import uses_dop853
 from cosim.fmi.export.sources.equations import equations_code
 from cosim.fmi.export.sources.folding import folded
-from cosim.fmi.export.variables import FmuVariable
+from cosim.fmi.export.variables import FmuVariable, Role
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
 
 
-def model_header(
-    dae: Dae, identifier: str, guid: str, tolerance: float, fmi: int, solver: str
-) -> str:
+def model_header(dae: Dae, identity: Identity, fmi: int, solver: str, *, valid: bool) -> str:
     """Return `model.h`: the sizes and names that the runtime is compiled with."""
     span = dae.experiment.stop_time
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
 #define MODEL_H
-#define MODEL_IDENTIFIER {_string(identifier)}
-#define MODEL_PREFIX {identifier}_
+#define MODEL_IDENTIFIER {_string(identity.identifier)}
+#define MODEL_PREFIX {identity.identifier}_
 #define MODEL_NAME {_string(dae.full_name)}
-#define MODEL_GUID {_string(guid)}
+#define MODEL_GUID {_string(identity.guid)}
 #define NX {len(dae.states)}
 #define NZ {len(dae.algebraics)}
 #define NU {len(dae.inputs)}
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
-#define DEFAULT_TOLERANCE {tolerance!r}
+#define HAS_VALID {int(valid)}
+#define DEFAULT_TOLERANCE {identity.tolerance!r}
 #define HAS_ADJOINT {int(fmi == 3)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
 #define LARGEST_STEP {span / LEAST_STEPS!r}
@@ -45,7 +45,8 @@ def model_header(
 def variable_table(dae: Dae, variables: Sequence[FmuVariable]) -> str:
     """Return `model.c`: every variable, in the order of the value references, and the limits."""
     limits = "".join(f"    {_string(meaning)},\n" for _, meaning in dae.limits)
-    rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in variables)
+    numbers = [variable for variable in variables if variable.role is not Role.VALIDITY]
+    rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */
 #include "variables.h"
 #include <float.h>

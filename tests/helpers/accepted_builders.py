@@ -1,4 +1,4 @@
-"""DaeBuilder models of every feature: right on both roads, or refused by name.
+"""DaeBuilder models that are accepted, with exact values at t = 1.
 
 The ones that are marked are examples of CasADi's own documentation (class DaeBuilder), with numbers
 where those leave them out.
@@ -9,13 +9,8 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-import pytest
-
-import cosim
-from cosim.errors import CosimError, UsageError
 
 ACCEPTED: dict[str, tuple[Callable[[], ca.DaeBuilder], dict[str, float]]] = {}
-REFUSED: dict[str, tuple[Callable[[], ca.DaeBuilder], str]] = {}
 E1 = math.exp(-1)
 
 
@@ -24,14 +19,6 @@ def accepted(**at_1):
 
     def note(builder):
         ACCEPTED[builder.__name__] = builder, at_1
-        return builder
-
-    return note
-
-
-def refused(reason: str):
-    def note(builder):
-        REFUSED[builder.__name__] = builder, reason
         return builder
 
     return note
@@ -326,178 +313,3 @@ def alias_of_an_input():
     dae.eq(y, u)
     dae.eq(dae.der(x), -y * x)
     return dae
-
-
-# -- refused by name ------------------------------------------------------------------------------
-
-
-@refused("has events")
-def ball():  # CasADi, `when`
-    dae = ca.DaeBuilder("ball")
-    h, v = dae.add("h", {"start": 5}), dae.add("v", {"start": 0})
-    dae.eq(dae.der(h), v)
-    dae.eq(dae.der(v), -9.81)
-    dae.when(h < 0, [dae.reinit("v", -0.8 * v)])
-    return dae
-
-
-@refused("'n' is a discrete state")
-def discrete_state():
-    dae, x = decay()
-    dae.eq(dae.der(x), -x * dae.add("n", "local", "discrete"))
-    return dae
-
-
-@refused("'k2' has no definition")
-def calculated_parameter_without_definition():
-    dae, x = decay()
-    dae.eq(dae.der(x), -x * dae.add("k2", "calculatedParameter", "tunable"))
-    return dae
-
-
-@refused("0 equations for 1 algebraic unknowns")
-def unknown_without_equation():
-    dae, x = decay()
-    dae.add("z")
-    dae.eq(dae.der(x), -x)
-    return dae
-
-
-@refused("define each other in a circle")
-def circle():
-    dae, x = decay()
-    w, v = dae.add("w"), dae.add("v")
-    dae.eq(v, w + x)
-    dae.eq(w, v)
-    dae.eq(dae.der(x), -v)
-    return dae
-
-
-@refused("calls 'root', of type Newton")
-def newton():
-    dae, x = decay()
-    y, p = ca.SX.sym("y"), ca.SX.sym("p")
-    dae.eq(dae.der(x), ca.rootfinder("root", "newton", {"x": y, "p": p, "g": y - p})(0, x))
-    return dae
-
-
-class Python(ca.Callback):
-    def __init__(self):
-        super().__init__()
-        self.construct("in_python", {})
-
-    def eval(self, arguments):
-        return arguments
-
-
-CALLED = Python()
-
-
-@refused("calls 'in_python', a callback")
-def callback():
-    dae, x = decay()
-    dae.eq(dae.der(x), CALLED(x))
-    return dae
-
-
-@refused("index above 1")
-def index_2():
-    dae, x = decay()
-    z = dae.add("z")
-    dae.eq(dae.der(x), z)
-    dae.eq(0, x - 1)
-    return dae
-
-
-@refused("needs 'y', which no rule before it settles|depends|needs")
-def start_in_a_circle():
-    dae, x = decay()
-    y = dae.add("y")
-    dae.eq(dae.der(x), -x)
-    dae.eq(dae.der(y), -y)
-    dae.set_init("x", y)
-    dae.set_init("y", x)
-    return dae
-
-
-def test_table_has_30_models():
-    assert len(ACCEPTED) + len(REFUSED) >= 30
-
-
-OPTIONS = {"stop_time": 1.0, "relative_tolerance": 1e-9}
-
-
-@pytest.mark.parametrize("name", ACCEPTED)
-def test_accepted_model_is_right(name):
-    builder, exact = ACCEPTED[name]
-    dae = cosim.from_dae_builder(builder())
-    run = cosim.simulate(dae, solver="rosenbrock", compiled=False, **OPTIONS)
-    for variable, value in exact.items():
-        assert run[variable][-1] == pytest.approx(value, abs=1e-6)
-
-
-QUICK = (
-    "switch",
-    "calculated_start",
-    "structured_names",
-    "matrix_of_parameters",
-    "any_unit",
-    "quadrature",
-)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in ACCEPTED],
-)
-def test_accepted_model_is_right_in_an_fmu(name, tmp_path):
-    builder, exact = ACCEPTED[name]
-    dae = cosim.from_dae_builder(builder())
-    path = cosim.export_fmu(dae, tmp_path / "m.fmu")
-    run = cosim.simulate_fmu(path, interface="CoSimulation", output_interval=0.1, **OPTIONS)
-    start = cosim.simulate(dae, stop_time=0.1, output_interval=0.1, compiled=False)
-    for variable in run.names:
-        assert run[variable][0] == pytest.approx(start[variable][0], abs=1e-12)
-    for variable, value in exact.items():
-        assert run[variable][-1] == pytest.approx(value, abs=1e-6)
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_model_is_refused_in_one_sentence(name):
-    builder, reason = REFUSED[name]
-    with pytest.raises(UsageError, match=reason) as caught:
-        cosim.from_dae_builder(builder())
-    assert "\n" not in str(caught.value)
-    assert isinstance(caught.value, CosimError)
-
-
-def test_rate_and_unknown_satisfy_their_equations():
-    run = cosim.simulate(
-        cosim.from_dae_builder(rate_and_unknown_in_equations()),
-        solver="rosenbrock",
-        compiled=False,
-        **OPTIONS,
-    )
-    assert run["z"][-1] == pytest.approx(root_of_cubic(run["x"][-1]), abs=1e-7)
-    # x' = -z with x = z^3 + z: 3 z^2/2 + ln z falls as t
-    fall = [1.5 * z**2 + math.log(z) for z in run["z"][[0, -1]]]
-    assert fall[0] - fall[1] == pytest.approx(1.0, abs=1e-6)
-
-
-def test_facts_come_along():
-    dae = cosim.from_dae_builder(bounds_and_nominals())
-    x = dae.variable("x")
-    assert (x.minimum, x.maximum, x.nominal, x.meaning) == (-5, 5, 2, "place")
-    assert "unit 'furlong/fortnight' is unknown here: factor 1" in (
-        cosim.from_dae_builder(any_unit()).variable("x").meaning
-    )
-    matrix = cosim.from_dae_builder(matrix_of_parameters())
-    assert {v.name: v.start for v in matrix.parameters} == {
-        "A_1_1": 1, "A_1_2": 2, "A_1_3": 3, "A_2_1": 4, "A_2_2": 5, "A_2_3": 6
-    }  # fmt: skip
-
-
-def test_calculated_start_follows_its_parameter():
-    dae = cosim.from_dae_builder(calculated_start())
-    run = cosim.simulate(dae, stop_time=0.01, start={"p": 5.0}, compiled=False)
-    assert run["x"][0] == 10.0

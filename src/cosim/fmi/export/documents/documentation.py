@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from html import escape
+from pathlib import PurePosixPath
 
 from casadi_models.dae import Dae
+from cosim.fmi.export.documents.formulas import formulas
 from cosim.fmi.export.variables import FmuVariable, Role
 
 _HEADINGS = {
@@ -16,9 +18,20 @@ _HEADINGS = {
 
 
 def documentation_page(
-    dae: Dae, variables: Sequence[FmuVariable], solver: str, tolerance: float
+    dae: Dae,
+    variables: Sequence[FmuVariable],
+    solver: str,
+    tolerance: float,
+    picture: str | None = None,
 ) -> str:
-    """Return `documentation/index.html`: what the model is, and every variable."""
+    """Return `documentation/index.html`: what the model is, every variable, the equations.
+
+    Args:
+        dae: The model.
+        variables: Those of the FMU.
+        solver, tolerance: Of co-simulation, and relative.
+        picture: Path of the model's diagram in the FMU, beside this page.
+    """
     sections = "".join(
         _section(heading, [v for v in variables if v.role is role])
         for role, heading in _HEADINGS.items()
@@ -34,7 +47,7 @@ text-align: left }} td.number {{ text-align: right }}</style></head>
 <p>Source: {escape(dae.source)}. All values are in SI units.</p>
 <p>Co-simulation integrates with {escape(solver)}; the recommended relative tolerance is
 {tolerance:g}.</p>
-{_limits(dae)}{sections}</body>
+{_limits(dae)}{_diagram(picture)}{sections}{_equations(dae)}</body>
 </html>
 """
 
@@ -44,6 +57,28 @@ def _limits(dae: Dae) -> str:
         return ""
     rows = "".join(f"<li>{escape(meaning)}</li>\n" for _, meaning in dae.limits)
     return f"<p>The model holds while</p>\n<ul>\n{rows}</ul>\n"
+
+
+def _diagram(picture: str | None) -> str:
+    if picture is None:
+        return ""
+    return f"""<figure><img src="{PurePosixPath(picture).name}" alt="the mechanism">
+<figcaption>At the start values. 1, 2, 3: axes of the bodies' frames. Brown: what counts as a
+positive force or torque. Purple, two heads: the axis of a positive turn, by the right
+hand.</figcaption></figure>
+"""
+
+
+def _equations(dae: Dae) -> str:
+    rows = "".join(f"<li>{escape(left)} = {escape(right)}</li>\n" for left, right in formulas(dae))
+    drift = "".join(f"<li>{escape(i.meaning)}</li>\n" for i in dae.invariants)
+    kept = f"<p>What exact solutions keep to:</p>\n<ul>\n{drift}</ul>\n" if drift else ""
+    return f"""<h2>Equations</h2>
+<p>Those that are short are written out; f stands for others, with what it takes to compute each
+alone. sources/equations.c computes all of them together.</p>
+<ul>
+{rows}</ul>
+{kept}"""
 
 
 def _section(heading: str, variables: Sequence[FmuVariable]) -> str:

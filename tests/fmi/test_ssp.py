@@ -1,0 +1,76 @@
+"""SSP files: valid by schema, with units, read by FMPy; values inside or in files of their own."""
+
+import zipfile
+from pathlib import Path
+
+import fmpy
+import pytest
+from fmpy.ssp.ssd import read_ssd
+from helpers.small_models import decay
+from lxml import etree
+
+import cosim
+
+SCHEMAS = Path(fmpy.__file__).parent / "ssp" / "schema"
+SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
+SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
+SSV = "{http://ssp-standard.org/SSP1/SystemStructureParameterValues}"
+WRITTEN = pytest.mark.parametrize("own_files", [False, True])
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    return cosim.export_fmu(decay(), tmp_path_factory.mktemp("ssp") / "decay.fmu", valid=False)
+
+
+def written(fmu, folder, own_files):
+    path = cosim.write_ssp(
+        folder / "two.ssp",
+        {"a": fmu, "b": fmu},
+        [("a.y", "b.force")],
+        values={"a.x": 2.0, "b.rate": 0.25},
+        stop_time=1.0,
+        parameter_files=own_files,
+    )
+    with zipfile.ZipFile(path) as archive:
+        return path, {name: archive.read(name) for name in archive.namelist()}
+
+
+def valid(content, schema):
+    root = etree.fromstring(content)
+    etree.XMLSchema(etree.parse(SCHEMAS / schema)).assertValid(root)
+    return root
+
+
+@WRITTEN
+def test_it_is_valid_and_every_connector_and_value_has_its_unit(fmu, tmp_path, own_files):
+    _, files = written(fmu, tmp_path, own_files)
+    root = valid(files["SystemStructure.ssd"], "SystemStructureDescription.xsd")
+    units = {c.get("name"): c[0].get("unit") for c in root.iter(f"{SSD}Connector")}
+    assert units == {"x": "m", "y": "m", "force": "m/s", "rate": "1"}
+    defined = root.find(f"{SSD}Units")
+    assert {u.get("name") for u in defined} >= set(units.values())
+    (speed,) = (u for u in defined if u.get("name") == "m/s")
+    assert dict(speed.find(f"{SSC}BaseUnit").attrib) == {"m": "1", "s": "-1"}
+    sets = list(root.iter(f"{SSV}ParameterSet"))
+    if own_files:
+        schema = "SystemStructureParameterValues.xsd"
+        sets = [valid(files[f"resources/{name}.ssv"], schema) for name in "ab"]
+    values = [
+        (p.get("name"), float(p[0].get("value")), p[0].get("unit"))
+        for one in sets
+        for p in one.iter(f"{SSV}Parameter")
+    ]
+    assert values == [("x", 2.0, "m"), ("rate", 0.25, "1")]
+    sources = [b.get("source") for b in root.iter(f"{SSD}ParameterBinding")]
+    assert sources == (["resources/a.ssv", "resources/b.ssv"] if own_files else [None, None])
+
+
+@WRITTEN
+def test_fmpy_reads_it(fmu, tmp_path, own_files):
+    path, _ = written(fmu, tmp_path, own_files)
+    system = read_ssd(str(path)).system
+    assert [element.name for element in system.elements] == ["a", "b"]
+    bindings = [element.parameterBindings for element in system.elements]
+    read = [p.name for own in bindings for b in own for p in b.parameterValues[0].parameters]
+    assert read == ["x", "rate"]

@@ -1,0 +1,114 @@
+"""FMI 3.0 co-simulation: what an importer sees and may do between communication points."""
+
+import numpy as np
+import pytest
+from helpers.harness import ERROR, NAN, OK, reals
+from scipy.integrate import solve_ivp
+
+pytestmark = pytest.mark.parametrize("solver", ["dop853"], scope="session")
+STRETCH = 3.0  # s, many steps of the solver
+
+
+def rates(t, x):
+    """The toy's equations, solved for a by hand; see `test_co_simulation`."""
+    q, v, w, _ = x
+    return [v, (0.1 * w - 0.5 * v - 8 * q) / 1.8, -w * np.sqrt(q + 10), 0.0]
+
+
+class Watch:
+    """A callback that keeps what it is told and sees, and may wish to stop."""
+
+    def __init__(self, stop_after=None, wanted=None, call=None):
+        self.seen, self.told = [], []
+        self.stop_after, self.wanted, self.call = stop_after, wanted, call
+        self.fmu = None
+
+    def __call__(self, _, time, *rest):
+        *flags, early, until = rest
+        self.told.append(flags)
+        self.seen.append((time, *self.fmu.get("time", "q", "v", "energy")))
+        if self.call:
+            self.call(self.fmu)
+        if self.stop_after is not None and time > self.stop_after:
+            early[0] = True
+            until[0] = time if self.wanted is None else self.wanted
+
+
+def stepped(fmi3, watch, **options):
+    fmu = watch.fmu = fmi3(1, update=watch, **options)
+    fmu.initialize({"tolerance": 1e-8})
+    return fmu, fmu.step(0.0, STRETCH)
+
+
+def test_the_solvers_steps_are_shown_and_change_nothing(fmi3):
+    watch = Watch()
+    fmu, (status, flags, reached) = stepped(fmi3, watch)
+    assert (status, flags, reached) == (OK, [False] * 3, STRETCH)
+    assert len(watch.seen) > 5
+    assert all(told == [False, True, True, True] for told in watch.told)  # get, finished, early
+    times = np.array([row[0] for row in watch.seen])
+    assert (np.diff(times) > 0).all()
+    assert times[-1] < STRETCH
+    run = solve_ivp(
+        rates, (0, STRETCH), [1, 0, 1, 1], "DOP853", t_eval=times, rtol=1e-10, atol=1e-12
+    )
+    seen = np.array(watch.seen)
+    np.testing.assert_array_equal(seen[:, 1], times)
+    np.testing.assert_allclose(seen[:, 2:4], run.y[:2].T, rtol=0, atol=1e-8)  # measured 2e-10
+    energy = run.y[1] ** 2 + 4 * run.y[0] ** 2
+    np.testing.assert_allclose(seen[:, 4], energy, rtol=0, atol=1e-7)
+    silent = fmi3(1).initialize({"tolerance": 1e-8})
+    silent.step(0.0, STRETCH)
+    assert silent.get(*silent.reference) == fmu.get(*fmu.reference)  # bit for bit
+
+
+@pytest.mark.parametrize("wanted", [None, 1.6, 0.0, NAN])
+def test_a_step_ends_early_where_the_importer_wishes(fmi3, wanted):
+    watch = Watch(stop_after=1.0, wanted=wanted)
+    fmu, (status, flags, reached) = stepped(fmi3, watch)
+    stop = STRETCH if wanted != wanted else 1.6 if wanted == 1.6 else watch.seen[-1][0]
+    assert (status, flags) == (OK, [False, False, stop < STRETCH])
+    assert reached == stop == fmu.get("time")[0]
+    q, v = fmu.get("q", "v")
+    run = solve_ivp(rates, (0, reached), [1, 0, 1, 1], "DOP853", rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose([q, v], run.y[:2, -1], rtol=0, atol=1e-8)
+    watch.stop_after = None
+    if reached < STRETCH:  # and goes on from there
+        assert fmu.step(reached, STRETCH - reached)[::2] == (OK, STRETCH)
+
+
+def test_no_step_ends_early_where_that_is_not_allowed(fmi3):
+    watch = Watch(stop_after=0.5)
+    _, (status, flags, reached) = stepped(fmi3, watch, early=False)
+    assert (status, flags, reached) == (OK, [False] * 3, STRETCH)
+    assert not any(told[3] for told in watch.told)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda fmu: fmu.set(force=1.0), "fmi3SetFloat64: not allowed in an intermediate update"),
+        (lambda fmu: fmu.step(0.0, 0.1), "fmi3DoStep: not allowed in an intermediate update"),
+    ],
+)
+def test_what_is_not_allowed_between_ends_the_step_with_an_error(fmi3, call, said):
+    fmu, (status, _, _) = stepped(fmi3, Watch(call=call))
+    assert status == ERROR
+    assert fmu.said == said
+    assert fmu.step(0.0, 0.1)[0] == ERROR  # terminated
+
+
+def test_derivatives_of_outputs_are_told_between(fmi3):
+    rates_seen = []
+
+    def ask(fmu):
+        value = reals(0.0)
+        from ctypes import c_int32
+
+        arguments = fmu.refs("q"), 1, (c_int32 * 1)(1), value, 1
+        assert fmu("GetOutputDerivatives", *arguments) == OK, fmu.said
+        rates_seen.append((value[0], fmu.get("v")[0]))
+
+    stepped(fmi3, Watch(call=ask))
+    assert rates_seen
+    assert all(rate == v for rate, v in rates_seen)  # q' = v

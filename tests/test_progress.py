@@ -1,0 +1,146 @@
+"""Progress of long work: one line on a terminal, and nothing anywhere else."""
+
+import io
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+import cosim
+from cosim.host import progress
+from cosim.host.progress import Work, doing, duration, shown_on_terminal
+
+pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals")
+LONG = "import sys; from cosim.cli.main import main; sys.exit(main(sys.argv[1:]))"
+MODEL = """
+from casadi_models.dae import Model
+
+def build():
+    model = Model("slow", description="a fast oscillation for long", source="a test",
+                  stop_time=STOP, output_interval=STOP / 400)
+    x, v = model.state("x", "1", 1.0, "place"), model.state("v", "1", 0.0, "rate")
+    model.derivative(x, NUMBER * v)
+    model.derivative(v, -NUMBER * x)
+    return model.freeze()
+"""
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def on_a_terminal(command, folder, **environment):
+    """Run a command on a terminal; return its exit code, its output, and what the terminal saw."""
+    ours, theirs = pty.openpty()
+    own = os.environ | {"TERM": "xterm", "COLUMNS": "100"} | environment
+    process = subprocess.Popen(
+        command, cwd=folder, env=own, stdout=subprocess.PIPE, stderr=theirs, stdin=theirs
+    )
+    os.close(theirs)
+    seen = bytearray()
+
+    def read():
+        try:
+            while part := os.read(ours, 4096):
+                seen.extend(part)
+        except OSError:  # Linux's end of a terminal
+            pass
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    output, _ = process.communicate(timeout=120)
+    reader.join(10)
+    os.close(ours)
+    return process.returncode, output.decode(), seen.decode()
+
+
+def slow(folder, stop):
+    number = f"1.{stop % 97:02d}{int(stop)}"  # whose code no cache has
+    text = MODEL.replace("STOP", str(float(stop))).replace("NUMBER", number)
+    (folder / "slow.py").write_text(text)
+    return [sys.executable, "-c", LONG, "simulate", "slow.py:build", "--solver", "dop853"]
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """Return what a terminal and a pipe see of one long run, whose code nobody has compiled yet."""
+    folder = tmp_path_factory.mktemp("progress")
+    command = [*slow(folder, 3_000_000), "-o", "run.csv"]
+    cache = str(tmp_path_factory.mktemp("cache"))
+    terminal = on_a_terminal(command, folder, COSIM_CACHE=cache, NO_COLOR="1")
+    environment = os.environ | {"COSIM_CACHE": cache}
+    run = {"cwd": folder, "env": environment, "capture_output": True, "text": True}
+    pipe = subprocess.run(command, check=False, timeout=120, **run)
+    return terminal, pipe
+
+
+def test_terminal_sees_per_cent_of_simulated_time_and_what_is_left(seen):
+    (code, _, text), _ = seen
+    assert code == 0, text
+    shares = [int(share) for share in re.findall(r"slow: solving (\d+) %", text)]
+    assert len(shares) > 1
+    assert shares == sorted(shares)
+    assert re.search(r"solving \d+ %, \d+ (s|min) left", text)
+
+
+def test_line_is_gone_at_the_end_and_holds_no_colour(seen):
+    (_, _, text), _ = seen
+    assert "\x1b" not in text
+    assert not text.split("\r")[-1].strip()
+
+
+def test_pipe_sees_nothing_of_it(seen):
+    _, pipe = seen
+    assert pipe.returncode == 0
+    assert pipe.stdout + pipe.stderr == ""
+
+
+def test_compiling_is_named_and_its_time_is_told_apart(tmp_path, monkeypatch):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "INTERVAL", 0.001)
+    terminal = Terminal()
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", terminal)
+        with shown_on_terminal(False):
+            run = cosim.simulate("crank_shaft", stop_time=0.1)
+        assert sys.stderr is terminal
+    assert "crank_shaft/driven: compiling (once)" in terminal.getvalue()
+    assert 0 < run.stats.compile_time < run.stats.wall_time
+    assert "compile_time" not in cosim.simulate("crank_shaft", stop_time=0.2).stats
+
+
+def test_other_text_stands_above_the_line(monkeypatch):
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "INTERVAL", 0.01)
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with shown_on_terminal(False), doing("waiting"):
+        time.sleep(0.1)
+        print("a message", file=sys.stderr)
+        time.sleep(0.05)
+    assert re.search(r"waiting, 0 s\r +\ra message\n\r", terminal.getvalue())
+
+
+@pytest.mark.parametrize("why", ["quiet", "dumb", "pipe"])
+def test_nothing_is_shown_where_nobody_wants_it(why, monkeypatch):
+    stream = Terminal() if why != "pipe" else io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    if why == "dumb":
+        monkeypatch.setenv("TERM", "dumb")
+    with shown_on_terminal(why == "quiet"), doing("waiting"):
+        time.sleep(0.3)
+    assert stream.getvalue() == ""
+
+
+def test_time_left_follows_from_the_share_that_is_done():
+    work = Work("solving", lambda: 0.25, began=10.0)
+    assert work.told(now=20.0) == "solving 25 %, 30 s left"
+    assert Work("solving", lambda: 0.0, began=10.0).told(now=20.0) == "solving"
+    assert duration(240.0) == "4 min"
