@@ -8,7 +8,6 @@ tool has none; everything after that is the tool's own.
 
 import sys
 import tempfile
-import warnings
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -22,7 +21,7 @@ from cosim.fmi.export.package import export_fmu
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.run.outputs import all_columns
 from cosim.model.catalogue import load
-from cosim.study.extremes.campaign import explore, select_cases, serve_cases
+from cosim.study.extremes.campaign import RUNNER, explore, select_cases
 from cosim.study.extremes.cases import Case
 from cosim.study.extremes.oracles import OUTCOMES
 from cosim.trajectory import Trajectory
@@ -86,23 +85,12 @@ def _fmu(model: str) -> str:
     return str(export_fmu(load(model), target))
 
 
-def serve_baseline(tool: str) -> None:
-    warnings.simplefilter("ignore")
-    serve_cases({"casadi": run_casadi, "fmpy": run_fmpy}[tool])
-
-
 def main(models: list[str]) -> None:
-    folder = Path(__file__).parent
     cases = [case for case in select_cases(models) if case.solver != "dop853"]  # only cosim has it
     print("tool".ljust(10), *(outcome.rjust(11) for outcome in OUTCOMES))
-    for tool in ("cosim", "casadi", "fmpy"):
-        own = f"import sys; sys.path.insert(0, {str(folder)!r})\n"
-        server = (
-            {}
-            if tool == "cosim"
-            else {"server": f"{own}from extremes import serve_baseline; serve_baseline({tool!r})"}
-        )
-        counts = Counter(f.verdict.outcome for f in explore(cases, timeout=60, **server))
+    runners = {"cosim": RUNNER, "casadi": "extremes:run_casadi", "fmpy": "extremes:run_fmpy"}
+    for tool, runner in runners.items():
+        counts = Counter(f.verdict.outcome for f in explore(cases, timeout=60, runner=runner))
         print(tool.ljust(10), *(str(counts[outcome]).rjust(11) for outcome in OUTCOMES), flush=True)
 
 

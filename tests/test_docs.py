@@ -90,6 +90,19 @@ def test_commands_of_a_page_are_ones_that_cosim_takes(page):
         assert not unknown, f"cosim {shlex.join(words)}"
 
 
+QUOTED = re.compile(r"^(?:\$ )?(?:cosim|pip|python3?|\.venv\S*pip) [^#\n]*'", re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.exists()], ids=lambda p: p.stem)
+def test_commands_are_quoted_so_that_cmd_and_powershell_take_them(page):
+    assert QUOTED.findall("\n".join(blocks(page, "sh", "console", "bash"))) == []
+
+
+def test_messages_quote_what_to_install_so_that_cmd_takes_it():
+    sources = (path.read_text(encoding="utf-8") for path in (ROOT / "src" / "cosim").rglob("*.py"))
+    assert not [line for text in sources for line in text.splitlines() if "pip install '" in line]
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if page.exists()], ids=lambda p: p.stem)
 def test_links_of_a_page_lead_to_files(page):
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text())

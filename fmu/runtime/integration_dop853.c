@@ -14,8 +14,6 @@
 #include "evaluation.h"
 #include "midway.h"
 
-enum { MOST_TRIALS = 20000 }; /* of steps in a call: bounds its time */
-
 /* Errors of steps add up, and the order is high: a hundredth of the tolerance asked for in each
    step costs 1.8 times the right-hand sides, and brings the error of a run near the tolerance. */
 static const double OF_TOLERANCE = 0.01;
@@ -27,7 +25,7 @@ typedef struct {
     double began; /* the inputs' values are those of this time */
     double tolerance;
     double z[ROOM(NZ)];
-    int trials;
+    int trials; /* of steps that are left: MOST_TRIALS of model.h bound the time of a call */
 } Problem;
 
 /* dx/dt; the algebraic unknowns are solved from their last values. */

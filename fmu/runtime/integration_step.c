@@ -8,9 +8,9 @@
 #include "midway.h"
 
 /* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
-   that the step ends within about 4^-5 of its length before what stops it. Attempts times the
-   integrator's own limit of steps bound the work of a call. */
-enum { MOST_ATTEMPTS = 12 };
+   that the step ends within about 4^-5 of its length before what stops it. Failed attempts times
+   the integrator's own limit of steps bound the work of a call. */
+enum { MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
 
 /* Integrate over `length`; on failure nothing has changed. */
 static bool advance(Instance *self, double length) {
@@ -41,15 +41,19 @@ static bool advance(Instance *self, double length) {
 bool integrate_to(Instance *self, double end) {
     double *time = &self->state.values[TIME];
     double length = end - *time;
-    for (int attempt = 0; attempt < MOST_ATTEMPTS && *time < end; attempt++) {
+    int failed = 0;
+    for (int attempt = 0; attempt < MOST_ATTEMPTS && *time < end && failed < MOST_FAILED;
+         attempt++) {
         if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
         const double rest = end - *time;
         const bool last = length >= rest;
         if (advance(self, last ? rest : length)) {
             *time = last ? end : *time + length;
             if (*time < end && !pass_midway(self, &end)) return false;
-        } else
+        } else {
+            failed++;
             length = (last ? rest : length) / 4;
+        }
     }
     return *time >= end;
 }

@@ -11,7 +11,6 @@ Names are imported when first used, so that `import cosim` costs nothing.
 """
 
 from importlib import import_module
-from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -141,7 +140,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return _version("cosim-rigid")
+        from importlib.metadata import version  # takes longer to import than all the rest
+
+        return version("cosim-rigid")
     if name in ("Dae", "Model"):
         value = getattr(import_module("casadi_models.dae"), name)
     elif name in ("errors", "solvers"):

@@ -72,7 +72,7 @@ def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     code = animate("crank_shaft", "--stop-time", "0.1", "-o", tmp_path / "x.html")
     assert code == 5
-    assert "pip install 'cosim-rigid[animate]'" in capsys.readouterr().err
+    assert 'pip install "cosim-rigid[animate]"' in capsys.readouterr().err
 
 
 def test_times_of_the_poses_are_not_those_of_the_run(monkeypatch, tmp_path):

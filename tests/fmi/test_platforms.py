@@ -84,7 +84,7 @@ def test_machine_that_the_fmi_has_no_name_for_is_told(system, processor, reason,
 
 def test_missing_bundled_compiler_is_told_with_the_command_that_brings_it(tmp_path, monkeypatch):
     monkeypatch.setattr(platforms, "find_spec", lambda _name: None)
-    with pytest.raises(MissingTool, match=r"pip install 'cosim-rigid\[zig\]'"):
+    with pytest.raises(MissingTool, match=r'pip install "cosim-rigid\[zig\]"'):
         cosim.export_fmu(decay(), tmp_path / "model.fmu", platforms=["win64"])
     assert list(tmp_path.iterdir()) == []
 

@@ -6,6 +6,7 @@ import shutil
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -113,3 +114,28 @@ def test_imports_versions_and_run_paths_are_what_readelf_prints(tmp_path):
     assert read.needs == set(re.findall(r"Shared library: \[(.*?)\]", printed))
     assert read.versions == set(re.findall(r"Name: (\S+)", printed))
     assert read.run_paths == ("/opt/own", "$ORIGIN/a")
+
+
+@pytest.mark.skipif(shutil.which("objdump") is None, reason="needs objdump of the binutils")
+def test_needs_and_exports_of_a_windows_library_are_what_objdump_prints():
+    package = pytest.importorskip("pythonfmu").__file__
+    path = Path(package).parent / "resources" / "binaries" / "win64" / "pythonfmu-export.dll"
+    (read,) = read_libraries(path.read_bytes())
+    done = subprocess.run(["objdump", "-p", str(path)], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("this objdump does not read Windows libraries")
+    assert read.needs == set(re.findall(r"DLL Name: (\S+)", done.stdout))
+    assert len(read.needs) > 3
+    assert all(f" {name}\n" in done.stdout for name in read.exports)
+
+
+@native
+@pytest.mark.skipif(shutil.which("nm") is None, reason="needs nm of the binutils")
+def test_undefined_names_without_a_version_are_what_nm_prints():
+    package = pytest.importorskip("pythonfmu").__file__
+    path = Path(package).parent / "resources" / "binaries" / "linux64" / "libpythonfmu-export.so"
+    (read,) = read_libraries(path.read_bytes())
+    command = ["nm", "-D", "--undefined-only", "--with-symbol-versions", str(path)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    lines = [line.split() for line in printed.splitlines()]
+    assert read.undefined == {name for kind, name in lines if kind == "U" and "@" not in name}

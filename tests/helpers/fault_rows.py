@@ -10,6 +10,7 @@ from pathlib import Path
 
 Prepare = Callable[[Path], object]
 HERE, APART = "here", "apart"  # in the process of the tests, or in one of its own
+WRONG, ANY = -1, -2  # exit codes: one of an error, or any that is documented
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Row:
     Attributes:
         name: Of the row.
         words: The command line.
-        code: The exit code.
+        code: The exit code, or `WRONG` or `ANY`.
         told: A regular expression that the sentence must hold; "" for silence.
         prepare: Makes the files that the command meets, in the folder where it runs.
         where: `HERE` or `APART`.
@@ -85,6 +86,9 @@ def _names() -> Iterator[Row]:
         target = ("-o", "p.png") if verb == "plot" else ()
         for name, code, told in names:
             yield Row(f"{verb} {ascii(name)[:20]}", (verb, name, *target), code, told)
+    yield Row(
+        "crosscheck of all", ("crosscheck", "--timeout", "5"), 2, "--timeout is for FMU files"
+    )
     for verb in ("list", "cache", "info", "simulate", "export", "plot", "extremes", "tradeoff"):
         yield Row(f"{verb} --frob", (verb, "--frob"), 2, "frob|required")
 
@@ -275,7 +279,7 @@ def _misbehaving() -> Iterator[Row]:
 
 
 _OWN = """
-import ctypes, os, sys, threading, time
+import ctypes, os, subprocess, sys, threading, time
 from casadi_models.dae import Model
 def good():
     m = Model("good", description="d", source="s", stop_time=1.0)
@@ -308,7 +312,19 @@ def child():
         os.setsid()
         sleep()
     return good()
+def stranger():
+    known = {"TMPDIR": os.environ["TMPDIR"]}  # by which the test finds it
+    subprocess.Popen(["sleep", "1000"], env=known, start_new_session=True)
+    return good()
 """
+
+
+def _own_scene(name: str) -> Prepare:
+    def prepare(place: Path) -> None:
+        (place / "own.py").write_text(_OWN)
+        (place / "own.toml").write_text(f'title = "own"\nmodel = "own.py:{name}"\n')
+
+    return prepare
 
 
 def _own_code() -> Iterator[Row]:
@@ -333,7 +349,11 @@ def _own_code() -> Iterator[Row]:
     for name, (code, told) in ends.items():
         words = ("simulate", f"own.py:{name}", "--timeout", "4")
         yield Row(f"own.py:{name}", words, code, told, own, APART)
-    for name in ("thread", "child"):
+    for name in ("loop", "deaf", "segv", "hard"):
+        code, told = ends[name]
+        words = ("simulate", "own.toml", "--timeout", "4")
+        yield Row(f"scene of own.py:{name}", words, code, told, _own_scene(name), APART)
+    for name in ("thread", "child", "stranger"):
         words = ("simulate", f"own.py:{name}", "--interpreted", "--timeout", "60")
         yield Row(f"own.py:{name}", words, 0, "", own, APART, output=True)
 

@@ -28,6 +28,7 @@ HERE = Path(__file__).parents[1] / "runtime"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 # A shared library has FMI's own names; two instances of a model in one program need no others.
 NAMES = "-DFMI3_OVERRIDE_FUNCTION_PREFIX"
+POSIX = "-D_POSIX_C_SOURCE=200809L"  # whose clocks and threads the programs of the tests use
 STRICT = ["-std=c11", NAMES, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 OK, WARNING, DISCARD, ERROR = range(4)
@@ -75,7 +76,21 @@ def program(
     include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", "-isystem", HEADERS]
     target = folder / name
     source = HERE / f"{name}.c"
-    run([compiler(), *STRICT, *flags, *include, source, *objects, "-o", target, "-lm", "-pthread"])
+    run(
+        [
+            compiler(),
+            *STRICT,
+            POSIX,
+            *flags,
+            *include,
+            source,
+            *objects,
+            "-o",
+            target,
+            "-lm",
+            "-pthread",
+        ]
+    )
     return target
 
 

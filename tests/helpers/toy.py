@@ -123,6 +123,7 @@ def write(
         "#define HAS_ADJOINT 1",
         f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
         "#define LARGEST_STEP 0.5",
+        "#define MOST_TRIALS 20000",
         f"#define N_LIMITS {model.margins.numel()}",
         f"#define HAS_VALID {int(valid)}",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
@@ -232,7 +233,7 @@ def _step_function(m: Equations) -> ca.Function:
     )  # fmt: skip
     problem = {"t": s, "x": m.x, "z": m.z, "p": q, "ode": h * ode, "alg": alg}
     method = "rosenbrock" if m.z.numel() else "erk"
-    integrate = ca.integrator("integrate", method, problem, 0, 1, {"max_num_steps": 2000})
+    integrate = ca.integrator("integrate", method, problem, 0, 1, {"max_num_steps": 1000})
     x, z, parameters = MX.sym("x", m.x.numel()), MX.sym("z", m.z.numel()), MX.sym("q", q.numel())
     end = integrate(x0=x, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [end["xf"], end["zf"]])

@@ -356,7 +356,7 @@ def test_missing_extra_names_the_command(run, tmp_path, monkeypatch, package, ki
     import sys
 
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingTool, match=r"pip install 'cosim-rigid\[animate\]'") as refusal:
+    with pytest.raises(MissingTool, match=r'pip install "cosim-rigid\[animate\]"') as refusal:
         animate(run, tmp_path / f"x.{kind}")
     assert refusal.value.exit_code == 5
     assert not (tmp_path / f"x.{kind}").exists()

@@ -1,9 +1,11 @@
-/* Random calls: seeded arguments, sensible and senseless, and the loop that makes the calls. */
+/* Random calls: seeded arguments, sensible and senseless, and the loop that makes the calls.
+   Whatever has a state is a thread's own: several may call at once, each its own instances. */
 #ifndef FUZZ_H
 #define FUZZ_H
 
 #include <float.h>
 #include <math.h>
+#include <pthread.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -15,7 +17,7 @@
 
 enum { INSTANCES = 4, SNAPSHOTS = 3, MOST = NX > 12 ? NX : 12 /* length of argument arrays */ };
 
-static uint64_t random_state;
+static _Thread_local uint64_t random_state;
 
 /* SplitMix64 (Steele, Lea, Flood, 2014). */
 static inline uint64_t next_random(void) {
@@ -39,9 +41,9 @@ static inline double uniform(double low, double high) {
 
 /* Mostly ordinary numbers; one in five is at or beyond the edge of what numbers can be. */
 static inline double some_real(void) {
-    static const double edges[] = {0.0,     -0.0,     NAN,     INFINITY,      -INFINITY, DBL_MAX,
-                                   DBL_MIN, 4.9e-324, 1e300,   -1e300,        1e-300,    1e16,
-                                   -DBL_MAX, 1e-16,   -1e-300, DBL_EPSILON};
+    static const double edges[] = {0.0,      -0.0,     NAN,     INFINITY,   -INFINITY, DBL_MAX,
+                                   DBL_MIN,  4.9e-324, 1e300,   -1e300,     1e-300,    1e16,
+                                   -DBL_MAX, 1e-16,    -1e-300, DBL_EPSILON};
     return one_in(5) ? edges[below(sizeof edges / sizeof *edges)] : uniform(-2, 2);
 }
 
@@ -89,8 +91,10 @@ static inline void drop_arguments(Arguments *a) {
     free(a->results);
 }
 
-static inline double seconds(void) { /* of this process alone */
-    return (double)clock() / CLOCKS_PER_SEC;
+static inline double seconds(void) { /* of this thread alone */
+    struct timespec now;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
 static inline void demand(int condition, const char *what) {
@@ -110,32 +114,67 @@ typedef struct {
     void (*create)(unsigned instance); /* unless there is one */
     void (*destroy)(unsigned instance);
     void (*lead_on)(unsigned instance); /* from where an error has left it */
+    void (*settle)(void);               /* demands of what is left in the end */
 } Interface;
 
-/* Make SEED CALLS of the command line; print how many there were, how many were OK and the
-   longest, in s. */
-static inline int fuzz(int argc, char *argv[], const Interface *interface) {
-    demand(argc == 3, "usage: PROGRAM SEED CALLS");
-    random_state = strtoull(argv[1], NULL, 10);
-    const long calls = strtol(argv[2], NULL, 10);
-    long fine = 0, refused = 0;
-    double longest = 0;
-    for (long i = 0; i < calls; i++) {
+typedef struct {
+    const Interface *interface;
+    uint64_t seed;
+    long calls, fine;
+    double longest; /* call, s */
+} Share;
+
+static inline void *make_calls(void *argument) {
+    Share *share = argument;
+    const Interface *interface = share->interface;
+    long refused = 0;
+    random_state = share->seed;
+    for (long i = 0; i < share->calls; i++) {
         const unsigned k = below(INSTANCES);
         if (one_in(500)) interface->destroy(k);
         interface->create(k);
         Arguments a = some_arguments();
         const double begin = seconds();
         const int status = interface->call(below(interface->functions), k, &a);
-        longest = fmax(longest, seconds() - begin);
-        fine += status == 0;
+        share->longest = fmax(share->longest, seconds() - begin);
+        share->fine += status == 0;
         refused += status > 1;
         if (status == 3 && one_in(2)) interface->lead_on(k);
         drop_arguments(&a);
     }
     for (unsigned k = 0; k < INSTANCES; k++) interface->destroy(k);
-    demand(fine > calls / 5 && refused > calls / 10, "a mixture of right and wrong calls");
-    printf("%ld %ld %.3f\n", calls, fine, longest);
+    demand(share->fine > share->calls / 5 && refused > share->calls / 10,
+           "a mixture of right and wrong calls");
+    interface->settle();
+    return NULL;
+}
+
+/* SEED CALLS [THREADS] of the command line: make the calls, in that many threads at once; print
+   how many there were, how many were OK and the longest, in s. */
+static inline int fuzz(int argc, char *argv[], const Interface *interface) {
+    demand(argc == 3 || argc == 4, "usage: PROGRAM SEED CALLS [THREADS]");
+    const uint64_t seed = strtoull(argv[1], NULL, 10);
+    const long calls = strtol(argv[2], NULL, 10),
+               threads = argc == 4 ? strtol(argv[3], NULL, 10) : 1;
+    Share *shares = calloc((size_t)threads, sizeof *shares);
+    pthread_t *thread = calloc((size_t)threads, sizeof *thread);
+    demand(shares && thread, "memory");
+    for (long i = 0; i < threads; i++) {
+        shares[i] = (Share){
+            .interface = interface, .seed = seed * 1000 + (uint64_t)i, .calls = calls / threads};
+        demand(pthread_create(&thread[i], NULL, make_calls, &shares[i]) == 0, "a thread");
+    }
+    long made = 0, fine = 0;
+    double longest = 0;
+    for (long i = 0; i < threads; i++) {
+        pthread_join(thread[i], NULL);
+        made += shares[i].calls;
+        fine += shares[i].fine;
+        longest = fmax(longest, shares[i].longest);
+    }
+    free(thread);
+    free(shares);
+    printf("%ld %ld %.3f\n", made, fine, longest);
     return 0;
 }
 

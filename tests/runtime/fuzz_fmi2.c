@@ -2,13 +2,13 @@
 #include "fmi2Functions.h"
 #include "fuzz.h"
 
-static struct {
+static _Thread_local struct {
     fmi2Component component;
     fmi2Type type;
     fmi2FMUstate snapshots[SNAPSHOTS];
 } pool[INSTANCES];
 
-static long allocated, spoken;
+static _Thread_local long allocated, spoken;
 
 void *__real_calloc(size_t count, size_t size);
 void *__real_malloc(size_t size);
@@ -57,10 +57,9 @@ static void create(unsigned k) {
     fmi2CallbackFunctions callbacks = {.logger = one_in(9) ? NULL : logger};
     if (!one_in(9)) callbacks.allocateMemory = never_allocate, callbacks.freeMemory = never_free;
     pool[k].type = one_in(2) ? fmi2ModelExchange : fmi2CoSimulation;
-    pool[k].component =
-        fmi2Instantiate(one_in(9) ? names[below(4)] : "one", pool[k].type,
-                        one_in(20) ? "{other}" : MODEL_GUID, NULL, one_in(30) ? NULL : &callbacks,
-                        (int)below(2), (int)below(2));
+    pool[k].component = fmi2Instantiate(
+        one_in(9) ? names[below(4)] : "one", pool[k].type, one_in(20) ? "{other}" : MODEL_GUID,
+        NULL, one_in(30) ? NULL : &callbacks, (int)below(2), (int)below(2));
 }
 
 static void destroy(unsigned k) {
@@ -129,8 +128,9 @@ static fmi2Status call_one(unsigned which, unsigned k, Arguments *a) {
     const size_t length = some_length();
     switch (which) {
     case 0: return fmi2SetDebugLogging(c, (int)below(2), below(4), one_in(9) ? NULL : categories);
-    case 1: return fmi2SetupExperiment(c, (int)below(2), some_real(), some_real(), (int)below(2),
-                                       some_real());
+    case 1:
+        return fmi2SetupExperiment(c, (int)below(2), some_real(), some_real(), (int)below(2),
+                                   some_real());
     case 2: return fmi2EnterInitializationMode(c);
     case 3: return fmi2ExitInitializationMode(c);
     case 4: return one_in(20) ? fmi2Terminate(c) : fmi2OK;
@@ -146,8 +146,9 @@ static fmi2Status call_one(unsigned which, unsigned k, Arguments *a) {
     case 14: return fmi2FreeFMUstate(c, one_in(30) ? NULL : &snapshots[below(SNAPSHOTS)]);
     case 15: return copy_snapshot(c, &snapshots[below(SNAPSHOTS)], &snapshots[below(SNAPSHOTS)]);
     case 16: return fmi2SetFMUstate(c, pool[below(INSTANCES)].snapshots[below(SNAPSHOTS)]);
-    case 17: return fmi2GetDirectionalDerivative(c, a->references, a->n, a->others, a->m,
-                                                 a->values, a->results);
+    case 17:
+        return fmi2GetDirectionalDerivative(c, a->references, a->n, a->others, a->m, a->values,
+                                            a->results);
     case 18: return fmi2EnterEventMode(c);
     case 19: return fmi2NewDiscreteStates(c, one_in(30) ? NULL : &info);
     case 20: return fmi2EnterContinuousTimeMode(c);
@@ -179,10 +180,12 @@ static int call(unsigned which, unsigned k, Arguments *a) {
     return (int)call_one(which, k, a);
 }
 
-int main(int argc, char *argv[]) {
-    const Interface interface = {43, call, create, destroy, lead_on};
-    const int result = fuzz(argc, argv, &interface);
+static void settle(void) {
     demand(allocated == 0, "all memory is returned");
     demand(spoken > 0, "the log tells of errors");
-    return result;
+}
+
+int main(int argc, char *argv[]) {
+    const Interface interface = {43, call, create, destroy, lead_on, settle};
+    return fuzz(argc, argv, &interface);
 }

@@ -23,9 +23,17 @@ def facts_of(path):
 def test_reference_states_its_own_error(tmp_path):
     facts, names = facts_of(export_with_proof(decay("proven"), tmp_path / "a.fmu"))
     assert 0 < facts["estimated error in nominal values"] < 1e-8
+    assert facts["estimated by"] == "rosenbrock at 1e-10"  # the reference is a run of erk
+    assert facts["solver"] == "erk"
     assert {*facts["largest difference in nominal values"]} == {"fmu-me", "fmu-cs"}
     assert facts["failed"] == {}
     assert REFERENCE in names
+
+
+def test_error_of_a_large_model_s_reference_is_told_by_its_own_solver(tmp_path, monkeypatch):
+    monkeypatch.setattr(reference_result, "AFFORDABLE", 0)
+    facts, _ = facts_of(export_with_proof(decay("large"), tmp_path / "a.fmu"))
+    assert facts["estimated by"] == "erk at 1e-09"
 
 
 def test_fmu_without_a_reference_is_written_and_says_why(tmp_path, monkeypatch):
@@ -75,6 +83,14 @@ def test_model_exchange_takes_as_many_steps_as_it_needs(tmp_path):
         simulate_fmu(path, output_interval=2.0, **options)
     run = patiently(simulate_fmu, path, output_interval=2.0, **options)
     assert run.time.tolist() == [0.0, 2.0]
+
+
+def test_what_more_output_times_do_not_help_is_told_with_the_way_that_works():
+    def stuck(path, **options):
+        raise FmuError("CVODE: At t = 0.8, mxstep steps taken before reaching tout.")
+
+    with pytest.raises(FmuError, match="try a looser relative tolerance, or co-simulation"):
+        patiently(stuck, "jump.fmu", output_interval=0.1)
 
 
 def test_command_takes_a_tolerance_and_leaves_the_reference_out(tmp_path):

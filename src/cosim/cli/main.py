@@ -10,13 +10,16 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
 from cosim.cli.streams import NO_ROOM, flushed, mend_streams
-from cosim.cli.supervised import can_supervise, supervised
+from cosim.cli.supervised import names_own_code, supervised
 from cosim.errors import CosimError
+from cosim.host.processes import ending_orphans
+from cosim.host.processor_time import OutOfTime, limited_time
 from cosim.host.progress import shown_on_terminal
 from cosim.text.escaping import sentence, visible
 
@@ -26,23 +29,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is not None:
         return _run_verb(_parsed_command(arguments))
     mend_streams()
-    try:
-        args = _parsed_command(None)
-        own = next((w for w in _named_words(args) if ".py:" in w), None)
-        if own is None or not can_supervise():
-            code = _run_verb(args)
-        else:
-            timeout = getattr(args, "timeout", None)
-            code = supervised(lambda: _run_verb(args), f"cosim {args.verb}: {own}", timeout)
-    except SystemExit as ended:  # of argparse
-        code = ended.code if isinstance(ended.code, int) else 2
+    with limited_time() as told:
+        code = _command(sys.argv[1:])
+    if told:
+        os._exit(flushed(_out_of_time(told[0])))  # native code may run on
     return flushed(code)
+
+
+def _command(words: Sequence[str]) -> int:
+    """Run a command line, in a process of its own where a user's program belongs to it."""
+    try:
+        args = _parsed_command(words)
+        if (own := next(filter(names_own_code, _named_words(args)), None)) is not None:
+            what = f"cosim {args.verb}: {own}"
+            return supervised(words, what, getattr(args, "timeout", None))
+        with ending_orphans() if _names_fmu(args) else nullcontext():
+            return _run_verb(args)
+    except SystemExit as ended:  # of argparse
+        return ended.code if isinstance(ended.code, int) else 2
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
+
+
+def run_words(words: Sequence[str]) -> int:
+    """Run a command line in a process that is supervised; return its exit code."""
+    mend_streams()
+    with limited_time() as told:
+        code = _run_verb(_parsed_command(words))
+    return flushed(_out_of_time(told[0]) if told else code)
+
+
+def _out_of_time(told: str) -> int:
+    print(f"cosim: {told}", file=sys.stderr)
+    return 1
 
 
 def _named_words(args: argparse.Namespace) -> Iterator[str]:
     """Yield what a command line names: models above all."""
     for value in vars(args).values():
         yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
+
+
+def _names_fmu(args: argparse.Namespace) -> bool:
+    return any(word.endswith(".fmu") for word in _named_words(args))
 
 
 def _run_verb(args: argparse.Namespace) -> int:
@@ -64,9 +93,8 @@ def _run_verb(args: argparse.Namespace) -> int:
         told = visible(str(error), lines=True)
         print(f"{type(error).__name__}: {told}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -79,6 +107,12 @@ def _run_verb(args: argparse.Namespace) -> int:
         told = sentence(f"{type(error).__name__}: {error}")
         print(f"cosim {args.verb} failed with {told}; show where with: --debug", file=sys.stderr)
         return 1
+
+
+def _interrupted(error: KeyboardInterrupt) -> int:
+    if not isinstance(error, OutOfTime):  # which is told in the end
+        print("interrupted", file=sys.stderr)
+    return 130
 
 
 def _parsed_command(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -114,7 +114,7 @@ def add_solver(parser: Parser) -> None:
         "erk (ode45), rosenbrock, dop853, rk4 (ode4), ode8; ode15s is the default",
     )
     parser.add_argument(
-        "--stop-when", metavar="CONDITION", help="end the run there, e.g. 'abs(phi) > 45deg'"
+        "--stop-when", metavar="CONDITION", help='end the run there, e.g. "abs(phi) > 45deg"'
     )
     parser.add_argument(
         "--input",
@@ -122,7 +122,7 @@ def add_solver(parser: Parser) -> None:
         action="append",
         default=[],
         metavar="NAME=FORMULA",
-        help="of time t, states and parameters, e.g. 'steer_torque=2*sin(3*t)'",
+        help='of time t, states and parameters, e.g. "steer_torque=2*sin(3*t)"',
     )
     parser.add_argument("--input-file", metavar="CSV", help="time series of inputs: time,NAME,...")
     parser.add_argument(

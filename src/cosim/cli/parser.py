@@ -2,7 +2,7 @@
 
 import argparse
 from importlib import import_module
-from importlib.metadata import version
+from typing import Any
 
 from cosim.cli.completion import PrintCompletion
 from cosim.cli.options import Parser
@@ -37,7 +37,9 @@ def command_line() -> Parser:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"cosim {version('cosim-rigid')}")
+    parser.add_argument(
+        "--version", action=PrintVersion, help="show program's version number and exit"
+    )
     parser.add_argument(
         "--print-completion",
         action=PrintCompletion,
@@ -50,3 +52,17 @@ def command_line() -> Parser:
         module.add_parser(verbs)
         verbs.choices[verb].set_defaults(run=module.run)
     return parser
+
+
+class PrintVersion(argparse.Action):
+    """An option that prints the version; it is looked up by then only, which takes its time."""
+
+    def __init__(self, option_strings: list[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print the version and end."""
+        from importlib.metadata import version
+
+        print(f"cosim {version('cosim-rigid')}")
+        parser.exit()

@@ -5,6 +5,7 @@ import sys
 
 from cosim.api import run_scene
 from cosim.cli.arguments import inputs_in, names_in, scene_from, start_numbers, times_in
+from cosim.cli.supervised import names_own_code
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.scene.goals import GOALS
 from cosim.scene.scene import Scene
@@ -25,10 +26,11 @@ def refuse_timeout(args: argparse.Namespace) -> None:
     Raises:
         UsageError: One is given.
     """
-    models = getattr(args, "models", None) or [args.model]
-    if args.timeout is not None and not any(".py:" in model for model in models):
+    models = args.models if hasattr(args, "models") else [args.model]
+    if args.timeout is not None and not any(map(names_own_code, models)):
         raise UsageError(
-            "--timeout is for FMU files and PATH.py; a model's run ends at its step limit"
+            "--timeout is for FMU files, PATH.py and scenes that name it; "
+            "a model's run ends at its step limit"
         )
 
 

@@ -70,3 +70,4 @@ def _fill(handle: int) -> None:
         if null != handle:
             os.dup2(null, handle)
             os.close(null)
+        os.set_inheritable(handle, True)

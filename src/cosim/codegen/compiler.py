@@ -27,7 +27,7 @@ from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
 from cosim.host.bounded import physical_memory, run_bounded
 from cosim.host.progress import doing
-from cosim.host.temporary import temporary_folder
+from cosim.host.temporary import loads_no_library, temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
@@ -52,7 +52,7 @@ _EXHAUSTED = re.compile(
     re.IGNORECASE,
 )
 
-_HOW = "install gcc or clang, or the bundled one: pip install 'cosim-rigid[zig]'"
+_HOW = 'install gcc or clang, or the bundled one: pip install "cosim-rigid[zig]"'
 
 
 def find_compiler() -> tuple[str, ...]:
@@ -298,7 +298,7 @@ def _split_command(command: str) -> list[str]:
 
 
 def _refuse_noexec(folder: Path) -> None:
-    if hasattr(os, "statvfs") and os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0):
+    if loads_no_library(folder):
         raise MissingTool(
             f"{folder} lies on a file system mounted noexec, from which no compiled code can be "
             "loaded; set COSIM_CACHE to another folder"

@@ -83,7 +83,9 @@ def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
         try:
             archive.extractall(folder)
         except (OSError, ValueError, zipfile.BadZipFile, RuntimeError, zlib.error) as error:
-            raise FmuError(f"cannot unpack {archive.filename}: {error}") from error
+            told = getattr(error, "strerror", None) or error
+            cure = "; make room, or set TMPDIR" if isinstance(error, OSError) else ""
+            raise FmuError(f"cannot unpack {source}: {told}{cure}") from error
         yield folder.resolve()
 
 

@@ -68,7 +68,7 @@ class Target:
         if find_spec("ziglang") is None:
             raise MissingTool(
                 f"compiling for {self.processor}-{self.system} needs the compiler in ziglang; "
-                "bring it with: pip install 'cosim-rigid[zig]'"
+                'bring it with: pip install "cosim-rigid[zig]"'
             )
         return (sys.executable, "-P", "-m", "ziglang", "cc", "-target", self.triple)
 

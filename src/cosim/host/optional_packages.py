@@ -21,5 +21,5 @@ def optional_module(name: str, extra: str) -> Any:
     except ImportError as error:
         raise MissingTool(
             f"{name.partition('.')[0]} is not installed; "
-            f"bring it with: pip install 'cosim-rigid[{extra}]'"
+            f'bring it with: pip install "cosim-rigid[{extra}]"'
         ) from error

@@ -40,6 +40,11 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
         yield Path(name)
 
 
+def loads_no_library(folder: str | os.PathLike[str]) -> bool:
+    """Tell whether a folder's file system is mounted noexec."""
+    return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
+
+
 def remove_leftovers(place: Path) -> int:
     """Remove the folders that dead processes of this user have left; return how many."""
     removed = 0

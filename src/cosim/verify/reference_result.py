@@ -9,6 +9,7 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -49,7 +50,8 @@ CONSTANT_NOISE = (
     1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
 )
 FINER_OUTPUTS = 10  # times of a check within each of the reference: fmpy's solver takes 500 steps
-LOOSER = 10.0  # tolerance of the run that tells how far the reference may be wrong
+LOOSER = 10.0  # tolerance of a run by the reference's own solver that tells how wrong it may be
+AFFORDABLE = 5000  # operations of equations that a second method runs interpreted
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
 PALETTE_SIZE = 16  # of the picture
 
@@ -105,7 +107,7 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
     """Return the files that prove an FMU; without a reference, one that says why there is none."""
     tolerance = dae.experiment.reference_tolerance
     try:
-        run, doubt = _reference_run(dae, tolerance)
+        run, doubt, by = _reference_run(dae, tolerance)
     except CosimError as error:
         warn(f"{target}: no reference: {error}", stacklevel=3)
         missing = {"model": dae.full_name, "no reference": str(error)}
@@ -125,6 +127,7 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "solver": run.stats["solver"],
         "relative_tolerance": tolerance,
         "estimated error in nominal values": float(f"{doubt:.1e}"),
+        "estimated by": by,
         "bound": BOUND,
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
@@ -182,41 +185,65 @@ def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
     return f"{OWN} by {tool}"
 
 
-def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float]:
-    """Return a run of road one and its estimated error: how far a tenfold tolerance moves it.
+def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
+    """Return a run of road one, its estimated error, and what tells it.
 
-    Of a stiff or a sensitive model another solver may be the first that comes through.
+    A second method tells how far it may be wrong; of a large model, or where no other one comes
+    through, a run of the same solver with a tenfold tolerance. Of a stiff or a sensitive model
+    another solver may be the first that comes through.
 
     Raises:
         CosimError: None does; the first one's reason.
     """
-    span, interval = dae.experiment.stop_time, dae.experiment.output_interval
     implicit = dae.algebraics or solver_for(dae, None) == ROSENBROCK  # as the FMU's own
     ways: list[tuple[str, bool]] = [("rosenbrock" if implicit else "erk", False)]
     ways += [("dop853", True)] * has_compiler() + [("rosenbrock", False)]
     ways += [("idas" if dae.algebraics else "cvodes", False)]
+    ways = [*dict.fromkeys(ways)]
     first: CosimError | None = None
-    for solver, compiled in dict.fromkeys(ways):
+    for i, (solver, compiled) in enumerate(ways):
         try:
-            run, looser = (
-                simulate(
-                    dae,
-                    output_interval=max(interval, span / (MOST_ROWS - 1)),
-                    relative_tolerance=t,
-                    solver=solver,
-                    outputs=dae.observed,
-                    compiled=compiled,
-                )
-                for t in (tolerance, LOOSER * tolerance)
-            )
+            run = _plain(dae, solver, compiled, tolerance)
         except (SolverError, UsageError) as error:
             first = first or error
             continue
-        doubt = compare(run, looser).worst.scaled if run.names else 0.0
+        estimate = _doubt(dae, run, ways[i + 1 :], tolerance)
+        if estimate is None:
+            continue
+        doubt, by = estimate
         quiet = without_noise(run.values, [column.nominal for column in run.columns])
-        return replace(run, values=quiet), doubt
-    assert first is not None
-    raise first
+        return replace(run, values=quiet), doubt, by
+    raise first or SolverError(f"{dae.full_name}: no second run tells the error of a first one")
+
+
+def _doubt(
+    dae: Dae, run: Trajectory, others: Sequence[tuple[str, bool]], tolerance: float
+) -> tuple[float, str] | None:
+    """Return the estimated error of a run in nominal values and what tells it, if anything does."""
+    if not run.names:
+        return 0.0, ""
+    solver = str(run.stats["solver"])
+    second = [way for way in others if not way[1]] if dae.operations() <= AFFORDABLE else []
+    ways = [*second, (solver, bool(run.stats["compiled"]))]
+    for name, compiled in ways:
+        looser = LOOSER if name == solver else 1.0
+        with suppress(SolverError, UsageError):
+            again = _plain(dae, name, compiled, looser * tolerance)
+            by = f"{name} at {looser * tolerance:g}"
+            return compare(run, again).worst.scaled, by
+    return None
+
+
+def _plain(dae: Dae, solver: str, compiled: bool, tolerance: float) -> Trajectory:
+    span, interval = dae.experiment.stop_time, dae.experiment.output_interval
+    return simulate(
+        dae,
+        output_interval=max(interval, span / (MOST_ROWS - 1)),
+        relative_tolerance=tolerance,
+        solver=solver,
+        outputs=dae.observed,
+        compiled=compiled,
+    )
 
 
 def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:

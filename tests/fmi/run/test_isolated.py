@@ -18,7 +18,8 @@ from cosim.errors import FmuError, ParameterError, UnknownName
 from cosim.fmi.export.build import binaries
 from cosim.fmi.export.package import source_files, zipped
 from cosim.fmi.platforms import targets
-from cosim.fmi.run.isolated import MOST_OUTPUT, simulate_apart
+from cosim.fmi.run.isolated import simulate_apart
+from cosim.host.child import MOST_OUTPUT
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks at processes in /proc")

@@ -11,7 +11,7 @@ from helpers.hostile import hostile, hostile_binary
 
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.isolated import simulate_apart
-from cosim.fmi.run.limits import Limits
+from cosim.host.limits import Limits
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and /proc of Linux")
 

@@ -310,7 +310,7 @@ def test_sobol_indices_of_a_linear_number_are_its_shares(tmp_path):
 
 def test_a_worker_ends_with_the_process_that_asked():
     worker = subprocess.Popen(
-        [sys.executable, "-m", "cosim.study.sweep.engines.worker"], stdin=subprocess.PIPE
+        [sys.executable, "-P", "-m", "cosim.study.sweep.engines.worker"], stdin=subprocess.PIPE
     )
     worker.stdin.close()
     assert worker.wait(30) != 0

@@ -47,7 +47,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--labels", metavar="A,B", help="variables to write beside the bodies")
     parser.add_argument("--view", default="iso", metavar="NAME", help="iso, front, side or top")
     parser.add_argument(
-        "--follow", metavar="BODY", help="body in the middle; the model's own; '' for none"
+        "--follow", metavar="BODY", help='body in the middle; the model\'s own; "" for none'
     )
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of playback; 1")
     parser.add_argument(

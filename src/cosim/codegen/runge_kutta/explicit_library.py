@@ -84,7 +84,7 @@ def dop853_method() -> MethodText:
 def fixed_step_method(tableau: Tableau) -> MethodText:
     """Return the C text of a method with fixed steps."""
     rows = [
-        [(stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight]
+        tuple((stage, float(weight)) for stage, weight in enumerate(row, start=1) if weight)
         for row in (*tableau.a, tableau.b)
     ]
     parts = (

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from cosim.codegen.runge_kutta import dop853
-
-Row = Sequence[tuple[int, float]]  # stage from 1, its weight
+from cosim.codegen.runge_kutta.dop853 import Row
 
 
 class Arithmetic(NamedTuple):

@@ -2,11 +2,7 @@
 
 import json
 import os
-import secrets
-import signal
-import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,15 +16,10 @@ from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
 from cosim.fmi.check.trials.table import OPTIONAL, TRIALS
 from cosim.fmi.run.instance import INTERFACES, choose_interface
-from cosim.fmi.run.isolated import (
-    ENVIRONMENT,
-    end_with_parent,
-    ended_by_signals,
-    how_it_ended,
-    own_folder,
-)
-from cosim.fmi.run.limits import Limits
-from cosim.host.processes import MARK, end_all
+from cosim.fmi.run.isolated import how_it_ended
+from cosim.host.child import own_folder, run_confined
+from cosim.host.inside import be_confined, leave
+from cosim.host.limits import Limits
 from cosim.model.values import number
 from cosim.text.escaping import sentence
 
@@ -66,7 +57,7 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialR
     """
     number(str(path), "timeout", timeout, positive=True)
     Limits.chosen()
-    with ended_by_signals(), own_folder() as folder, unpacked(path) as files:
+    with own_folder() as folder, unpacked(path) as files:
         bench = Bench(files, str(path))
         try:
             offered = bench.described.interfaces
@@ -84,7 +75,8 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialR
             code = _run_trials(folder, files, str(path), tasks, left, timeout)
             before = len(tasks)
             with suppress(FileNotFoundError):
-                lines = (folder / _ANSWER).read_text().splitlines()
+                text = (folder / _ANSWER).read_text()
+                lines = text[: text.rfind("\n") + 1].splitlines()  # one may have been cut off
                 tasks = told.read([json.loads(line) for line in lines], tasks, code, timeout)
             if len(tasks) == before:
                 raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
@@ -97,24 +89,8 @@ def _run_trials(
 ) -> int | None:
     """Run trials; return the exit code, None after what is left of the time."""
     words = [str(folder / _ANSWER), str(files), name, str(timeout), json.dumps(tasks)]
-    mark = secrets.token_hex(16)
-    own = {word: str(folder / "temporary") for word in ("TMPDIR", "TEMP", "TMP")}
-    own |= {MARK: mark, "OPENBLAS_NUM_THREADS": "1"}
-    with subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__, *words],
-        stdin=subprocess.PIPE,  # its end tells the child that we are gone
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        cwd=folder / "work",
-        env={word: os.environ[word] for word in ENVIRONMENT if word in os.environ} | own,
-        start_new_session=True,
-    ) as process:
-        try:
-            return process.wait(left)
-        except subprocess.TimeoutExpired:
-            return None
-        finally:
-            end_all(process.pid, mark)
+    code, _ = run_confined(__name__, words, folder, left)
+    return code
 
 
 @dataclass
@@ -198,15 +174,12 @@ def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, 
 
 
 def _main(answer: Path, files: Path, name: str, timeout: float, tasks: list[_TrialTask]) -> None:
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    Limits.chosen().apply()
-    if hasattr(signal, "SIGXFSZ"):  # which Python ignores, and an FMU may never notice
-        signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+    be_confined()
     with answer.open("w", encoding="utf-8") as stream:
         for line in _outcome_lines(Bench(files, name, timeout), tasks):
             stream.write(json.dumps(line) + "\n")
             stream.flush()
-    os._exit(0)  # whatever threads and handlers the FMU has left
+    leave()
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 from cosim.errors import FmuError, SecurityError, UnknownName
 from cosim.fmi.aliases import flat_names
 from cosim.fmi.archive import DESCRIPTION
+from cosim.host.temporary import loads_no_library
 from cosim.text.escaping import sentence
 
 INTERFACES = ("ModelExchange", "CoSimulation")
@@ -55,7 +56,8 @@ def choose_interface(folder: Path, description: Any, wanted: str | None, name: o
 
     Raises:
         UnknownName: There is no such interface in the FMI.
-        FmuError: The FMU does not have it, or no binary for this machine.
+        FmuError: The FMU does not have it, or no binary for this machine, or none can be
+            loaded from the folder.
         SecurityError: The binary lies elsewhere.
     """
     if wanted is not None and wanted not in INTERFACES:
@@ -66,6 +68,11 @@ def choose_interface(folder: Path, description: Any, wanted: str | None, name: o
         other = next((offered for offered in INTERFACES if has[offered]), "neither")
         raise FmuError(f"{name} has no {kind} interface; it has {other}")
     _find_library(folder, description, has[kind].modelIdentifier, name)
+    if loads_no_library(folder):
+        raise FmuError(
+            f"{name} was unpacked in {folder.parent}, on a file system mounted noexec, from which "
+            "no binary can be loaded; set TMPDIR to another folder"
+        )
     return kind
 
 

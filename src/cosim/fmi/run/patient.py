@@ -42,8 +42,13 @@ def patiently(
         try:
             run = simulate(path, output_interval=output_interval / factor, **options)
         except FmuError as error:
-            if _LIMIT not in str(error) or finer == FINER[-1]:
+            if _LIMIT not in str(error):
                 raise
+            if finer == FINER[-1]:
+                raise FmuError(
+                    f"{error}; more output times do not help it: try a looser relative tolerance, "
+                    "or co-simulation, which takes the FMU's own solver"
+                ) from error
             continue
         rows = np.union1d(np.arange(0, len(run), factor), [len(run) - 1])
         return replace(run, time=run.time[rows], values=run.values[rows])

@@ -88,15 +88,12 @@ def _law(dae: Dae) -> ca.Function:
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:
     """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
-    found = []
-    for k in range(1, len(rank) - 2):
-        before = (rank[k - 1] - rank[k]) / (time[k] - time[k - 1])
-        after = (rank[k + 2] - rank[k + 1]) / (time[k + 2] - time[k + 1])
-        if before > 0 and after > 0:
-            reach = rank[k] / before + rank[k + 1] / after
-            if reach <= SUSPECTED * (time[k + 1] - time[k]):
-                found.append(k)
-    return found
+    falls, length = -np.diff(rank), np.diff(time)
+    with np.errstate(divide="ignore", invalid="ignore"):  # at a time that stands twice
+        before, after = falls[:-2] / length[:-2], -falls[2:] / length[2:]
+        reach = rank[1:-2] / before + rank[2:-1] / after
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[1:-1])
+    return [int(k) for k in 1 + np.flatnonzero(touched)]
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:

@@ -4,27 +4,29 @@ Cases run in child processes, so that one which hangs or crashes is killed and c
 """
 
 import json
-import os
-import subprocess
 import sys
 import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from math import isfinite
 from time import perf_counter
 from typing import Any
 
+from cosim.host.child import ASKED_SILENTLY, Child
+from cosim.host.inside import Conversation, look_where_the_parent_does
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
 from cosim.study.extremes.cases import Case, Counterpart, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, Ending, Runner, judge, run_case
+from cosim.study.extremes.oracles import OUTCOMES, Ending, Runner, judge
 from cosim.text.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
 LONGER = 10  # times the limit of other cases, for those that simulate an hour
-SERVER = f"from {__name__} import serve_cases; serve_cases()"
+MODULE = "cosim.study.extremes.campaign"
+RUNNER = "cosim.study.extremes.oracles:run_case"
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def extremes(
 
 
 def explore(
-    cases: Iterable[Case], *, timeout: float = 120.0, jobs: int = 2, server: str = SERVER
+    cases: Iterable[Case], *, timeout: float = 120.0, jobs: int = 2, runner: str = RUNNER
 ) -> Iterator[CaseFinding]:
     """Run cases in child processes, in their order.
 
@@ -91,7 +93,7 @@ def explore(
         cases: What to run.
         timeout: After which a child is killed and its case is a hang, s; tenfold for long cases.
         jobs: Number of children.
-        server: Python code that a child runs; it calls `serve`.
+        runner: What runs a case, as `MODULE:FUNCTION`; another than ours for a baseline.
 
     Raises:
         ParameterError: The timeout is not a positive number.
@@ -102,7 +104,7 @@ def explore(
 
     def run(case: Case) -> CaseFinding:
         if not hasattr(own, "worker"):
-            own.worker = _CaseWorker(server)
+            own.worker = _CaseWorker(runner)
             workers.append(own.worker)
         return CaseFinding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
 
@@ -136,59 +138,44 @@ def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
     return rows
 
 
-def serve_cases(runner: Runner = run_case) -> None:
-    """Judge the cases that come as JSON lines on standard input; answer in kind.
-
-    Args:
-        runner: What runs a case; another one than the product's own for a baseline.
-    """
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a solver prints is no answer
-    for line in sys.stdin:
-        facts = json.loads(line)
+def serve_cases(runner: Runner, conversation: Conversation) -> None:
+    """Judge the cases that come as JSON; answer in kind."""
+    for question in conversation.questions():
+        facts = json.loads(question)
         facts["references"] = tuple(Counterpart(**each) for each in facts["references"])
-        print(json.dumps(judge(Case(**facts), runner)), file=answers, flush=True)
+        conversation.answer(json.dumps(judge(Case(**facts), runner)).encode())
 
 
 class _CaseWorker:
     """A child process that judges one case at a time; replaced when it had to be killed."""
 
-    def __init__(self, server: str) -> None:
-        self._server = server
+    def __init__(self, runner: str) -> None:
+        self._runner = runner
         self._process = self._start()
 
     def judge(self, case: Case, timeout: float) -> Ending:
         began = perf_counter()
         guard = threading.Timer(timeout, self._process.kill)
         guard.start()
-        answer = self._ask(json.dumps(asdict(case)))
-        guard.cancel()
-        if answer:
-            return Ending(*json.loads(answer))
-        seconds, code = perf_counter() - began, self._process.wait()
-        self.close()
-        self._process = self._start()
+        try:
+            return Ending(*json.loads(self._process.ask(json.dumps(asdict(case)).encode())))
+        except (OSError, EOFError):
+            seconds, code = perf_counter() - began, self._process.end()
+            self._process = self._start()
+        finally:
+            guard.cancel()
         if seconds >= timeout:
             return Ending("hang", None, f"killed after {timeout:g} s", seconds)
         return Ending("crash", None, f"the process ended with code {code}", seconds)
 
     def close(self) -> None:
-        self._process.kill()
-        self._process.communicate()
+        self._process.end()
 
-    def _ask(self, question: str) -> str:
-        assert self._process.stdin
-        assert self._process.stdout
-        try:
-            self._process.stdin.write(f"{question}\n")
-            self._process.stdin.flush()
-            return self._process.stdout.readline()
-        except OSError:  # its pipe is closed; Windows has another name for that
-            return ""
+    def _start(self) -> Child:
+        return Child(MODULE, [self._runner], streams=ASKED_SILENTLY)
 
-    def _start(self) -> "subprocess.Popen[str]":
-        command = [sys.executable, "-P", "-c", self._server]  # -P: nothing of the current folder
-        pipe = subprocess.PIPE
-        return subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True
-        )
+
+if __name__ == "__main__":
+    look_where_the_parent_does()
+    module, _, function = sys.argv[1].partition(":")
+    serve_cases(getattr(import_module(module), function), Conversation())

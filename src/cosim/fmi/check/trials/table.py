@@ -2,8 +2,9 @@
 
 from cosim.fmi.check.trials.bench import Trial
 from cosim.fmi.check.trials.compiling import sources
+from cosim.fmi.check.trials.influence import dependencies
 from cosim.fmi.check.trials.repeating import instances, reset, rollback
-from cosim.fmi.check.trials.slopes import dependencies, derivatives
+from cosim.fmi.check.trials.slopes import derivatives
 from cosim.fmi.check.trials.starting import callbacks, fixed, initialization, logger, start
 from cosim.fmi.check.trials.stepping import steps, stop
 

@@ -12,6 +12,7 @@ from cosim.fmi.export.description.model_description import Identity
 from cosim.fmi.export.solver_choice import uses_dop853
 from cosim.fmi.export.sources.equations import equations_code
 from cosim.fmi.export.sources.folding import folded
+from cosim.fmi.export.sources.work import most_trials
 from cosim.fmi.export.variables import FmuVariable, Role
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
@@ -38,6 +39,7 @@ def model_header(dae: Dae, identity: Identity, fmi: int, solver: str, *, valid: 
 #define HAS_ADJOINT {int(fmi == 3)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
 #define LARGEST_STEP {span / LEAST_STEPS!r}
+#define MOST_TRIALS {most_trials(dae)}
 #endif
 """
 

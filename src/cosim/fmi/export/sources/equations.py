@@ -13,6 +13,7 @@ from cosim.codegen.casadi_patches import differential_errors, run_time_tolerance
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
 from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
+from cosim.fmi.export.sources.work import most_steps
 
 _ARGUMENTS = ["t", "x", "z", "u", "p"]
 
@@ -73,8 +74,7 @@ def solver_step(dae: Dae, plugin: str) -> ca.Function:
     moving = [t0 + s * h, u0 + s * du, scale * scaled]
     ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
     problem = {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
-    # So many that a step of seconds passes, so few that an absurd one fails within a second
-    options = {"show_eval_warnings": False, "max_num_steps": 10_000 if plugin == "erk" else 4000}
+    options = {"show_eval_warnings": False, "max_num_steps": most_steps(dae, plugin)}
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])

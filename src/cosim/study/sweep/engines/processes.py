@@ -1,21 +1,19 @@
 """Chunks over the processes of this machine; a process that dies takes one chunk with it."""
 
-import os
 import pickle
-import subprocess
-import sys
 from collections.abc import Callable
-from contextlib import suppress
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any
 
 from cosim.errors import CosimError
+from cosim.host.child import ASKED, Child
 from cosim.study.sweep.chunk import Job, Summary, compute_chunk, lost, summary_of
 from cosim.study.sweep.engines.schedule import Range, Schedule
 from cosim.study.sweep.samples import Samples
 from cosim.study.sweep.store import Store
 
+WORKER = "cosim.study.sweep.engines.worker"
 _MOST_FAILED_STARTS = 5  # of processes, one after the other
 
 TellSummary = Callable[[Summary], None]
@@ -74,17 +72,6 @@ def after_death(job: Job, schedule: Schedule, chunk: Range, cause: str) -> Summa
     return lost(job, run, f"every process that computes it ends ({cause})")
 
 
-def _buried(process: subprocess.Popen[bytes]) -> int:
-    """Wait for a process that is dead or dying, close its pipes; return its exit code."""
-    process.kill()
-    code = process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with suppress(OSError):
-                pipe.close()
-    return code
-
-
 class _Worker(Thread):
     """A thread that keeps one process busy, and replaces it when it dies."""
 
@@ -93,7 +80,7 @@ class _Worker(Thread):
     ) -> None:
         super().__init__(daemon=True)
         self._job, self._samples, self._schedule, self._news = job, samples, schedule, news
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         self._ended = False
 
     def run(self) -> None:
@@ -105,7 +92,7 @@ class _Worker(Thread):
                     failed = 0
                 except (OSError, EOFError, pickle.UnpicklingError) as error:
                     if self._process is not None:
-                        _buried(self._process)
+                        self._process.end()
                     self._process = None
                     self._schedule.given_up(chunk)
                     failed += 1
@@ -127,14 +114,14 @@ class _Worker(Thread):
         if self.ident is not None:
             self.join(10)
         if self._process is not None:
-            _buried(self._process)
+            self._process.end()
 
     def _compute(self, chunk: Range) -> None:
         try:
             answer = self._ask((chunk[0], self._samples.part(*chunk)))
         except (OSError, EOFError, pickle.UnpicklingError):
             process, self._process = self._process, None
-            code = None if process is None else _buried(process)
+            code = None if process is None else process.end()
             if not self._ended:
                 told = after_death(self._job, self._schedule, chunk, f"exit code {code}")
                 if told is not None:
@@ -147,24 +134,18 @@ class _Worker(Thread):
 
     def _ensure(self) -> None:
         if self._process is not None:
-            if self._process.poll() is None:
+            if self._process.wait(0) is None:
                 return
-            _buried(self._process)
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "cosim.study.sweep.engines.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the process that asked
-            env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-        )
+            self._process.end()
+        one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._process = Child(WORKER, streams=ASKED, environment=one)
         if self._ended:
             self._process.kill()
-        self._ask(self._job)  # answered when it is ready
+        answer = self._ask(self._job)  # when it is ready
+        if isinstance(answer, BaseException):
+            raise CosimError(f"a process of the sweep cannot begin: {answer!r}") from answer
 
     def _ask(self, question: Any) -> Any:
-        process = self._process
-        if process is None or process.stdin is None or process.stdout is None:
+        if self._process is None:
             raise EOFError
-        pickle.dump(question, process.stdin)
-        process.stdin.flush()
-        return pickle.load(process.stdout)
+        return pickle.loads(self._process.ask(pickle.dumps(question)))

@@ -1,49 +1,33 @@
 """A process of a sweep, asked and answering through pipes."""
 
-import os
 import pickle
-import sys
-from contextlib import suppress
-from typing import BinaryIO
 
+from cosim.host.inside import Conversation, look_where_the_parent_does
 from cosim.study.sweep.chunk import compute_chunk
 
 
-def serve(questions: BinaryIO, answers: BinaryIO) -> None:
+def serve(conversation: Conversation) -> None:
     """Take a `Job`, then answer chunks until nobody asks any more."""
-    job = pickle.load(questions)
-    _send(answers, None)
-    while True:
+    job = None
+    for question in conversation.questions():
         try:
-            first, columns = pickle.load(questions)
-        except EOFError:
-            return
-        try:
-            _send(answers, compute_chunk(job, first, columns))
+            if job is None:
+                job = pickle.loads(question)
+                conversation.answer(pickle.dumps(None))
+            else:
+                first, columns = pickle.loads(question)
+                conversation.answer(_packed(compute_chunk(job, first, columns)))
         except Exception as error:
-            _send(answers, error)
+            conversation.answer(_packed(error))
 
 
-def _send(answers: BinaryIO, value: object) -> None:
+def _packed(value: object) -> bytes:
     try:
-        content = pickle.dumps(value)
+        return pickle.dumps(value)
     except Exception:  # an error of somebody else's that cannot be sent
-        content = pickle.dumps(RuntimeError(f"{type(value).__name__}: {value}"))
-    answers.write(content)
-    answers.flush()
-
-
-def _main() -> None:
-    own = os.dup(1)
-    os.dup2(2, 1)  # what FMUs print is no answer
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.setmode(own, os.O_BINARY)
-        msvcrt.setmode(0, os.O_BINARY)
-    with suppress(BrokenPipeError), os.fdopen(own, "wb") as answers:  # nobody listens any more
-        serve(sys.stdin.buffer, answers)
+        return pickle.dumps(RuntimeError(f"{type(value).__name__}: {value}"))
 
 
 if __name__ == "__main__":
-    _main()
+    look_where_the_parent_does()
+    serve(Conversation())

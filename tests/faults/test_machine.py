@@ -1,0 +1,73 @@
+"""Faults of the machine that a shell or a mount makes: little stack, little time, noexec, full."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mounts and limits of Linux")
+
+CALL = f"{sys.executable} -P -m cosim"
+
+
+def shell(line, **variables):
+    return subprocess.run(
+        ["sh", "-c", line], env={**os.environ, **variables}, capture_output=True, text=True,
+        timeout=100, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def mounted(tmp_path):
+    """Return what mounts a file system in memory with some options, and yields its folder."""
+    folder = tmp_path / "mounted"
+    folder.mkdir()
+
+    def mount(options):
+        done = shell(f"mount -t tmpfs -o {options} tmpfs {folder}")
+        if done.returncode:
+            pytest.skip(f"mounting is not permitted here: {done.stderr.strip()}")
+        folder.chmod(0o700)
+        return folder
+
+    yield mount
+    shell(f"umount {folder}")
+
+
+@pytest.mark.parametrize(
+    "words", ["simulate bicycle --interpreted -q --stop-time 200000", "simulate {own}:loop"]
+)
+def test_limit_of_processor_time_is_a_sentence(tmp_path, words):
+    own = tmp_path / "own.py"
+    own.write_text("def loop():\n    while True: pass\n")
+    done = shell(f"ulimit -t 3; exec {CALL} {words.format(own=own)} > {os.devnull}")
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        "cosim: the limit of processor time (ulimit -t) is reached; raise it, or ask for less"
+    ]
+
+
+def test_small_stack_is_enough():
+    done = shell(f"ulimit -s 256; exec {CALL} simulate crank_shaft -q --stop-time 0.01")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "words", ["simulate {} --trust", "check {} --run --trust", "linearize {} --trust"]
+)
+def test_binary_in_a_folder_mounted_noexec_is_told(mounted, exported, words):
+    line = f"{CALL} {words.format(exported('crank_shaft'))}"
+    done = shell(line, TMPDIR=str(mounted("noexec")))
+    told = done.stdout + done.stderr
+    assert done.returncode in (0, 1)  # of check: it found nothing wrong in the file
+    assert "on a file system mounted noexec" in told
+    assert "set TMPDIR to another folder" in told
+
+
+def test_full_folder_for_temporary_files_is_told(mounted, exported):
+    place = mounted("size=32k")
+    done = shell(f"{CALL} simulate {exported('crank_shaft')} --trust", TMPDIR=str(place))
+    assert done.returncode == 1
+    assert "No space left on device; make room, or set TMPDIR" in done.stderr
+    assert list(place.iterdir()) == []
