@@ -5,9 +5,12 @@ import numpy as np
 import pytest
 from casadi import SX
 
+import casadi_models
 import cosim
 from cosim.codegen.directional_jacobian import has_long_jacobian
+from cosim.codegen.functions import is_large
 from cosim.fmi.export.sources.sensitivities import directional_function, jacobian_function
+from cosim.integrate.run.worthwhile import SMALL
 
 MODELS = ("bicycle/independent", "bicycle/multipliers", "double_pendulum/multipliers")
 
@@ -35,3 +38,11 @@ def test_banded_jacobian_takes_as_many_directions_as_its_band_is_wide():
     dense = x * ca.sum1(x)
     assert not has_long_jacobian([x], banded, x)
     assert has_long_jacobian([x], dense, x)
+
+
+@pytest.mark.parametrize("name", casadi_models.CATALOG)
+def test_no_formulation_of_the_catalogue_is_large(name):
+    dae = cosim.load(name)
+    assert not is_large(dae)
+    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    assert ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions() <= SMALL

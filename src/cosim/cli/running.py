@@ -40,6 +40,8 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
         run = _road_run(args, scene)
         for text in run.stats.get("invalid", ()):
             print(f"warning: {run.model}: {text}", file=sys.stderr)
+        if "note" in run.stats and not args.quiet:
+            print(f"note: {run.model}: {run.stats['note']}", file=sys.stderr)
         if "error_estimate" in run.stats and not args.quiet:
             from cosim.study.accuracy.solver_selection import promise_kept
 

@@ -23,6 +23,7 @@ from time import perf_counter
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
+from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
 from cosim.host.bounded import physical_memory, run_bounded
 from cosim.host.progress import doing
@@ -179,6 +180,23 @@ def most_memory() -> int:
     return int(chosen) if chosen else min(MOST_MEMORY, physical_memory() * 3 // 4)
 
 
+class NotKept(MissingTool):
+    """A library that the cache does not hold, where nothing shall be compiled."""
+
+
+_only_kept = ContextVar("only_kept", default=False)
+
+
+@contextmanager
+def only_kept() -> Iterator[None]:
+    """Let `cached_library` refuse what it would have to compile, with `NotKept`."""
+    before = _only_kept.set(True)
+    try:
+        yield
+    finally:
+        _only_kept.reset(before)
+
+
 def cached_library(key: str, generate: Callable[[], str]) -> Path:
     """Return the shared library of some C code from the cache, made first where it is missing.
 
@@ -198,18 +216,22 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         private_folder()
         if found := _kept(folder, digest):
             return found
+        if _only_kept.get():
+            raise NotKept(f"{folder} does not hold {key.partition(' ')[0]}")
         _refuse_noexec(folder)
         with compiling(), alone(folder, digest), temporary_folder(folder) as build:
             if found := _kept(folder, digest):  # made by another process meanwhile
                 return found
             source, library = build / "code.c", build / f"code{SUFFIX}"
-            code = generate()
+            code = in_pieces(generate())
             source.write_text(code, encoding="utf-8")
             options = (*_HIDE_SYMBOLS, *own, _SHORT if len(code) < _LENGTH else _LONG)
             compile_with_less([source], library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
             _keep_library(library, target)
         prune()
+    except NotKept:
+        raise
     except MissingTool as error:
         raise type(error)(f"{error}, or do not compile (--interpreted)") from error
     except OSError as error:

@@ -1,15 +1,23 @@
 """A DAE's equations as CasADi functions, as the solvers of road one call them."""
 
+from itertools import compress
 from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 from casadi import MX
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
+from cosim.codegen.directional_jacobian import (
+    derivative_along,
+    has_long_jacobian,
+    jacobian_in_a_loop,
+)
 from cosim.memo import kept_per_thread
 
 CALL = ["t", "x", "z", "u", "p"]
+LAWS = ["ode", "alg"]
 
 
 class Series(Protocol):
@@ -54,6 +62,14 @@ def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.
     return function, ca.Function("constants", [dae.p], [ca.vertcat(dae.p, *values)], {"cse": True})
 
 
+@kept_per_thread(16)
+def is_large(dae: Dae) -> bool:
+    """Tell whether the formulas of the Jacobian are too long to be written out."""
+    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    unknowns = ca.vertcat(dae.x, dae.u, dae.z)
+    return has_long_jacobian(symbols, ca.vertcat(dae.ode, dae.alg), unknowns)
+
+
 def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
     """Return the inputs at a time: those of the series, and the constants for the others."""
     if inputs is None:
@@ -79,4 +95,43 @@ def _equations_function(
     for 0 without a word: only where nobody asks for them."""
     options: dict[str, Any] = {"cse": True, "is_diff_in": differentiable}
     symbols = [dae.t, dae.x, dae.z, dae.u, p]
+    if not all(differentiable):
+        options |= _jacobian_in_a_loop(symbols, (ode, alg), differentiable)
     return ca.Function("dae", symbols, [ode, alg], CALL, ["ode", "alg"], options)
+
+
+def _jacobian_in_a_loop(
+    symbols: list[ca.SX], laws: tuple[ca.SX, ca.SX], differentiable: list[bool]
+) -> dict[str, Any]:
+    """Return the options of a function whose Jacobian would be too long to be written out."""
+    column = ca.vertcat(*laws)
+    unknowns = ca.vertcat(*compress(symbols, differentiable))
+    if not has_long_jacobian(symbols, column, unknowns):
+        return {}
+    every = ca.vertcat(unknowns, *compress(symbols, (not each for each in differentiable)))
+    along = derivative_along("along_laws", symbols, column, every)
+    pattern = ca.jacobian_sparsity(column, unknowns)
+    arguments = [MX.sym(name, s.numel()) for name, s in zip(CALL, symbols, strict=True)]
+    whole = jacobian_in_a_loop("loop", along, pattern)(ca.vertcat(*arguments))
+    rows = [0, *np.cumsum([law.numel() for law in laws])]
+    columns = [0, *np.cumsum([s.numel() * d for s, d in zip(symbols, differentiable, strict=True)])]
+    blocks = [
+        whole[rows[i] : rows[i + 1], columns[j] : columns[j + 1]]
+        if differentiable[j]
+        else MX(laws[i].numel(), symbols[j].numel())
+        for i in range(len(laws))
+        for j in range(len(symbols))
+    ]
+    results = [
+        MX.sym(f"out_{name}", ca.Sparsity(law.numel(), 1))
+        for name, law in zip(LAWS, laws, strict=True)
+    ]
+    jacobian = ca.Function(
+        "jac_dae",
+        [*arguments, *results],
+        blocks,
+        [*CALL, *(f"out_{name}" for name in LAWS)],
+        [f"jac_{law}_{name}" for law in LAWS for name in CALL],
+    )
+    only = {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
+    return {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True, **only}

@@ -9,9 +9,9 @@ results are the same bits.
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
-LONGEST = 20_000  # lines that stay one function
+LONGEST = 500_000  # characters of a function that stays whole
 MOST_BRANCHES = 1000  # within one; each argument and result that is looked at has one
-PIECE = 500  # lines
+PIECE = 15_000  # characters, some 500 operations
 
 _ASSIGNED = re.compile(r" +(a\d+)=(.*)")
 TEMPORARY = re.compile(r"\ba\d+\b")
@@ -32,10 +32,10 @@ def in_pieces(code: str, longest: int = LONGEST, piece: int = PIECE) -> str:
 
     Args:
         code: The whole file.
-        longest: Lines of a function that stays whole.
-        piece: Lines of a piece.
+        longest: Characters of a function that stays whole.
+        piece: Characters of a piece.
     """
-    if code.count("\n") <= min(longest, MOST_BRANCHES):
+    if len(code) <= longest and code.count("\n") <= MOST_BRANCHES:
         return code
     lines, result, begin = code.split("\n"), list[str](), None
     divided = False
@@ -58,7 +58,7 @@ def in_pieces(code: str, longest: int = LONGEST, piece: int = PIECE) -> str:
 
 
 def _is_long(body: Sequence[str], longest: int) -> bool:
-    if len(body) > longest:
+    if sum(map(len, body)) > longest:
         return True
     return len(body) > MOST_BRANCHES and sum(map(_has_branch, body)) > MOST_BRANCHES
 
@@ -70,7 +70,7 @@ def _has_branch(line: str) -> bool:
 def _divided(heading: str, head: str, body: Sequence[str], size: int) -> Iterator[str]:
     """Yield the functions of the pieces, and the function that calls them up to its brace."""
     steps = [line for line in body if not DECLARATION.fullmatch(line) and "return 0;" not in line]
-    pieces = [steps[i : i + size] for i in range(0, len(steps), size)]
+    pieces = list(_parts(steps, size))
     taken, left = _values_across(pieces)
     places = {name: f"kept[{i}]" for i, name in enumerate(sorted(set().union(*left)))}
     begin = _BEGIN.fullmatch(head)
@@ -94,6 +94,18 @@ def _divided(heading: str, head: str, body: Sequence[str], size: int) -> Iterato
     for n in range(1, len(pieces) + 1):
         yield f" if ({begin[1]}_{n}(arg, res, kept)) return 1;"
     yield " return 0;"
+
+
+def _parts(steps: Sequence[str], size: int) -> Iterator[list[str]]:
+    part, length = list[str](), 0
+    for line in steps:
+        part.append(line)
+        length += len(line)
+        if length >= size:
+            yield part
+            part, length = [], 0
+    if part:
+        yield part
 
 
 def _with_kept(

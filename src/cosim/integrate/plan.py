@@ -7,11 +7,12 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler, where_compilers_are
+from cosim.codegen.compiler import where_compilers_are
 from cosim.errors import UsageError
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_names, watching
+from cosim.integrate.run.worthwhile import Choice, settled
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, chosen_solver
 from cosim.memo import kept_per_thread
@@ -64,12 +65,14 @@ class Plan:
     Attributes:
         problem: What is integrated.
         solver: By what.
+        choice: Whether it is compiled; None where that depends on the runs before.
         columns: What is recorded.
         places: Of these among `all_columns`.
     """
 
     problem: Problem
     solver: Solver
+    choice: Choice | None
     columns: tuple[Column, ...]
     places: tuple[int, ...]
 
@@ -115,9 +118,9 @@ def _plan(dae: Dae, asked: Asked) -> Plan:
     solver = Dop853.name if asked.project and asked.solver is None else asked.solver
     numbers = dict(zip(NUMBERS, asked.numbers, strict=True))
     chosen = chosen_solver(dae, solver, projected=asked.project, **numbers)
-    if compiled is None:
-        compiled = has_compiler()
+    choice = settled(dae, chosen) if compiled is None else Choice(compiled)
+    at_once = choice is None or choice.compiled
     problem = Problem(
-        dae, grid.tobytes(), asked.inputs, compiled, sensitivities=False, project=asked.project
+        dae, grid.tobytes(), asked.inputs, at_once, sensitivities=False, project=asked.project
     )
-    return Plan(problem, chosen, *recorded_columns(dae, names))
+    return Plan(problem, chosen, choice, *recorded_columns(dae, names))

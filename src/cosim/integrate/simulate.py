@@ -10,18 +10,20 @@ import numpy as np
 from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
 from cosim.codegen.compiler import time_compiling
-from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
+from cosim.errors import CompilerExhausted, Interrupted, SolverError, UnknownName, UsageError
 from cosim.host.progress import doing
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
+from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.plan import Asked, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
+from cosim.integrate.run.worthwhile import Choice, worthwhile
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import NUMBERS, SOLVERS
+from cosim.integrate.solvers import NUMBERS, SOLVERS, engine_of
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values, assign, listed, numbers_of
@@ -67,7 +69,8 @@ def simulate(
         start_values: Values by name that replace starts of states, parameters, or inputs.
         inputs: Time series of some inputs, piecewise linear; the others keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
-        compiled: Whether to compile the equations; if a compiler is there when None.
+        compiled: Whether to compile the equations. When None, small ones are, and large ones once
+            that pays for the runs so far; `stats["note"]` says where it does not yet.
         on_invalid: What happens where a run leaves the model's limits, or a fixed step is too long
             for the motion: "warn" says so in `stats["invalid"]`, "stop" ends the run there,
             "ignore" looks at neither.
@@ -116,7 +119,17 @@ def simulate(
     dae, problem, chosen = own.problem.dae, own.problem, own.solver
     before = time_compiling()
     with doing(dae.full_name):
-        solution = first = solve(problem, chosen, values, on_invalid, own.places)
+        choice = own.choice or _worthwhile(problem, chosen)
+        problem = replace(problem, compiled=choice.compiled)
+        try:
+            solution = first = solve(problem, chosen, values, on_invalid, own.places)
+        except CompilerExhausted as error:
+            if compiled or chosen.compiled_only or project:
+                raise
+            choice = Choice(False, f"interpreted: {error}")
+            problem = replace(problem, compiled=False)
+            solution = first = solve(problem, chosen, values, on_invalid, own.places)
+    choice.add(first.solve_time)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
@@ -127,7 +140,7 @@ def simulate(
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
-    stats = _stats(chosen, first, solution, problem.compiled, perf_counter() - began)
+    stats = _stats(chosen, first, solution, choice, perf_counter() - began)
     if (compiling := time_compiling() - before) > 0:
         stats = replace(stats, compile_time=compiling)
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
@@ -157,6 +170,11 @@ def simulate(
             run,
         )
     return run
+
+
+def _worthwhile(problem: Problem, solver: Solver) -> Choice:
+    points = len(problem.grid)
+    return worthwhile(problem.dae, solver, points, lambda: engine_of(problem, solver))
 
 
 def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:
@@ -201,7 +219,7 @@ def _numbers(dae: Dae, p: bytes, u: bytes) -> tuple[dict[str, float], Drawing]:
 
 
 def _stats(
-    solver: Solver, first: Solution, last: Solution, compiled: bool, wall_time: float
+    solver: Solver, first: Solution, last: Solution, choice: Choice, wall_time: float
 ) -> RunStats:
     steps, rhs_calls, jacobian_calls, _ = last.counts
     return RunStats(
@@ -212,9 +230,9 @@ def _stats(
         steps=steps,
         rhs_calls=rhs_calls,
         jacobian_calls=jacobian_calls,
-        compiled=compiled,
+        compiled=choice.compiled,
         wall_time=wall_time,
         invalid=tuple(breach.text for breach in first.invalid),
-        note=first.note or None,
+        note="; ".join(filter(None, (first.note, choice.note))) or None,
         invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

@@ -279,6 +279,43 @@ def test_interpolant_is_integrated_and_exported(plugin, tmp_path):
         assert run["x"][-1] == pytest.approx(exact, abs=1e-7)
 
 
+TABLE = np.array([0.0, 0.5, 1.0, 2.0])
+SHIFT = np.arange(900.0).reshape(30, 30) % 7 + 50 * np.eye(30)
+
+
+def large_system(x):
+    return ca.solve(ca.DM(SHIFT) + ca.diag(ca.repmat(x[0], 30, 1)), ca.repmat(x[1], 30, 1))[3]
+
+
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [
+        (
+            large_system,
+            lambda x: np.linalg.solve(SHIFT + np.diag(np.full(30, x[0])), np.full(30, x[1]))[3],
+        ),
+        (ca.logsumexp, lambda x: np.log(np.exp(x).sum())),
+        (lambda x: ca.low(ca.DM(TABLE), x[0]), lambda x: float(np.searchsorted(TABLE, x[0]) - 1)),
+        (lambda x: x[ca.floor(3 * x[0])], lambda x: x[int(3 * x[0])]),
+    ],
+    ids=["30 linear equations", "logsumexp", "low", "calculated place"],
+)
+def test_what_has_no_scalar_form_runs_and_is_exported_as_a_matrix_function(law, expected, tmp_path):
+    x = MX.sym("x", 3)
+    start = np.array([0.4, 0.7, 0.2])
+    y = law(x)
+    dae = cosim.from_casadi(
+        {"x": x, "ode": ca.vertcat(-x[0], -x[1], y - x[2])}, {"x": start}, {"y": y}, name="whole"
+    )
+    run = cosim.simulate(dae, **END)
+    assert run["y"][0] == pytest.approx(expected(start), rel=1e-12)
+    path = cosim.export_fmu(dae, tmp_path / "whole.fmu")
+    for interface in ("ModelExchange", "CoSimulation"):
+        fmu = cosim.simulate_fmu(path, interface=interface, **END)
+        assert fmu["x_3"][-1] == pytest.approx(run["x_3"][-1], abs=1e-6)
+        assert fmu["y"][0] == pytest.approx(expected(start), rel=1e-12)
+
+
 class Python(ca.Callback):
     """x -> x, in Python."""
 

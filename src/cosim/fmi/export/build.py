@@ -17,8 +17,6 @@ from cosim.fmi.shared_library import fat_library
 from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 
-LONG_FILE = 2_000_000  # characters of a file; beyond, -O2 takes several times as long as -O1
-
 
 def binaries(
     sources: Mapping[str, bytes], name: str, chosen: Mapping[str, tuple[Target, ...]]
@@ -99,12 +97,11 @@ def _compile(
 ) -> Path:
     for file, content in sources.items():
         (build / file).write_bytes(content)
-    less = ["-O1"] if max(map(len, sources.values()), default=0) > LONG_FILE else []
     return compile_with_less(
         sorted(build.glob("*.c")),
         build / library,
         include=[fmi_headers()],
-        options=[f"-ffile-prefix-map={build}=.", *options, *less],
+        options=[f"-ffile-prefix-map={build}=.", *options],
         command=command,
     )
 

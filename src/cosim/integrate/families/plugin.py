@@ -8,7 +8,7 @@ import numpy as np
 from casadi import MX
 
 from cosim.codegen.casadi_library import cache_key, external
-from cosim.codegen.functions import CALL, equations, inputs_at, symbols_of
+from cosim.codegen.functions import CALL, equations, inputs_at, is_large, symbols_of
 from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts, Engine, Problem
 from cosim.integrate.solver import AdaptiveSolver
@@ -29,7 +29,8 @@ def plugin_engine(
         names: Its names for steps, right-hand sides and Jacobians.
     """
     dae, grid, inputs = problem.dae, problem.grid, problem.inputs
-    if problem.compiled or inputs is not None:
+    large = is_large(dae) and not problem.sensitivities
+    if problem.compiled or inputs is not None or large:
         function = _equations(problem)
         t, x, z, u, p = symbols = symbols_of(function)
         ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), p)
@@ -83,7 +84,7 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
 
 def _equations(problem: Problem) -> ca.Function:
     """Return the model's equations, with their Jacobian in a library where compiled."""
-    complete = problem.sensitivities or not problem.compiled
+    complete = problem.sensitivities or not (problem.compiled or is_large(problem.dae))
     function = equations(problem.dae, sensitivities=complete)
     if problem.compiled:
         functions = [function, function.jacobian()]

@@ -1,6 +1,7 @@
 """CasADi's matrix expressions written out in scalar operations, of which a `Dae` is made.
 
 Calls of functions that have C code of their own (interpolants, `fast_newton`, maps) stay calls.
+What has no scalar form (a large linear system, `low`, entries at calculated places) becomes one.
 """
 
 from collections.abc import Sequence
@@ -28,6 +29,16 @@ _GENERATED = (
     "LinsolQr",
     "LinsolLdl",
     "LinsolTridiag",
+)
+# Nodes without a form in scalar operations; small linear systems have one
+_WHOLE = (
+    ca.OP_SOLVE,
+    ca.OP_LOGSUMEXP,
+    ca.OP_LOW,
+    ca.OP_FIND,
+    ca.OP_GETNONZEROS_PARAM,
+    ca.OP_SETNONZEROS_PARAM,
+    ca.OP_ADDNONZEROS_PARAM,
 )
 _INSTEAD = {
     "CallbackInternal": "Python has no equations; write them with CasADi operations",
@@ -84,29 +95,40 @@ def refuse_calls(who: str, function: ca.Function) -> None:
 def _scalar_values(
     who: str, flat: ca.Function, symbols: list[MX], expressions: list[MX], scalars: list[SX]
 ) -> list[SX]:
-    """Evaluate with scalars, linear systems solved by elimination in their order."""
-    solves = [
+    """Evaluate with scalars, nodes that are no scalar operations one after the other."""
+    nodes = [
         flat.instruction_MX(i)
         for i in range(flat.n_instructions())
-        if flat.instruction_id(i) == ca.OP_SOLVE
+        if flat.instruction_id(i) in _WHOLE
     ]
-    places = [MX.sym(f"solved_{i}", *node.shape) for i, node in enumerate(solves)]
-    solved: list[SX] = []
-    for i, node in enumerate(solves):
-        right, matrix = node.dep(0), node.dep(1)
-        if matrix.shape[0] > LARGEST_SOLVE:
-            raise UsageError(
-                f"{who} solves {matrix.shape[0]} linear equations, more than {LARGEST_SOLVE}; "
-                "declare the solution as algebraic unknowns z"
-            )
-        parts = (
-            ca.graph_substitute([matrix, right], solves[:i], places[:i]) if i else [matrix, right]
-        )
-        A, b = _inlined_call(who, [*symbols, *places[:i]], parts, [*scalars, *solved])
-        solved.append(ca.solve(A.T if node.info()["tr"] else A, b))
-    if solves:
-        expressions = ca.graph_substitute(expressions, solves, places)
-    return _inlined_call(who, [*symbols, *places], expressions, [*scalars, *solved])
+    places = [MX.sym(f"node_{i}", node.sparsity()) for i, node in enumerate(nodes)]
+    known: list[SX] = []
+    for i, node in enumerate(nodes):
+        parts = [node.dep(k) for k in range(node.n_dep())]
+        parts = ca.graph_substitute(parts, nodes[:i], places[:i]) if i else parts
+        operands = _inlined_call(who, [*symbols, *places[:i]], parts, [*scalars, *known])
+        known.append(_node_value(f"node_{i}", node, operands))
+    if nodes:
+        expressions = ca.graph_substitute(expressions, nodes, places)
+    return _inlined_call(who, [*symbols, *places], expressions, [*scalars, *known])
+
+
+def _node_value(name: str, node: MX, operands: list[SX]) -> SX:
+    """Return the value of a node; unless it is a small linear system, as a call of a function."""
+    if node.op() == ca.OP_SOLVE and node.dep(1).size1() <= LARGEST_SOLVE:
+        right, matrix = operands
+        return ca.solve(matrix.T if node.info()["tr"] else matrix, right)
+    deps = [node.dep(k) for k in range(node.n_dep())]
+    symbols = [MX.sym(f"i{k}", dep.sparsity()) for k, dep in enumerate(deps)]
+    if node.op() == ca.OP_SOLVE:  # by a method of which C code can be generated
+        matrix_like = symbols[1].T if node.info()["tr"] else symbols[1]
+        result = ca.solve(matrix_like, symbols[0], "qr")
+    else:
+        (result,) = ca.graph_substitute([node], deps, symbols)
+    function = ca.Function(name, symbols, [result], {"never_inline": True})
+    values = [ca.project(o, s.sparsity()) for o, s in zip(operands, symbols, strict=True)]
+    called: SX = function.call(values)[0]
+    return called
 
 
 def _inlined_call(who: str, symbols: list[MX], expressions: list[MX], values: list[SX]) -> list[SX]:

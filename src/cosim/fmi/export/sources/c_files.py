@@ -75,6 +75,8 @@ INSIDE_BEGIN
 #endif
 """
 
+_LONGEST = 250_000  # characters of a function that stays whole, written in fewer lines
+
 # Start values and derivatives: most of the code, and no solver waits for it in every step.
 _SMALL_FUNCTION = re.compile(
     r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE
@@ -96,7 +98,7 @@ def equations_c(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     code = re.sub(
         r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver), flags=re.MULTILINE
     )
-    code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(folded(code)))
+    code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(folded(code), _LONGEST))
     if not _HEADING.search(code):
         raise UsageError(
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "

@@ -7,11 +7,8 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
-from cosim.codegen.directional_jacobian import (
-    derivative_along,
-    has_long_jacobian,
-    jacobian_in_a_loop,
-)
+from cosim.codegen.directional_jacobian import derivative_along, jacobian_in_a_loop
+from cosim.codegen.functions import is_large
 from cosim.memo import kept_per_thread
 
 
@@ -46,7 +43,7 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
         {"cse": True},
     )
     variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
-    looped = _is_large(dae) if in_a_loop is None else in_a_loop
+    looped = is_large(dae) if in_a_loop is None else in_a_loop
     explicit = ca.Function(
         "along_all",
         [*call, *seeds, seed_z],
@@ -75,7 +72,7 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
     """
     call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
     arguments = [argument_like(symbol) for symbol in call]
-    if _is_large(dae) if in_a_loop is None else in_a_loop:
+    if is_large(dae) if in_a_loop is None else in_a_loop:
         laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
         pattern = ca.jacobian_sparsity(laws, unknowns)
         looped = jacobian_in_a_loop("blocks", _along_laws(dae), pattern)
@@ -92,13 +89,6 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
     z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
     total = ca.densify(ode_known + ode_z @ z_known)
     return ca.Function("model_jacobian", arguments, [total, z_known])
-
-
-@kept_per_thread(4)
-def _is_large(dae: Dae) -> bool:
-    """Tell whether the formulas of the Jacobian are too long."""
-    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return has_long_jacobian(call, ca.vertcat(dae.ode, dae.alg), ca.vertcat(dae.x, dae.u, dae.z))
 
 
 @kept_per_thread(4)

@@ -1,0 +1,110 @@
+"""Right-hand side of hinged chains by the articulated-body recursion, beside Pinocchio's.
+
+    python benchmarks/chains.py [LINKS ...]
+
+Times of one process, in turns, the least of many; `pip install pin` brings Pinocchio.
+"""
+
+import sys
+from collections.abc import Callable
+from time import perf_counter
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from casadi_models.mechanics import rotations
+from casadi_models.mechanics.articulated import Link, accelerations
+from cosim.codegen.casadi_library import cache_key, external
+
+CALLS, TURNS = 20, 2000
+
+
+def chain(n: int) -> ca.Function:
+    """Return the accelerations of n slender links with crossed hinges."""
+    q, u = SX.sym("q", n), SX.sym("u", n)
+    links = [
+        Link(
+            i - 1,
+            SX([0, 0, -1.0 if i else 0.0]),
+            rotations.about(1 + i % 2, q[i]),
+            rotations.unit(1 + i % 2),
+            1.0,
+            SX([0, 0, -0.5]),
+            ca.diag(SX([1 / 12, 1 / 12, 0.01])),
+        )
+        for i in range(n)
+    ]
+    law = accelerations(links, u, SX(n, 1), SX([0, 0, -9.81]))
+    return ca.Function("chain", [q, u], [law], {"cse": True})
+
+
+def compiled(function: ca.Function, q: np.ndarray, u: np.ndarray) -> tuple[Callable, np.ndarray]:
+    """Return a call of a function's machine code, and where it leaves its result."""
+    (twin,) = external([function], cache_key("chain", function), ["chain"])
+    buffer, call = twin.buffer()
+    result = np.empty(q.size)
+    for i, argument in enumerate((q, u)):
+        buffer.set_arg(i, memoryview(argument))
+    buffer.set_res(0, memoryview(result))
+
+    def evaluate(held: tuple = (buffer, twin, q, u)) -> None:
+        call()
+
+    return evaluate, result
+
+
+def pinocchio(n: int, q: np.ndarray, u: np.ndarray) -> tuple[Callable, Callable]:
+    """Return a call of Pinocchio's articulated-body algorithm, and of what costs next to nothing.
+
+    The second is what a call from Python costs.
+    """
+    import pinocchio as pin
+
+    model, parent = pin.Model(), 0
+    inertia = pin.Inertia(1.0, np.array([0, 0, -0.5]), np.diag([1 / 12, 1 / 12, 0.01]))
+    for i in range(n):
+        joint = pin.JointModelRY() if i % 2 else pin.JointModelRX()
+        place = pin.SE3(np.eye(3), np.array([0, 0, -1.0 if i else 0.0]))
+        parent = model.addJoint(parent, joint, place, f"hinge {i}")
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    model.gravity.linear = np.array([0, 0, -9.81])
+    data, torque = model.createData(), np.zeros(n)
+    return lambda: pin.aba(model, data, q, u, torque), lambda: pin.computeTotalMass(model)
+
+
+def least(*calls: Callable) -> list[float]:
+    """Return the least time of each call, in turns, s."""
+    best = [np.inf] * len(calls)
+    for _ in range(TURNS):
+        for i, call in enumerate(calls):
+            began = perf_counter()
+            for _ in range(CALLS):
+                call()
+            best[i] = min(best[i], (perf_counter() - began) / CALLS)
+    return best
+
+
+def main() -> None:
+    """Print a row for each number of links."""
+    print("links  derived  operations  here     pinocchio  ratio  difference")
+    for n in map(int, sys.argv[1:] or ("4", "8", "16", "32")):
+        began = perf_counter()
+        function = chain(n)
+        derived = perf_counter() - began
+        rng = np.random.default_rng(n)
+        q, u = rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)
+        own, result = compiled(function, q, u)
+        aba, nothing = pinocchio(n, q, u)
+        here, theirs, call = least(own, aba, nothing)
+        own()
+        off = np.abs(result - aba()).max() / np.abs(result).max()
+        theirs -= call
+        print(
+            f"{n:5}  {derived:5.2f} s  {function.n_instructions():10}  {here * 1e6:5.2f} us  "
+            f"{theirs * 1e6:6.2f} us  {here / theirs:5.2f}  {off:.0e}"
+        )
+
+
+if __name__ == "__main__":
+    main()
