@@ -16,7 +16,7 @@ from cosim.errors import FmuError
 from cosim.fmi.run.initialization import enter_continuous_time, initialize
 from cosim.memo import kept_per_thread
 
-TOLERANCE = 1e-5  # of model exchange where neither user nor FMU says one, as in fmpy
+MASTER_TOLERANCE = 1e-5  # of model exchange where neither user nor FMU says one, as in fmpy
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
 KINDS: dict[str, Any] = {
@@ -97,7 +97,7 @@ class _Ending(IntEnum):
     DONE, CALL_FAILED, ENDED_BY_FMU, STUCK, EARLY_RETURN, STEP_VANISHED, INTERRUPTED = range(7)
 
 
-class Driven(NamedTuple):
+class DrivenRun(NamedTuple):
     """A run: its times, s, (n,), a row for each of them, and what it took."""
 
     time: Vector
@@ -113,7 +113,7 @@ def drive(
     tolerance: float | None,
     values: Mapping[str, float],
     variables: Sequence[Any],
-) -> Driven:
+) -> DrivenRun:
     """Initialize an FMU and run it: model exchange by `dop853`, co-simulation step by step.
 
     Args:
@@ -166,7 +166,7 @@ def drive(
     stats = {"steps": run.steps, "events": run.events}
     if exchange:
         stats["rhs_calls"] = run.calls
-    return Driven(times, rows, stats)
+    return DrivenRun(times, rows, stats)
 
 
 def communication_points(start: float, stop: float, interval: float, *, any_step: bool) -> Vector:
@@ -188,7 +188,7 @@ def _prepare_exchange(run: _Run, instance: Any, description: Any, tolerance: flo
     run.needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
     run.next_defined = first.next_event is not None
     run.next_event = first.next_event or 0.0
-    run.relative_tolerance = TOLERANCE if tolerance is None else tolerance
+    run.relative_tolerance = MASTER_TOLERANCE if tolerance is None else tolerance
     nominals = (ctypes.c_double * (n + 1))(*([1.0] * (n + 1)))
     if n:
         instance.getNominalsOfContinuousStates(nominals, n)

@@ -18,7 +18,7 @@ from cosim.host.progress import doing
 from cosim.model.inputs import InputSeries
 
 
-def driven(
+def inputs_driven(
     instance: Any,
     description: Any,
     kind: str,

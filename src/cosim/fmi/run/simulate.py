@@ -7,7 +7,7 @@ from typing import Any
 
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.fmpy_master import driven, rows_of, simulated
+from cosim.fmi.run.fmpy_master import inputs_driven, rows_of, simulated
 from cosim.fmi.run.instance import (
     INTERFACES,
     by_name,
@@ -109,7 +109,7 @@ def simulate_fmu(
         refuse_series(path, description, series, values)
         with instantiated(folder, description, kind, path) as (instance, explained):
             calls = count_derivatives(instance) if kind == "ModelExchange" else None
-            table = driven(instance, description, kind, series, span.start, values)
+            table = inputs_driven(instance, description, kind, series, span.start, values)
             ready = perf_counter()
             result = simulated(
                 explained,
