@@ -156,8 +156,8 @@ static inline int fuzz(int argc, char *argv[], const Interface *interface) {
     const uint64_t seed = strtoull(argv[1], NULL, 10);
     const long calls = strtol(argv[2], NULL, 10),
                threads = argc == 4 ? strtol(argv[3], NULL, 10) : 1;
-    Share *shares = calloc((size_t)threads, sizeof *shares);
-    pthread_t *thread = calloc((size_t)threads, sizeof *thread);
+    Share *shares = malloc((size_t)threads * sizeof *shares); /* calloc may be made to fail */
+    pthread_t *thread = malloc((size_t)threads * sizeof *thread);
     demand(shares && thread, "memory");
     for (long i = 0; i < threads; i++) {
         shares[i] = (Share){
