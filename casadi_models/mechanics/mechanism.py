@@ -121,6 +121,7 @@ def mechanism(
     names = tuple(variable.name for variable in model.declared(q))
     g = ca.vertcat(SX(0, 1), *(loops or {}).values())
     _refuse_nonlinear(inertias, loads, u)
+    _refuse_moving(model, loops or {})
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
     for name in (*(speed_starts or {}), *(driven or {})):
         if name not in names:
@@ -316,6 +317,21 @@ def _refuse_nonlinear(
     for what, rate in rates.items():
         if ca.depends_on(ca.jacobian(SX(rate), u), u):
             raise ValueError(f"the rate of {what} is not linear in the speeds")
+
+
+def _refuse_moving(model: Model, loops: Mapping[str, SX]) -> None:
+    """Refuse loops of anything but coordinates and parameters, by name."""
+    for name, rows in loops.items():
+        if ca.depends_on(SX(rows), model.t):
+            raise ValueError(
+                f"loop '{name}' depends on time; let a coordinate of driven={{...}} move it, with "
+                "its acceleration and start"
+            )
+        foreign = ca.symvar(model.numbers(SX(rows), but=SX(0, 1)))
+        if foreign:
+            raise ValueError(
+                f"loop '{name}' depends on '{foreign[0]}', which is no coordinate or parameter"
+            )
 
 
 def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int]:

@@ -181,6 +181,30 @@ def test_loop_that_repeats_another_is_named(loops, named):
         small(loops)
 
 
+@pytest.mark.parametrize(
+    ("moving", "told"),
+    [
+        (
+            lambda model, u: ca.sin(model.t),
+            "loop 'rod' depends on time; let a coordinate of driven",
+        ),
+        (lambda model, u: u[0], "loop 'rod' depends on 'u_0', which is no coordinate"),
+        (lambda model, u: model.input("f", "m", 0.0, "f"), "'the loops are closed' uses 'f'"),
+    ],
+)
+def test_loop_of_something_else_than_coordinates_is_refused_by_name(moving, told):
+    model, u = Model("rod"), SX.sym("u", 2)
+    q = ca.vertcat(model.state("x", "m", 1.0, "x"), model.state("y", "m", 0.0, "y"))
+    loops = {"rod": ca.sumsqr(q) - 1 - moving(model, u)}
+
+    def build():
+        mechanism(model, q, u, [kane.InertialTerm(u, u)], [], loops)
+        model.freeze()
+
+    with pytest.raises(ValueError, match=told):
+        build()
+
+
 def test_refusals():
     with pytest.raises(ValueError, match="the rate of inertia 1 is not linear in the speeds"):
         small(inertias=lambda q, u: [kane.InertialTerm(u[0] ** 2, u[0])])
