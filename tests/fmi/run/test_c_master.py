@@ -10,6 +10,7 @@ from helpers.hostile import hostile, hostile_binary
 from helpers.small_models import decay
 
 import cosim
+from cosim.cli.main import main
 from cosim.errors import FmuError, MissingTool, UnknownName, UsageError
 from cosim.fmi.run import c_master, opened
 from cosim.fmi.run.c_master import communication_points
@@ -200,3 +201,13 @@ def test_a_file_that_has_changed_is_read_again(fmus, tmp_path):
     path.unlink()
     cosim.export_fmu(cosim.load("crank_shaft"), path)
     assert cosim.simulate_fmu(path, master="c").model == "crank_shaft_driven"
+
+
+def test_the_command_line_offers_it(fmus, tmp_path):
+    table = tmp_path / "run.csv"
+    options = ["--interface-type", "CoSimulation", "--trust", "-o", str(table)]
+    assert main(["simulate", str(fmus[2]), "--master", "c", *options]) == 0
+    in_c = table.read_bytes()
+    assert main(["simulate", str(fmus[2]), *options]) == 0
+    assert table.read_bytes() == in_c
+    assert main(["simulate", "crank_shaft", "--master", "c"]) == 2

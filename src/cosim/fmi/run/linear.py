@@ -1,7 +1,7 @@
 """The linear system of a bare FMU: its directional derivatives at the start of a run."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.archive import unpacked
+from cosim.fmi.run.initialization import enter_continuous_time, initialize
 from cosim.fmi.run.instance import (
     by_name,
     choose_interface,
@@ -90,7 +91,8 @@ def fmu_linear(
             shown = [variables[name] for name in outputs]
         with instantiated(folder, description, "ModelExchange", path) as (instance, explained):
             try:
-                _initialize(instance, description, time, values)
+                initialize(instance, description, values, startTime=time)
+                enter_continuous_time(instance, description)
                 x, u, y, slopes = (
                     _get(instance, [v.valueReference for v in group])
                     for group in (states, inputs, shown, rates)
@@ -112,35 +114,6 @@ def fmu_linear(
         slopes,
         jacobian,
     )
-
-
-def _initialize(instance: Any, description: Any, time: float, values: Mapping[str, float]) -> None:
-    """Bring an instance to continuous time, as `fmpy.simulate_fmu` does."""
-    from fmpy.simulation import (
-        apply_start_values,
-        settable_in_initialization_mode,
-        settable_in_instantiated,
-    )
-
-    left = dict(values)
-    second = description.fmiVersion.startswith("2")
-    if second:
-        instance.setupExperiment(startTime=time)
-    left = apply_start_values(instance, description, left, settable=settable_in_instantiated)
-    if second:
-        instance.enterInitializationMode()
-    else:
-        instance.enterInitializationMode(startTime=time)
-    apply_start_values(instance, description, left, settable=settable_in_initialization_mode)
-    instance.exitInitializationMode()
-    update: Callable[[], Any]
-    update = instance.newDiscreteStates if second else instance.updateDiscreteStates
-    needed, ended = True, False
-    while needed and not ended:
-        needed, ended, *_ = update()
-    if ended:
-        raise FmuError("the FMU ends at its start")
-    instance.enterContinuousTimeMode()
 
 
 def _names(variables: Sequence[Any]) -> tuple[str, ...]:

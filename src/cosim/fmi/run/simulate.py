@@ -85,7 +85,7 @@ def simulate_fmu(
     if master not in MASTERS:
         raise UnknownName.among("cosim", "master", str(master), MASTERS)
     if master != FMPY:
-        if inputs is not None:
+        if inputs is not None and inputs != {}:
             raise UsageError(f"{path}: master {master!r} takes no series of inputs; use {FMPY!r}")
         return kept_open(path, interface).simulate(
             {} if start is None else start,
