@@ -105,6 +105,19 @@ typedef void LaneFunction(const V *const *in, V *const *out);
 typedef V Elementary(V);
 static Elementary *vector_sin = each_sin, *vector_cos = each_cos;
 
+/* Both of one angle; lane by lane they are taken together, as compilers do with scalar code. */
+static inline void sine_and_cosine(V a, V *sine, V *cosine) {
+    if (vector_sin == each_sin) {
+        FOR_LANES {
+            (*sine)[l] = sin(a[l]);
+            (*cosine)[l] = cos(a[l]);
+        }
+    } else {
+        *sine = vector_sin(a);
+        *cosine = vector_cos(a);
+    }
+}
+
 #ifdef _WIN32
 #define LANES_SHARED __declspec(dllexport)
 #else

@@ -1,4 +1,4 @@
-/* Outputs and limits of one run at all of its times, several times at once.
+/* What a run records, and where it is left by what it should keep to, several times at once.
  *
  * Sines and cosines are those of the C library, so that the numbers are the bits of scalar code.
  */
@@ -7,37 +7,67 @@
 
 #include "lanes.h"
 
-/* States, inputs, parameters, constants (what depends on parameters alone), outputs and margins. */
-#if !defined NX || !defined NU || !defined NP || !defined NC || !defined NY
-#error "define NX, NU, NP, NC and NY before solvers are included"
+/* States, inputs, parameters, constants (what depends on parameters alone), outputs and limits. */
+#if !defined NX || !defined NU || !defined NP || !defined NC || !defined NY || !defined NL
+#error "define NX, NU, NP, NC, NY and NL before solvers are included"
 #endif
 
 /* The model; generated code fills it. */
 typedef struct {
     LaneFunction *constants; /* p -> c */
-    LaneFunction *observe;   /* t, x, u, c -> y */
+    LaneFunction *observe;   /* t, x, u, c -> outputs and margins of the limits */
 } LaneOutputs;
 
 static const LaneOutputs outputs;
 
-/* Writes a row of `stride` numbers per time; x and u have a row per time, too. */
-LANES_SHARED void lanes_outputs(long long points, const double *t, const double *x, const double *u,
-                                const double *p, double *rows, long long stride) {
-    V time, c[NC + 1], now[NU + 1], numbers[NP + 1], state[NX], y[NY + 1];
-    for (int i = 0; i < NP; ++i) numbers[i] = every(p[i]);
-    const V *given[] = {numbers}, *in[] = {&time, state, now, c};
-    V *constants[] = {c}, *out[] = {y};
+/* A run and what is wanted of it. */
+typedef struct {
+    long long points, columns; /* times; rows of u: 1 that holds throughout, or one per time */
+    const double *t, *x, *u, *p;
+    long long recorded;
+    const long long *places; /* of what is recorded, among states and outputs */
+    double *rows;            /* takes a row of these per time */
+    long long *first;        /* see below */
+    double *margins;         /* takes a row of those of the limits per time; or NULL */
+} Watched;
+
+static inline void note(long long *first, long long points, M where, long long begin) {
+    for (int l = 0; l < LANES && *first == points; ++l)
+        if (where[l]) *first = begin + l < points ? begin + l : points - 1;
+}
+
+/* Fills the rows. `first` takes the position of the first time at which a state, or what is
+ * recorded, is not finite; then that of each limit at which its margin is not positive; the number
+ * of times where there is none. */
+LANES_SHARED void lanes_outputs(const Watched *self) {
+    const long long points = self->points;
+    V time, c[NC + 1], now[NU + 1], numbers[NP + 1], known[NX + NY + NL + 1];
+    for (int i = 0; i < NP; ++i) numbers[i] = every(self->p[i]);
+    const V *given[] = {numbers}, *in[] = {&time, known, now, c};
+    V *constants[] = {c}, *out[] = {known + NX};
     outputs.constants(given, constants);
+    for (int i = 0; i <= NL; ++i) self->first[i] = points;
     for (long long j = 0; j < points; j += LANES) {
         FOR_LANES {
             const long long k = j + l < points ? j + l : points - 1;
-            time[l] = t[k];
-            for (int i = 0; i < NX; ++i) state[i][l] = x[k * NX + i];
-            for (int i = 0; i < NU; ++i) now[i][l] = u[k * NU + i];
+            const double *u = self->u + (self->columns > 1 ? k * NU : 0);
+            time[l] = self->t[k];
+            for (int i = 0; i < NX; ++i) known[i][l] = self->x[k * NX + i];
+            for (int i = 0; i < NU; ++i) now[i][l] = u[i];
         }
         outputs.observe(in, out);
-        for (int l = 0; l < LANES && j + l < points; ++l)
-            for (int i = 0; i < NY; ++i) rows[(j + l) * stride + i] = y[i][l];
+        V sum = every(0); /* 0 * inf and 0 * nan are nan */
+        for (int i = 0; i < NX; ++i) sum += 0 * known[i];
+        for (long long i = 0; i < self->recorded; ++i) sum += 0 * known[self->places[i]];
+        note(self->first, points, ~(sum == 0), j);
+        for (int i = 0; i < NL; ++i)
+            note(self->first + 1 + i, points, ~(known[NX + NY + i] > 0), j);
+        for (int l = 0; l < LANES && j + l < points; ++l) {
+            double *const row = self->rows + (j + l) * self->recorded;
+            double *const margins = self->margins ? self->margins + (j + l) * NL : NULL;
+            for (long long i = 0; i < self->recorded; ++i) row[i] = known[self->places[i]][l];
+            for (int i = 0; i < NL && margins; ++i) margins[i] = known[NX + NY + i][l];
+        }
     }
 }
 

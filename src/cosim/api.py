@@ -139,7 +139,7 @@ def simulate(
         found = _promised(dae, accuracy, budget, times, outputs, run, options)
     if accuracy is None and budget is None and SOLVERS[found.stats["solver"]].adaptive:
         settings = run | {"solver": solver, **options}
-        span = float(times.grid()[0]), float(found.time[-1])
+        span = float(found.time[0]), float(found.time[-1])
         found = replace(found, again=partial(again, dae, settings, *span))
     return times.asked(found)
 

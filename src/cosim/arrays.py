@@ -20,4 +20,4 @@ def frozen(given: ArrayLike) -> Vector:
 def _is_frozen(array: object) -> bool:
     if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.flags.writeable:
         return False
-    return array.base is None or _is_frozen(array.base)
+    return array.base is None or isinstance(array.base, bytes) or _is_frozen(array.base)

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
@@ -89,7 +90,7 @@ class Trajectory:
             twice = next(name for name in names if names.count(name) > 1)
             raise UsageError(f"{self.model}: '{twice}' is recorded twice; name it once")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the variables, without time."""
         return tuple(column.name for column in self.columns)

@@ -44,4 +44,4 @@ def test_run_in_fmuloader_is_the_native_one(fmi, exported):
         cosim.load(NAME), stop_time=STOP, solver="dop853", relative_tolerance=1e-12
     )
     for name, value in zip(names, got, strict=True):
-        assert value == pytest.approx(run[name][-1], rel=1e-7, abs=1e-7)  # measured 1e-12
+        assert value == pytest.approx(run[name][-1], rel=1e-7, abs=1e-7)

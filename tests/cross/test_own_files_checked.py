@@ -4,7 +4,7 @@ import pytest
 
 import casadi_models
 from cosim.fmi.check.apart import try_apart
-from cosim.fmi.check.finding import WRONG
+from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.findings import examine
 
 
@@ -12,7 +12,8 @@ from cosim.fmi.check.findings import examine
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_own_file_has_nothing_wrong(name, fmi, exported):
-    assert examine(exported(name, fmi)) == ()
+    # glibc is as new as the compiler here has it, where its functions have newer versions
+    assert {(f.level, f.rule) for f in examine(exported(name, fmi))} <= {(ADVICE, "glibc")}
     results = try_apart(exported(name, fmi), timeout=60.0)
     assert [f for f in results.findings if f.level == WRONG] == []
     # what is listed and has no influence: loads whose terms cancel

@@ -10,7 +10,8 @@ from helpers.harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
-FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir()]
+MASTER = SOLVERS.parent / "master"
+FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir(), *MASTER.iterdir()]
 SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
@@ -34,6 +35,12 @@ def compiled(header: Path, include: list[str]) -> subprocess.CompletedProcess[st
 @pytest.mark.parametrize("header", sorted(SOLVERS.glob("*.h")), ids=lambda path: path.name)
 def test_a_solver_header_compiles_with_nothing_but_sizes(header):
     done = compiled(header, DEFINED)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("header", sorted(MASTER.glob("*.h")), ids=lambda path: path.name)
+def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
+    done = compiled(header, [*DEFINED, f"-I{SOLVERS}"])
     assert done.returncode == 0, done.stderr
 
 

@@ -61,6 +61,8 @@ def _road_run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
     if scene is not None:
         if args.interface_type is not None:
             raise UsageError("--interface-type is for FMUs; a model takes --solver")
+        if getattr(args, "master", None) is not None:
+            raise UsageError("--master is for FMUs; a model takes --solver")
         return run_scene(
             scene,
             compiled=False if args.interpreted else None,
@@ -86,8 +88,10 @@ def _road_run(args: argparse.Namespace, scene: Scene | None) -> Trajectory:
             raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
     start = start_numbers(args, None)
     require_trust(args.model, trusted=args.trust)
+    master = getattr(args, "master", None)
     return simulate_apart(
         args.model,
+        **({} if master is None else {"master": master}),
         timeout=args.timeout,
         interface=args.interface_type,
         start_time=args.start_time,

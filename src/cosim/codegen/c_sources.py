@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+from collections.abc import Iterable
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -32,7 +33,17 @@ def solver_sources() -> tuple[Traversable, ...]:
 
 def solver_source(*names: str) -> str:
     """Return headers of the explicit solvers, e.g. "dop853.h", and what they include, as one."""
-    texts = {e.name: e.read_text(encoding="utf-8") for e in solver_sources()}
+    return _unfolded(solver_sources(), names)
+
+
+def master_source(*names: str) -> str:
+    """Return headers of the master of FMUs, e.g. "co_simulation.h", and what they include."""
+    own = (e for e in (files("cosim._fmu") / "master").iterdir() if e.name.endswith(".h"))
+    return _unfolded((*solver_sources(), *own), names)
+
+
+def _unfolded(headers: Iterable[Traversable], names: Iterable[str]) -> str:
+    texts = {e.name: e.read_text(encoding="utf-8") for e in headers}
 
     def unfolded(found: re.Match[str]) -> str:
         text = texts.pop(found[1], "")  # once

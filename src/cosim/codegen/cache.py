@@ -24,7 +24,7 @@ MOST_ENTRY = 2**30  # bytes
 IN_USE = 600  # s; what was used within stays, as somebody may be about to load it
 _ENTRY_HEAD = b"cosim-cache 1 "
 _LOCK = ".lock"
-_FOLDERS = ("references", "fronts", "tradeoffs", "binaries", "made")
+_FOLDERS = ("references", "fronts", "tradeoffs", "binaries", "made", "exports")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 

@@ -91,6 +91,11 @@ def has_compiler() -> bool:
     return True
 
 
+def where_compilers_are() -> tuple[str, ...]:
+    """Return what the environment says of compilers."""
+    return tuple(os.environ.get(name, "") for name in ("CC", "PATH"))
+
+
 def compile_library(
     sources: Sequence[Path],
     target: Path,

@@ -3,6 +3,7 @@
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -73,6 +74,8 @@ class Engine:
             dx/dt there, (nx,); None where there is none.
         fallback: Builds the engine of settings that fail less, for a run that failed with a reason;
             None where there are none, or none for that reason.
+        direct: Does what `function` does after `parameters`, on arrays without CasADi in between:
+            `(x0, z0, p, u, states, algebraics) -> succeeded`; None where nothing does.
     """
 
     function: ca.Function
@@ -84,6 +87,12 @@ class Engine:
     kept: NDArray[np.intp] | None = None
     restart: "Callable[[Vector], Engine] | None" = None
     fallback: "Callable[[str], Engine | None] | None" = None
+    direct: "Callable[[Vector, Vector, Vector, Vector, Vector, Vector], bool] | None" = None
+
+    @cached_property
+    def points(self) -> int:
+        """Number of times that `function` has columns for."""
+        return int(self.function.size2_out(0))
 
 
 def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], Counts]:

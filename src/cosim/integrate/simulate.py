@@ -7,25 +7,24 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
-from casadi_models.dae import Dae
+from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler, time_compiling
+from cosim.codegen.compiler import time_compiling
 from cosim.errors import Interrupted, SolverError, UnknownName, UsageError
 from cosim.host.progress import doing
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
-from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.plan import Asked, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
-from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_names, watching
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import NUMBERS, SOLVERS, chosen_solver
+from cosim.integrate.solvers import NUMBERS, SOLVERS
+from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
-from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import Values, assign, listed, number, numbers_of
+from cosim.model.values import Values, assign, listed, numbers_of
 from cosim.trajectory import Trajectory
 
 Given = TypeVar("Given")
@@ -104,42 +103,44 @@ def simulate(
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
     dae, project = controlled(dae, drift_control)
     values = assign(dae, one_of(dae, start_values, shorthand.get("start")))
-    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
-    dae = watching(dae, wanted or ())
-    names = wanted_names(dae, wanted)
-    grid = output_times(dae, start_time, stop_time, output_interval)
-    if not isinstance(compiled, bool | None):
-        raise UsageError.of_type(f"{dae.full_name}: compiled", compiled, "True, False or None")
-    if project and solver is None:
-        solver = Dop853.name
-    settings = {name: value for name, value in shorthand.items() if name in NUMBERS}
-    chosen = chosen_solver(dae, solver, projected=project, **settings)  # type: ignore[arg-type]
-    if compiled is None:
-        compiled = has_compiler()
-    problem = Problem(dae, grid.tobytes(), inputs, compiled, sensitivities=False, project=project)
+    asked = Asked(
+        None if outputs is None else listed(f"{dae.full_name}: outputs", outputs),
+        Times(start_time, stop_time, output_interval),
+        solver,
+        tuple(shorthand.get(name) for name in NUMBERS),  # type: ignore[misc]  # all are numbers
+        inputs,
+        compiled,
+        project,
+    )
+    own = plan(dae, asked)
+    dae, problem, chosen = own.problem.dae, own.problem, own.solver
     before = time_compiling()
     with doing(dae.full_name):
-        solution = first = solve(problem, chosen, values, on_invalid)
+        solution = first = solve(problem, chosen, values, on_invalid, own.places)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
         shorter = problem.until(len(solution.table))
-        solution = solve(shorter, chosen, values, on_invalid)
-    time = grid[: len(solution.table)]
+        solution = solve(shorter, chosen, values, on_invalid, own.places)
+    time = first.grid[: len(solution.table)]
     status = "complete"
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
-    stats = _stats(chosen, first, solution, compiled, perf_counter() - began)
+    stats = _stats(chosen, first, solution, problem.compiled, perf_counter() - began)
     if (compiling := time_compiling() - before) > 0:
         stats = replace(stats, compile_time=compiling)
-    numbers = numbers_of(dae, values)
-    drawing = dae.drawing.with_numbers(numbers)
-    columns, places = recorded_columns(dae, names)
-    everything = places == tuple(range(solution.table.shape[1]))
-    table = solution.table if everything else solution.table[:, places]
+    numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
+    table = solution.table
     run = Trajectory(
-        dae.full_name, time, columns, table, stats, status, drawing=drawing, numbers=numbers
+        dae.full_name,
+        time,
+        own.columns,
+        table,
+        stats,
+        status,
+        drawing=drawing,
+        numbers=dict(numbers),
     )
     if first.reason == INTERRUPTED:
         raise Interrupted(f"{dae.full_name}: {status}", run)
@@ -148,7 +149,7 @@ def simulate(
         which = f" ({', '.join(others)})" if dae.algebraics else ""
         if dae.algebraics and dae.invariants and not project:
             which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
-        kink = _kink(dae, time, solution.table, values)
+        kink = _kink(dae, time, solution.last, values)
         raise SolverError(
             f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "
             "singularity near that state, or use another tolerance or step, formulation or "
@@ -184,34 +185,19 @@ def one_of(
     return start if start_values is None else start_values
 
 
-def output_times(
-    dae: Dae, start_time: float, stop_time: float | None, output_interval: float | Vector | None
-) -> Vector:
-    """Return the output times of a run, s, (n,); see `simulate`.
-
-    An array in place of the interval holds these times themselves.
-
-    Raises:
-        ParameterError: A time is not finite, or they are not increasing.
-    """
-    if isinstance(output_interval, np.ndarray):
-        return checked_grid(output_interval)
-    start_time = number("run", "start_time", start_time)
-    return time_grid(
-        start_time,
-        start_time + dae.experiment.stop_time if stop_time is None else stop_time,
-        dae.experiment.output_interval if output_interval is None else output_interval,
-        numbers=len(all_columns(dae)),
-    )
-
-
-def _kink(dae: Dae, time: Vector, table: Vector, values: Values) -> str:
+def _kink(dae: Dae, time: Vector, last: tuple[Vector, Vector], values: Values) -> str:
     """Say what switches at the last good time."""
     if not len(time):
         return ""
-    x, z = np.split(table[-1, : len(dae.states) + len(dae.algebraics)], [len(dae.states)])
-    found = nearest_kink(dae, time[-1], x, z, values.u, values.p)
+    found = nearest_kink(dae, time[-1], *last, values.u, values.p)
     return f"; {found}" if found else ""
+
+
+@kept_per_thread(64)
+def _numbers(dae: Dae, p: bytes, u: bytes) -> tuple[dict[str, float], Drawing]:
+    """Return parameters and inputs by name, and what the model looks like with them."""
+    numbers = numbers_of(dae, Values(np.empty(0), np.frombuffer(p), np.frombuffer(u)))
+    return numbers, dae.drawing.with_numbers(numbers)
 
 
 def _stats(

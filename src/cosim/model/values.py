@@ -82,22 +82,41 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
         raise UsageError.of_type("a run", dae, A_DAE)
     if not isinstance(overrides, Mapping | None):
         raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
-    given = dict(overrides or {})
-    known = settable(dae)
+    usual, place = _usual(dae)
+    numbers, given = usual.copy(), dict(overrides or {})
     for name, value in given.items():
-        if name not in known:
-            raise _unknown_name(dae, name, known)
-        given[name] = checked(dae, known[name], value)
-    refuse_twice(dae, given)
-    x = np.array([given.get(v.name, s) for v, s in zip(dae.states, dae.x_start, strict=True)])
-    p = np.array([given.get(v.name, v.start) for v in dae.parameters], dtype=float)
-    u = np.array([given.get(v.name, v.start) for v in dae.inputs], dtype=float)
+        if name not in place:
+            raise _unknown_name(dae, name, settable(dae))
+        row, variable = place[name]
+        given[name] = checked(dae, variable, value)
+        if row is not None:
+            numbers[row] = given[name]
+    nx, np_ = len(dae.states), len(dae.parameters)
+    x, p, u = numbers[:nx], numbers[nx : nx + np_], numbers[nx + np_ :]
+    if given:
+        refuse_twice(dae, given)
     _check_inertias(dae, p.tobytes())
+    if not given:
+        return Values(x, p, u)
     columns = {name: np.array([value]) for name, value in given.items()}
     starts, solved = solved_starts(dae, columns, x[None], p[None])
     if not solved.all():
         raise _no_such_start(dae, given)
     return Values(starts[0], p, u)
+
+
+@kept_per_thread(64)
+def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int | None, Variable]]]:
+    """Return the model's own numbers of states, parameters and inputs, and where each one is.
+
+    Outputs by which starts may be given are nowhere.
+    """
+    own = (*dae.x_start, *(v.start for v in (*dae.parameters, *dae.inputs)))
+    place = {
+        name: (row if row < len(own) else None, variable)
+        for row, (name, variable) in enumerate(settable(dae).items())
+    }
+    return np.array(own, dtype=float), place
 
 
 def plain_values(dae: Dae, given: Mapping[str, float]) -> dict[str, float]:

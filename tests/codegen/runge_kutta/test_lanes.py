@@ -95,3 +95,16 @@ def test_an_operation_that_lanes_do_not_have_is_refused():
     function = ca.Function("f", [x, y], [ca.erfinv(x)])
     with pytest.raises(UsageError, match="no operation"):
         vector_text(function, "f")
+
+
+def test_sine_and_cosine_of_an_angle_are_taken_together_and_keep_their_bits():
+    expressions = [ca.sin(x), ca.cos(x), ca.cos(y), ca.sin(x + y), ca.sin(y), ca.cos(x)]
+    function = ca.Function("f", [x, y], [ca.vertcat(*expressions)])
+    assert vector_text(function, "f").count("sine_and_cosine(") == 2
+    at = np.linspace(-300.0, 300.0, 4 * 50).reshape(50, 4)
+    call = compiled(function, 4)
+    for row, other in zip(at, at[::-1] ** 3, strict=True):
+        expected = np.array(
+            [np.array(function(a, b)).ravel() for a, b in zip(row, other, strict=True)]
+        ).T
+        np.testing.assert_array_equal(call(row, other.copy()), expected)

@@ -139,14 +139,14 @@ def test_last_step_that_must_end_at_the_stop_time_exactly_is_advice(tmp_path):
 def test_callbacks_that_need_not_be_passed_are_not_needed(tmp_path):
     body = "if (!functions->allocateMemory) return 0; return CALL;"
     path = wrapped(tmp_path, fmi2Instantiate=body)
-    assert found(path) == set()  # where the file does not rule them out, they are passed
+    for value, rules in (("false", set()), ("true", {(WRONG, "callbacks"), (ADVICE, "logger")})):
 
-    def rule_out(root):
-        for kind in ("ModelExchange", "CoSimulation"):
-            root.find(kind).set("canNotUseMemoryManagementFunctions", "true")
+        def mark(root, value=value):
+            for kind in ("ModelExchange", "CoSimulation"):
+                root.find(kind).set("canNotUseMemoryManagementFunctions", value)
 
-    needy = with_description(path, tmp_path / "needy.fmu", rule_out)
-    assert found(needy) == {(WRONG, "callbacks"), (ADVICE, "logger")}
+        # where the file does not rule the functions out, they are passed
+        assert found(with_description(path, tmp_path / f"{value}.fmu", mark)) == rules
 
 
 def test_one_crash_does_not_end_the_other_trials(tmp_path):

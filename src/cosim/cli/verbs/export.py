@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     from cosim.errors import UnknownName, UsageError
     from cosim.scene.roads import scene_dae
     from cosim.scene.scene_file import scene_values
-    from cosim.verify.reference_result import export_with_proof
+    from cosim.verify.kept_export import export_kept
 
     refuse_timeout(args)
     if args.fmi not in ("2", "3"):
@@ -97,9 +97,7 @@ def run(args: argparse.Namespace) -> int:
         sets = scene_values(scene.dae)
         if scene.values:
             sets[name] = (scene.title or f"values of {scene.name}", dict(scene.values))
-        path = export_with_proof(
-            dae, target, reference=args.reference == "auto", sets=sets, **options
-        )
+        path = export_kept(dae, target, reference=args.reference == "auto", sets=sets, **options)
     else:
         from cosim.study.accuracy.fmu import export_accurate
 

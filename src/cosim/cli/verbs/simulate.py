@@ -34,6 +34,9 @@ def add_parser(verbs: Verbs) -> None:
         "--units", default="si", metavar="KIND", help="si, or book: display units, and their names"
     )
     parser.add_argument("--at", metavar="T1,T2", help="values at these times, as a table")
+    parser.add_argument(
+        "--master", metavar="NAME", help="who drives an FMU: fmpy (default), or c, compiled"
+    )
     add_timeout(parser)
     add_trust(parser)
 

@@ -7,7 +7,7 @@ are arguments, so that nothing is compiled anew when they change.
 
 import ctypes
 from threading import Lock
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -74,6 +74,19 @@ def explicit_function(
     with _sizing:  # CasADi reads the sizes while it makes the function
         library.cosim_sizes(*map(ctypes.c_longlong, (points, breaks, columns)))
         return ca.external("run", path), library
+
+
+def work_space(library: ctypes.CDLL) -> tuple[Any, Any, Any, Any]:
+    """Return arrays of arguments, results, integers and doubles for one caller of `run`."""
+    sizes = [ctypes.c_longlong() for _ in range(4)]
+    library.run_work(*map(ctypes.byref, sizes))
+    arg, res, integers, doubles = (size.value + 1 for size in sizes)
+    return (
+        (ctypes.c_void_p * arg)(),
+        (ctypes.c_void_p * res)(),
+        (ctypes.c_longlong * integers)(),
+        (ctypes.c_double * doubles)(),
+    )
 
 
 def dop853_method() -> MethodText:

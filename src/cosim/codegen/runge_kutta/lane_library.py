@@ -83,27 +83,40 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
     return LaneLibrary(lanes, library)
 
 
+class Watched(ctypes.Structure):
+    """What `lanes_outputs` is given; see fmu/solvers/lanes_outputs.h."""
+
+    _fields_ = (
+        ("points", _LONG),
+        ("columns", _LONG),
+        *((name, _ARRAY) for name in ("t", "x", "u", "p")),
+        ("recorded", _LONG),
+        *((name, _ARRAY) for name in ("places", "rows", "first", "margins")),
+    )
+
+
 @kept_per_thread(16)
-def lane_outputs(dae: Dae, lanes: int) -> ctypes.CDLL:
-    """Compile `lanes_outputs`, or take it from the cache; see fmu/solvers/lanes_outputs.h.
+def lane_outputs(dae: Dae, lanes: int, *, limits_only: bool = False) -> ctypes.CDLL:
+    """Compile `lanes_outputs(Watched)`, or take it from the cache.
 
     Args:
         dae: Without algebraic unknowns.
         lanes: One of `SIZES`.
+        limits_only: Whether to leave out the outputs, which then nobody can record.
 
     Raises:
         UsageError: An output has an operation that lanes do not have.
         MissingTool: There is no compiler, or it fails.
     """
-    margins = (margin for margin, _ in dae.limits)
-    rows = ca.vertcat(ca.SX(0, 1), dae.outputs, *margins)
+    shown = ca.SX(0, 1) if limits_only else dae.outputs
+    rows = ca.vertcat(ca.SX(0, 1), shown, *(margin for margin, _ in dae.limits))
     (every,), symbols, values = ca.extract_parametric([rows], dae.p)
     c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
     cse = {"cse": True}
     constants = ca.Function("f", [dae.p], [ca.densify(ca.vertcat(dae.p, *values))], cse)
     observe = ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every)], cse)
     sizes = {"LANES": lanes, "NX": dae.x.numel(), "NU": dae.u.numel(), "NP": dae.p.numel()}
-    sizes |= {"NC": c.numel(), "NY": rows.numel()}
+    sizes |= {"NC": c.numel(), "NY": shown.numel(), "NL": len(dae.limits)}
     text = "\n".join(
         (
             *(f"#define {name} {size}" for name, size in sizes.items()),
@@ -115,7 +128,8 @@ def lane_outputs(dae: Dae, lanes: int) -> ctypes.CDLL:
     )
     key = "outputs " + hashlib.sha256(text.encode()).hexdigest()
     library = ctypes.CDLL(str(cached_library(key, lambda: text)))
-    library.lanes_outputs.argtypes = [_LONG, *([_ARRAY] * 5), _LONG]
+    library.lanes_outputs.argtypes = [ctypes.POINTER(Watched)]
+    library.lanes_outputs.restype = None
     return library
 
 

@@ -35,6 +35,7 @@ _LANE_FORMS = {
     ca.OP_IF_ELSE_ZERO: "pick({0} != every(0), {1}, every(0))",
     ca.OP_LIFT: "{0}",
 }
+_PARTNER = {ca.OP_SIN: ca.OP_COS, ca.OP_COS: ca.OP_SIN}
 _ONE_BY_ONE = (
     *("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("exp", "expm1", "log", "log1p", "erf", "floor", "ceil"),
@@ -58,7 +59,8 @@ def vector_text(function: ca.Function, name: str) -> str:
         UsageError: It has an operation that lanes do not have.
     """
     held: dict[int, str] = {}  # what each place of CasADi's work space stands for now
-    lines = []
+    waiting: dict[tuple[int, str], tuple[int, int]] = {}  # angular ones: line, instruction
+    lines: list[str] = []
     for i in range(function.n_instructions()):
         code = function.instruction_id(i)
         into, of = function.instruction_output(i), function.instruction_input(i)
@@ -73,6 +75,16 @@ def vector_text(function: ca.Function, name: str) -> str:
             text = _LANE_FORMS[code].format(*(held[place] for place in of))
         else:
             raise UsageError(f"{name}: lanes have no operation with CasADi's number {code}")
+        if code in _PARTNER:
+            angle = held[of[0]]
+            if found := waiting.pop((_PARTNER[code], angle), None):
+                line, other = found
+                sine, cosine = (i, other) if code == ca.OP_SIN else (other, i)
+                call = f"sine_and_cosine({angle}, &a{sine}, &a{cosine});"
+                lines[line] = f"    V a{sine}, a{cosine};\n    {call}"
+                held[into[0]] = f"a{i}"
+                continue
+            waiting[code, angle] = len(lines), i
         held[into[0]] = f"a{i}"
         lines.append(f"    const V a{i} = {text};")
     body = "\n".join(lines)

@@ -1,32 +1,44 @@
 """An FMU for many runs: unpacked, read and instantiated once, reset before each run."""
 
 import os
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from pathlib import Path
+from threading import local
 from time import perf_counter
 from typing import Any
+from weakref import finalize
+
+import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import FmuError
+from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
+from cosim.fmi.run.c_master import drive
+from cosim.fmi.run.fmpy_master import rows_of, simulated
 from cosim.fmi.run.instance import (
     by_name,
     choose_interface,
     instantiated,
     read_description,
 )
-from cosim.fmi.run.simulate import (
+from cosim.fmi.run.request import (
+    Span,
     column_of,
     given_numbers,
     numbers_of_run,
     recorded,
-    rows_of,
-    simulated,
     span_of,
     tolerance_of,
 )
+from cosim.fmi.trust import is_made_here
 from cosim.model.time_grid import time_grid
 from cosim.trajectory import Column, Trajectory
+
+FMPY, C = MASTERS = ("fmpy", "c")
+_MOST_OPEN = 4  # files that a thread keeps open
+Explained = Callable[[Exception], FmuError]
 
 
 class OpenedFmu:
@@ -51,13 +63,17 @@ class OpenedFmu:
             self._open.close()
             raise
         self.variables = by_name(self.description)
+        self._columns: dict[tuple[str, ...], tuple[Column, ...]] = {}
+        self.reset_is_enough = True  # before another run; a new instance is made where it is not
         self._live = ExitStack()
-        self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
+        self._instance: tuple[Any, Explained] | None = None
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return what a run records."""
-        names = recorded(self.path, self.variables, outputs)
-        return tuple(column_of(self.variables[name]) for name in names)
+        names = tuple(recorded(self.path, self.variables, outputs))
+        if names not in self._columns:
+            self._columns[names] = tuple(column_of(self.variables[name]) for name in names)
+        return self._columns[names]
 
     def settable(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return start values, or refuse them; see `simulate_fmu`."""
@@ -79,6 +95,7 @@ class OpenedFmu:
         output_interval: float | None = None,
         relative_tolerance: float | None = None,
         outputs: Sequence[str] | None = None,
+        master: str = FMPY,
     ) -> Trajectory:
         """Run it once more, from its initial state; arguments and errors as of `simulate_fmu`."""
         began = perf_counter()
@@ -87,37 +104,79 @@ class OpenedFmu:
         names = recorded(self.path, self.variables, outputs)
         tolerance = tolerance_of(self.path, relative_tolerance)
         instance, explained = self._ready()
+        ready, stats = perf_counter(), dict[str, Any]()
         try:
-            result = simulated(
-                explained,
-                span.start,
-                filename=str(self._folder),
-                model_description=self.description,
-                fmu_instance=instance,
-                fmi_type=self.kind,
-                validate=False,
-                stop_time=span.stop,
-                output_interval=span.interval,
-                relative_tolerance=tolerance,
-                start_values=values,
-                output=names,
-            )
-            rows, time = rows_of(explained, result, names, span)
+            if master == FMPY:
+                rows, time = self._through_fmpy(instance, explained, span, tolerance, values, names)
+            else:
+                wanted = [self.variables[name] for name in names]
+                rows, time, stats = self._in_c(instance, explained, span, tolerance, values, wanted)
         except BaseException:
             self._drop()  # nobody knows its state
             raise
-        columns = tuple(column_of(self.variables[name]) for name in names)
-        took = perf_counter() - began
-        stats = {"solver": f"fmpy {self.kind}", "solve_time": took, "wall_time": took}
+        stats["solver"] = f"{master} {self.kind}"
+        stats["solve_time"] = perf_counter() - (began if master == FMPY else ready)
+        stats["wall_time"] = perf_counter() - began
+        columns = self.columns(names)
         numbers = numbers_of_run(self.variables, values)
         return Trajectory(self.description.modelName, time, columns, rows, stats, numbers=numbers)
+
+    def _through_fmpy(
+        self,
+        instance: Any,
+        explained: Explained,
+        span: Span,
+        tolerance: float | None,
+        values: dict[str, float],
+        names: Sequence[str],
+    ) -> tuple[Vector, Vector]:
+        result = simulated(
+            explained,
+            span.start,
+            filename=str(self._folder),
+            model_description=self.description,
+            fmu_instance=instance,
+            fmi_type=self.kind,
+            validate=False,
+            stop_time=span.stop,
+            output_interval=span.interval,
+            relative_tolerance=tolerance,
+            start_values=values,
+            output=names,
+        )
+        return rows_of(explained, result, names, span)
+
+    def _in_c(
+        self,
+        instance: Any,
+        explained: Explained,
+        span: Span,
+        tolerance: float | None,
+        values: dict[str, float],
+        wanted: Sequence[Any],
+    ) -> tuple[Vector, Vector, dict[str, Any]]:
+        try:
+            numbers = span.start, span.stop, span.interval
+            found = drive(instance, self.description, self.kind, numbers, tolerance, values, wanted)
+        except MissingTool:
+            raise
+        except Exception as error:
+            raise explained(error) from error
+        finite = np.isfinite(found.rows)
+        if not finite.all():
+            row = int(np.argmin(finite.all(axis=1)))
+            name = wanted[int(np.argmin(finite[row]))].name
+            raise explained(FmuError(f"{name} is not finite at {found.time[row]:g} s"))
+        return found.rows, found.time, found.stats
 
     def close(self) -> None:
         """Free the instance and remove what was unpacked."""
         self._drop()
         self._open.close()
 
-    def _ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
+    def _ready(self) -> tuple[Any, Explained]:
+        if not self.reset_is_enough:
+            self._drop()
         if self._instance is None:
             made = instantiated(self._folder, self.description, self.kind, self.path)
             self._instance = self._live.enter_context(made)
@@ -133,3 +192,40 @@ class OpenedFmu:
     def _drop(self) -> None:
         self._live.close()
         self._instance = None
+
+
+class _Open(local):
+    """What a thread keeps open, the latest last."""
+
+    def __init__(self) -> None:
+        self.files = OrderedDict[tuple[object, ...], OpenedFmu]()
+
+
+_open = _Open()
+
+
+def kept_open(path: str | os.PathLike[str], interface: str | None) -> OpenedFmu:
+    """Return an FMU that this thread has opened, and keep it for its next runs.
+
+    A file that was not made here gets a new instance for every run: only of ours is it known that a
+    reset leaves nothing behind.
+
+    Raises:
+        FmuError, SecurityError, UnknownName: See `simulate_fmu`.
+    """
+    try:
+        facts = Path(path).stat()
+    except (OSError, TypeError, ValueError):
+        return OpenedFmu(path, interface)  # which says what is wrong
+    changed = facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
+    key = (str(path), interface, *changed)
+    found = _open.files.pop(key, None)
+    if found is None:
+        found = OpenedFmu(path, interface)
+        found.reset_is_enough = is_made_here(path)
+        finalize(found, ExitStack.close, found._open)
+    _open.files[key] = found
+    while len(_open.files) > _MOST_OPEN:
+        _, oldest = _open.files.popitem(last=False)
+        oldest.close()
+    return found

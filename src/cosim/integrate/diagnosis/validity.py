@@ -1,5 +1,6 @@
 """Where a run leaves what its model, or its fixed step, is good for."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,21 +19,19 @@ class Breach(NamedTuple):
     text: str
 
 
-def breaches(dae: Dae, time: Vector, margins: Vector) -> list[Breach]:
-    """Return where each limit of the model is left for the first time.
+def breaches(dae: Dae, time: Vector, left: Sequence[int]) -> list[Breach]:
+    """Say where each limit of the model is left for the first time.
 
     Args:
         dae: The model.
         time: Output times, s, (n,).
-        margins: Values of the limits there, (n, number of limits); valid while positive.
+        left: Position of that time for each limit; n or more where it is not left.
     """
-    found = []
-    for (_, meaning), margin in zip(dae.limits, margins.T, strict=True):
-        outside = np.flatnonzero(~(margin > 0))  # what is not a number is outside
-        if outside.size:
-            i = int(outside[0])
-            found.append(Breach(i, f"from {time[i]:g} s on it is no longer true that {meaning}"))
-    return found
+    return [
+        Breach(i, f"from {time[i]:g} s on it is no longer true that {meaning}")
+        for i, (_, meaning) in zip(left, dae.limits, strict=True)
+        if i < len(time)
+    ]
 
 
 def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: float) -> list[Breach]:

@@ -1,5 +1,6 @@
 """Explicit methods in C around generated equations: the engine of all, and `dop853`."""
 
+import ctypes
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,8 +17,10 @@ from cosim.codegen.runge_kutta.explicit_library import (
     dop853_method,
     explicit_function,
     explicit_library,
+    work_space,
 )
 from cosim.integrate.engine import Engine, Problem, reported
+from cosim.integrate.run.call import call_on_arrays
 from cosim.integrate.solver import AdaptiveSolver
 
 
@@ -74,7 +77,38 @@ def explicit_engine(
     extended = ca.vertcat(constants(p), *numbers, ca.DM(grid), breaks)
     parameters = ca.Function("parameters", [p], [extended])
     counts = reported(library, 0.0, 1.0)
-    return Engine(run, parameters, problem.piecewise, counts, True, library, kept)
+    direct = DirectCall(library, parameters)
+    return Engine(run, parameters, problem.piecewise, counts, True, library, kept, direct=direct)
+
+
+class DirectCall:
+    """A compiled run on arrays, with work space of its own; not for two threads at once.
+
+    Args:
+        library: Of `explicit_library`.
+        parameters: `p -> p` of its function `run`.
+    """
+
+    def __init__(self, library: ctypes.CDLL, parameters: ca.Function) -> None:
+        self._run, self._parameters = library.run, parameters
+        self._work = work_space(library)
+        self._p: bytes | None = None
+        self._extended = np.empty(parameters.numel_out(0))
+
+    def __call__(
+        self, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
+    ) -> bool:
+        """Fill states and algebraic unknowns, (n, nx) and (n, nz); tell whether it succeeded."""
+        if p.tobytes() != self._p:  # CasADi is asked for what follows from them once
+            call_on_arrays(self._parameters, [p], [self._extended])
+            self._p = p.tobytes()
+        arguments, results, integers, doubles = self._work
+        held = [np.ascontiguousarray(part, dtype=float) for part in (x0, z0, self._extended, u)]
+        for place, array in enumerate(held):
+            arguments[place] = array.ctypes.data if array.size else None
+        for place, array in enumerate((states, algebraics)):
+            results[place] = array.ctypes.data if array.size else None
+        return not self._run(arguments, results, integers, doubles, 0)
 
 
 def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, ca.DM, NDArray[np.intp]]:

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import UsageError
-from cosim.integrate.simulate import output_times, simulate
+from cosim.integrate.plan import Times
+from cosim.integrate.simulate import simulate
 from cosim.model.time_grid import checked_grid
 from cosim.model.values import number
 from cosim.trajectory import Trajectory
@@ -54,7 +55,7 @@ class AskedTimes:
 
     def grid(self) -> Vector:
         """Return all of them, s, (n,)."""
-        return output_times(self.dae, **self.given)
+        return Times(*self.given.values()).grid(self.dae)
 
     def asked(self, run: Trajectory) -> Trajectory:
         """Return a run without the start that nobody asked for."""

@@ -1,19 +1,17 @@
 """One call of an engine: interruptible, without messages on the way, and what it reached."""
 
-import ctypes
 import io
-import signal
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from functools import partial
-from threading import current_thread, main_thread
 from time import perf_counter
 
 import casadi as ca
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.codegen.interruptible import interruptible
 from cosim.host.progress import doing
 from cosim.integrate.engine import Counts, Engine
 
@@ -41,21 +39,18 @@ class Reached:
 
 def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
     """Call an engine with start values, parameters and constant inputs."""
-    n = engine.function.size2_out(0)
+    n = engine.points
     # CasADi writes column by column, and those after a failure not at all
     states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
-    if engine.parameters is not None:
-        extended = np.empty(engine.parameters.numel_out(0))
-        call_on_arrays(engine.parameters, [p], [extended])
-        p = extended
-    arguments = [x0, z0, p, np.tile(u, n) if engine.repeat_u else u]
+    if engine.repeat_u:
+        u = np.tile(u, n)
     counts = Counts()
     began = perf_counter()
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
-    with redirect_stderr(told), _interruptible(engine.library) as interrupts:
+    with redirect_stderr(told), interruptible(engine.library) as interrupts:
         try:
             with doing("solving", partial(_filled, states)):
-                succeeded = call_on_arrays(engine.function, arguments, (states, algebraics))
+                succeeded = _evaluated(engine, x0, z0, p, u, states, algebraics)
         except RuntimeError as error:  # CasADi has no narrower type
             reason = _flag(str(error))
         else:
@@ -76,6 +71,19 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     elif reached < n:
         reason = "a state is not finite"
     return Reached(states[:reached].T, algebraics[:reached].T, counts, reason, took)
+
+
+def _evaluated(
+    engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
+) -> bool:
+    """Fill the results of an engine; tell whether it succeeded."""
+    if engine.direct is not None:
+        return engine.direct(x0, z0, p, u, states, algebraics)
+    if engine.parameters is not None:
+        extended = np.empty(engine.parameters.numel_out(0))
+        call_on_arrays(engine.parameters, [p], [extended])
+        p = extended
+    return call_on_arrays(engine.function, (x0, z0, p, u), (states, algebraics))
 
 
 def _filled(rows: Vector) -> float:
@@ -110,26 +118,3 @@ def _flag(message: str) -> str:
     """Return the SUNDIALS flag, or the last line of CasADi's message."""
     flag = message.partition('returned "')[2].partition('"')[0]
     return flag or message.strip().splitlines()[-1][:200]
-
-
-@contextmanager
-def _interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
-    """Let Ctrl-C end what happens in between, though it is one C function.
-
-    Yields:
-        A list that then holds the signal. A handler of the user's own is called, too.
-    """
-    interrupts: list[int] = []
-    handler = signal.getsignal(signal.SIGINT)
-    if library is None or current_thread() is not main_thread() or not callable(handler):
-        yield interrupts
-        return
-    library.cosim_watch()
-    try:
-        yield interrupts
-    finally:
-        signal.signal(signal.SIGINT, handler)
-    if library.cosim_halted():
-        interrupts.append(signal.SIGINT)
-        if handler is not signal.default_int_handler:
-            handler(signal.SIGINT, None)

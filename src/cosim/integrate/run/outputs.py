@@ -1,16 +1,18 @@
 """From states to everything that a run records."""
 
 import ctypes
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from casadi import MX
+from numpy.typing import ArrayLike, NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.initialization import algebraic_function
-from cosim.codegen.runge_kutta.lane_library import lane_outputs, processor_lanes
+from cosim.codegen.runge_kutta.lane_library import Watched, lane_outputs, processor_lanes
 from cosim.errors import UsageError
 from cosim.integrate.run.call import call_on_arrays
 from cosim.memo import kept_per_thread
@@ -20,57 +22,148 @@ from cosim.trajectory import Column
 _WORTHWHILE = 8  # times; for fewer, other code is at hand
 
 
+@dataclass(frozen=True)
+class Solved:
+    """A run as its solver leaves it, over n times.
+
+    Attributes:
+        time: s, (n,).
+        states, guesses: Of states and algebraic unknowns, (nx, n) and (nz, n).
+        u: Inputs, (nu, n), or (nu, 1) where they are constant.
+        p: Parameters.
+    """
+
+    time: Vector
+    states: Vector
+    guesses: Vector
+    u: Vector
+    p: Vector
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a run records, and where it is left by what it should keep to.
+
+    Attributes:
+        table: One row per time, a column per name.
+        unknowns: Algebraic unknowns, (n, nz).
+        lost: Position of the first time at which a state, an unknown, or what is recorded is not
+            finite; n where there is none.
+        left: Of each limit, position of the first time at which its margin is not positive; n
+            where there is none.
+        margins: Of the limits, (n, number of limits), where they are asked for.
+    """
+
+    table: Vector
+    unknowns: Vector
+    lost: int
+    left: tuple[int, ...]
+    margins: Vector
+
+
 def observe(
-    dae: Dae, time: Vector, states: Vector, guesses: Vector, u: Vector, p: Vector, compiled: bool
-) -> tuple[Vector, Vector]:
-    """Evaluate algebraic unknowns, outputs and limits from the states.
+    dae: Dae,
+    solved: Solved,
+    places: tuple[int, ...],
+    *,
+    limits: bool,
+    margins: bool,
+    compiled: bool,
+) -> Observed:
+    """Evaluate what is recorded of a run, and the limits.
 
     Args:
         dae: The model.
-        time: s, (n,).
-        states, guesses, u: At these times: states, algebraic unknowns, inputs; n columns each.
-        p: Parameters.
+        solved: The run.
+        places: Of what is recorded among `all_columns`.
+        limits: Whether to look at the limits.
+        margins: Whether their margins are asked for.
         compiled: Whether by machine code.
-
-    Returns:
-        What `all_columns` names, and the margins of the limits; one row per time each.
     """
-    n, known = len(time), len(all_columns(dae))
+    n, nx = len(solved.time), len(dae.states)
     if not n:
-        return np.empty((0, known)), np.empty((0, len(dae.limits)))
-    if compiled and n >= _WORTHWHILE and (library := _lane_library(dae)) is not None:
-        return _in_lanes(library, dae, time, states, u, p)
+        sizes = len(places), len(dae.algebraics), len(dae.limits)
+        table, unknowns, none = (np.empty((0, size)) for size in sizes)
+        return Observed(table, unknowns, 0, (0,) * len(dae.limits), none)
+    computed = any(place >= nx for place in places)
+    if not (computed or limits or dae.algebraics):
+        return _states_alone(solved, places)
+    several = compiled and n >= _WORTHWHILE
+    if several and (library := _lane_library(dae, limits_only=not computed)) is not None:
+        return _in_lanes(library, dae, solved, places, margins=margins)
+    return _one_by_one(dae, solved, places, limits=limits, compiled=compiled)
+
+
+def _states_alone(solved: Solved, places: tuple[int, ...]) -> Observed:
+    """Return what `observe` does where there is nothing to evaluate."""
+    n = len(solved.time)
+    lost = _first(~np.isfinite(solved.states).all(axis=0))
+    table = np.ascontiguousarray(solved.states[places, :].T)
+    return Observed(table, np.empty((n, 0)), lost, (), np.empty((n, 0)))
+
+
+def _one_by_one(
+    dae: Dae, solved: Solved, places: tuple[int, ...], *, limits: bool, compiled: bool
+) -> Observed:
+    """Return what `observe` does, for any model."""
+    n, known = len(solved.time), len(dae.states) + len(dae.algebraics)
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
-    call_on_arrays(function, (time, states.T, guesses.T, u.T, p), (rows,))
-    every = np.hstack((states.T, rows))
-    every.setflags(write=False)  # a trajectory of it need not copy
-    return every[:, :known], every[:, known:]
+    u = np.broadcast_to(solved.u, (len(solved.u), n))
+    arguments = (solved.time, solved.states.T, solved.guesses.T, u.T, solved.p)
+    call_on_arrays(function, arguments, (rows,))
+    every = np.hstack((solved.states.T, rows))
+    looked_at = every[:, sorted({*range(known), *places})]
+    lost = _first(~np.isfinite(looked_at).all(axis=1))
+    margins = every[:, every.shape[1] - len(dae.limits) :] if limits else np.empty((n, 0))
+    left = tuple(_first(~(margin > 0)) for margin in margins.T)  # what is no number is outside
+    return Observed(every[:, places], every[:, len(dae.states) : known], lost, left, margins)
+
+
+def _first(where: ArrayLike) -> int:
+    """Return the first place that is true; the length where none is."""
+    found = np.flatnonzero(where)
+    return int(found[0]) if found.size else np.size(where)
 
 
 @kept_per_thread(16)
-def _lane_library(dae: Dae) -> ctypes.CDLL | None:
+def _lane_library(dae: Dae, *, limits_only: bool) -> ctypes.CDLL | None:
     """Return the outputs of an explicit form for several times at once, where lanes have them."""
     if dae.algebraics or not dae.states:
         return None
     try:
-        return lane_outputs(dae, processor_lanes())
+        return lane_outputs(dae, processor_lanes(), limits_only=limits_only)
     except UsageError:  # an operation that lanes do not have
         return None
 
 
 def _in_lanes(
-    library: ctypes.CDLL, dae: Dae, time: Vector, states: Vector, u: Vector, p: Vector
-) -> tuple[Vector, Vector]:
+    library: ctypes.CDLL, dae: Dae, solved: Solved, places: tuple[int, ...], *, margins: bool
+) -> Observed:
     """Return what `observe` does, for explicit forms."""
-    n, nx, known = len(time), len(states), len(all_columns(dae))
-    rows = np.empty((n, known + len(dae.limits)))
-    rows[:, :nx] = states.T
-    held = [np.ascontiguousarray(part, dtype=float) for part in (time, states.T, u.T, p)]
-    place = rows.ctypes.data + nx * rows.itemsize
-    library.lanes_outputs(n, *(part.ctypes.data for part in held), place, rows.shape[1])
-    rows.setflags(write=False)
-    return rows[:, :known], rows[:, known:]
+    n = len(solved.time)
+    table, first = np.empty((n, len(places))), np.empty(1 + len(dae.limits), dtype=np.int64)
+    given = [solved.time, solved.states.T, solved.u.T, solved.p]
+    held = [np.ascontiguousarray(part, dtype=float) for part in given]
+    found = np.empty((n, len(dae.limits) if margins else 0))
+    recorded = _as_array(places)
+    library.lanes_outputs(
+        Watched(
+            n,
+            len(held[2]),
+            *(part.ctypes.data for part in held),
+            len(places),
+            *(part.ctypes.data for part in (recorded, table, first)),
+            found.ctypes.data if margins else None,
+        )
+    )
+    lost, *left = first.tolist()
+    return Observed(table, np.empty((n, 0)), lost, tuple(left), found)
+
+
+@kept_per_thread(16)
+def _as_array(places: tuple[int, ...]) -> NDArray[np.int64]:
+    return np.array(places, dtype=np.int64)
 
 
 @kept_per_thread(64)

@@ -47,7 +47,12 @@ class RunStats(Mapping[str, Any]):
         return {name: value for name, value in found.items() if value is not None}
 
     def __getitem__(self, name: str) -> Any:
-        return self._known()[name]
+        value = vars(self).get(name)
+        if name == "invalid":
+            value = list(self.invalid) or None
+        if value is None:
+            raise KeyError(name)
+        return value
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._known())

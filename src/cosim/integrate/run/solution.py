@@ -1,6 +1,7 @@
 """From a problem and its numbers to everything observable on the grid."""
 
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
 from cosim.integrate.run.attempts import Start, integrated
 from cosim.integrate.run.call import INTERRUPTED, call
-from cosim.integrate.run.outputs import all_columns, observe
+from cosim.integrate.run.outputs import Observed, Solved, all_columns, observe
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import engine_of
 from cosim.model.inputs import InputSeries
@@ -27,7 +28,8 @@ class Solution:
 
     Attributes:
         grid: Output times that were wanted, s, (n,).
-        table: What `all_columns` names, one row per time that was reached.
+        table: What is recorded, one row per time that was reached.
+        last: States, and algebraic unknowns, at the last of these times; empty without one.
         counts: What the solver took.
         solve_time: What it took, s; None where there was nothing to integrate.
         reason: Why it ended early; empty where it did not.
@@ -37,6 +39,7 @@ class Solution:
 
     grid: Vector
     table: Vector
+    last: tuple[Vector, Vector]
     counts: Counts
     solve_time: float | None
     reason: str
@@ -44,8 +47,10 @@ class Solution:
     note: str
 
 
-def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> Solution:
-    """Integrate, and evaluate what a run records.
+def solve(
+    problem: Problem, solver: Solver, values: Values, on_invalid: str, places: tuple[int, ...]
+) -> Solution:
+    """Integrate, and evaluate what a run records: `places` among `all_columns`.
 
     Raises:
         CosimError: See `simulate`.
@@ -54,7 +59,6 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
     x0 = start_values(dae, values)
     u = input_values(dae, grid, values, problem.inputs)
     z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
-    states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
     counts, solve_time = Counts(), None
     reason, note, found = "", "", list[Breach]()
     if len(grid) > 1 and dae.states:
@@ -64,49 +68,63 @@ def solve(problem: Problem, solver: Solver, values: Values, on_invalid: str) -> 
         states, guesses, reason = reached.states, reached.algebraics, reached.reason
         if isinstance(solver, FixedStep) and not reason and on_invalid != "ignore":
             found, reason = _step_check(problem, solver, states, z0, values)
+    else:
+        states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
     n = states.shape[1]
-    watched = dae if problem.project or on_invalid == "ignore" else watching_rank(dae)
-    u = u[:, :n]
-    table, margins = observe(watched, grid[:n], states, guesses, u, values.p, problem.compiled)
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-    if bad.size:
-        n = int(bad[0])
-        name = all_columns(dae)[int(np.argmin(np.isfinite(table[n])))].name
+    limits = on_invalid != "ignore"
+    watched = watching_rank(dae) if limits and not problem.project else dae
+    ranked = watched is not dae
+    solved = Solved(grid[:n], states, guesses, u[:, :n], values.p)
+    compiled = problem.compiled
+    seen = observe(watched, solved, places, limits=limits, margins=ranked, compiled=compiled)
+    if seen.lost < n:
+        n, name = seen.lost, _not_finite(dae, solved, seen, places)
         reason = reason or f"{name} is not finite at {grid[n]:g} s"
-    if on_invalid != "ignore":
-        margins = margins[:n]
-        found += breaches(dae, grid[:n], margins[:, : len(dae.limits)])
-        if watched is not dae:
-            found += _crossings(dae, grid[:n], table[:n], u[:, :n], values.p, margins[:, -1])
+    if limits:
+        found += breaches(dae, grid[:n], seen.left[: len(dae.limits)])
+        if ranked:
+            found += _crossings(dae, solved, seen, n)
         found.sort()
         if found and on_invalid == "stop":
             n, reason = found[0]
-    return Solution(grid, table[:n], counts, solve_time, reason, tuple(found), note)
+    last = (states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
+    return Solution(grid, seen.table[:n], last, counts, solve_time, reason, tuple(found), note)
+
+
+def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:
+    """Return the name of the first variable that has no number at the first such time."""
+    row = np.concatenate((solved.states[:, seen.lost], seen.unknowns[seen.lost]))
+    numbers = dict(enumerate(row.tolist())) | dict(
+        zip(places, seen.table[seen.lost].tolist(), strict=True)
+    )
+    place = min(place for place, value in numbers.items() if not isfinite(value))
+    return all_columns(dae)[place].name
 
 
 def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
-    """Return every input at the output times, (nu, n).
+    """Return every input at the output times, (nu, n); (nu, 1) where all are constant.
 
     Raises:
         UnknownName: A series is of no input of the model.
     """
-    table = np.tile(values.u[:, None], len(grid))
     if not isinstance(inputs, InputSeries | None):
         raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, "what read_inputs returns")
-    if inputs is not None:
-        known = [variable.name for variable in dae.inputs]
-        for name, row in zip(inputs.names, inputs.at(grid), strict=True):
-            if name not in known:
-                raise UnknownName.among(dae.full_name, "input", name, known)
-            table[known.index(name)] = row
+    if inputs is None:
+        return values.u[:, None]
+    table = np.tile(values.u[:, None], len(grid))
+    known = [variable.name for variable in dae.inputs]
+    for name, row in zip(inputs.names, inputs.at(grid), strict=True):
+        if name not in known:
+            raise UnknownName.among(dae.full_name, "input", name, known)
+        table[known.index(name)] = row
     return table
 
 
-def _crossings(
-    dae: Dae, grid: Vector, table: Vector, u: Vector, p: Vector, rank: Vector
-) -> list[Breach]:
-    nx, nz = len(dae.states), len(dae.algebraics)
-    return crossings(dae, grid, table[:, :nx].T, table[:, nx : nx + nz].T, u, p, rank)
+def _crossings(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
+    """Return where constraints lose rank before the time at position n."""
+    u = np.broadcast_to(solved.u, (len(solved.u), len(solved.time)))[:, :n]
+    unknowns, rank = seen.unknowns[:n].T, seen.margins[:n, -1]
+    return crossings(dae, solved.time[:n], solved.states[:, :n], unknowns, u, solved.p, rank)
 
 
 def _step_check(

@@ -1,0 +1,66 @@
+/* Co-simulation over a grid: the communication points and step sizes of FMPy, bit for bit. */
+#ifndef CO_SIMULATION_H
+#define CO_SIMULATION_H
+
+#include "interrupt.h"
+#include "run.h"
+
+/* Takes one step to `next`; `time` is where the FMU is afterwards. Returns how the run goes on:
+ * DONE where it does. */
+static inline int communicate(Fmu *fmu, double *time, double next) {
+    const Functions *call = fmu->call;
+    const double length = next - *time;
+    if (call->version == 2) {
+        const int status = call->do_step_2(call->instance, *time, length, 1);
+        if (!failed(fmu, "fmi2DoStep", status)) {
+            *time = next;
+            return DONE;
+        }
+        int terminated = 0;
+        if (status != DISCARD) return CALL_FAILED;
+        if (failed(fmu, "fmi2GetBooleanStatus",
+                   call->get_boolean_status(call->instance, TERMINATED, &terminated)))
+            return CALL_FAILED;
+        if (!terminated) return STUCK;
+        if (failed(fmu, "fmi2GetRealStatus",
+                   call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, time)))
+            return CALL_FAILED;
+        return ENDED_BY_FMU;
+    }
+    bool event = false, terminate = false, early = false;
+    double last = next;
+    const int status =
+        call->do_step_3(call->instance, *time, length, true, &event, &terminate, &early, &last);
+    if (failed(fmu, "fmi3DoStep", status)) return CALL_FAILED;
+    if (early) return EARLY_RETURN;
+    *time = next;
+    return terminate ? ENDED_BY_FMU : DONE;
+}
+
+static inline int co_simulation(Run *run, Fmu *fmu) {
+    double time = run->start;
+    if (record(fmu, run->recording, 0)) return CALL_FAILED;
+    run->rows = 1;
+    for (long long n = 0; run->rows < run->points;) {
+        if (time > run->stop || near(time, run->stop)) return DONE;
+        if (halted) return INTERRUPTED;
+        const double regular = run->start + (double)(n + 1) * run->interval;
+        double next = regular;
+        if (next > run->stop && !near(next, run->stop)) {
+            if (!run->any_step) return DONE;
+            next = run->stop;
+        }
+        const int how = communicate(fmu, &time, next);
+        run->time = time;
+        if (how == CALL_FAILED || how == EARLY_RETURN || how == STUCK) return how;
+        ++run->steps;
+        if (how == ENDED_BY_FMU && fmu->call->version == 2) return how; /* between output times */
+        if (record(fmu, run->recording, run->rows)) return CALL_FAILED;
+        ++run->rows;
+        if (how != DONE) return how;
+        if (near(time, regular)) ++n;
+    }
+    return DONE;
+}
+
+#endif

@@ -1,0 +1,64 @@
+/* What a run records: variables of every kind that is a number, as doubles. */
+#ifndef RECORDING_H
+#define RECORDING_H
+
+#include <math.h>
+#include <stdint.h>
+
+#include "fmu.h"
+
+/* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/c_master.py. */
+enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8 };
+
+/* Variables of one kind, and where their values are put: `buffer` holds them as they come. */
+typedef struct {
+    long long kind, count;
+    const uint32_t *references;
+    int (*get_2)(void *, const uint32_t *, size_t, void *);
+    int (*get_3)(void *, const uint32_t *, size_t, void *, size_t);
+    const char *function;
+    void *buffer;
+} Group;
+
+/* A row per output time; `columns` says where in a row the values of each group belong. */
+typedef struct {
+    long long groups, width;
+    const Group *group;
+    const long long *columns;
+    double *rows;
+} Recording;
+
+static inline double number(const Group *group, long long i) {
+    switch (group->kind) {
+    case F32: return ((const float *)group->buffer)[i];
+    case I8: return ((const int8_t *)group->buffer)[i];
+    case U8: return ((const uint8_t *)group->buffer)[i];
+    case I16: return ((const int16_t *)group->buffer)[i];
+    case U16: return ((const uint16_t *)group->buffer)[i];
+    case I32: return ((const int32_t *)group->buffer)[i];
+    case U32: return ((const uint32_t *)group->buffer)[i];
+    case I64: return (double)((const int64_t *)group->buffer)[i];
+    case U64: return (double)((const uint64_t *)group->buffer)[i];
+    case B8: return ((const bool *)group->buffer)[i];
+    default: return ((const double *)group->buffer)[i];
+    }
+}
+
+/* Writes what the FMU says now. Returns 0 unless a call fails. */
+static inline int record(Fmu *fmu, const Recording *self, long long row) {
+    double *const out = self->rows + row * self->width;
+    const long long *column = self->columns;
+    for (long long g = 0; g < self->groups; ++g) {
+        const Group *group = self->group + g;
+        const size_t n = (size_t)group->count;
+        void *const instance = fmu->call->instance;
+        const int status = group->get_2
+                               ? group->get_2(instance, group->references, n, group->buffer)
+                               : group->get_3(instance, group->references, n, group->buffer, n);
+        if (failed(fmu, group->function, status)) return 1;
+        for (long long i = 0; i < group->count; ++i) out[*column++] = number(group, i);
+    }
+    return 0;
+}
+
+#endif

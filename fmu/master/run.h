@@ -1,0 +1,41 @@
+/* One call for a whole run: what it is given, and what it tells afterwards. */
+#ifndef RUN_H
+#define RUN_H
+
+#include "recording.h"
+
+/* How a run ended. */
+enum { DONE, CALL_FAILED, ENDED_BY_FMU, STUCK, EARLY_RETURN, STEP_VANISHED, INTERRUPTED };
+
+typedef struct {
+    const Functions *functions;
+    const Recording *recording;
+    const double *times; /* of outputs */
+    long long points;
+    double start, stop, interval; /* as they were asked for */
+    long long any_step;           /* co-simulation: whether steps may differ */
+    long long states, indicators; /* model exchange */
+    long long needs_completed_step, next_defined;
+    double next_event, relative_tolerance;
+    const double *nominals;
+    /* answers */
+    long long how, rows, steps, calls, events, status;
+    const char *function;
+    double time;
+} Run;
+
+/* Runs an FMU; its answers tell how that went. */
+static inline void answer(Run *run, int (*interface)(Run *, Fmu *)) {
+    Fmu fmu = {run->functions, NULL, OK};
+    run->time = run->start;
+    run->how = interface(run, &fmu);
+    run->function = fmu.function;
+    run->status = fmu.status;
+}
+
+/* As Python's math.isclose. */
+static inline int near(double a, double b) {
+    return a == b || fabs(a - b) <= 1e-9 * fmax(fabs(a), fabs(b));
+}
+
+#endif

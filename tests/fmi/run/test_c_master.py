@@ -1,0 +1,202 @@
+"""The compiled master of FMUs: fmpy's numbers, the laws of motion, and fmpy's words."""
+
+import signal
+import threading
+
+import numpy as np
+import pytest
+from helpers.ball import ball_fmu, free_fall
+from helpers.hostile import hostile, hostile_binary
+from helpers.small_models import decay
+
+import cosim
+from cosim.errors import FmuError, MissingTool, UnknownName, UsageError
+from cosim.fmi.run import c_master, opened
+from cosim.fmi.run.c_master import communication_points
+from cosim.model.inputs import InputSeries
+
+VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
+INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("driven")
+    return {fmi: cosim.export_fmu(decay(), folder / f"decay_{fmi}.fmu", fmi=fmi) for fmi in (2, 3)}
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ball")
+    return {fmi: ball_fmu(folder, fmi) for fmi in (2, 3)}
+
+
+@pytest.fixture(scope="module")
+def write(tmp_path_factory):
+    return hostile(hostile_binary(tmp_path_factory.mktemp("hostile")))
+
+
+def both(path, **options):
+    """Return a run through fmpy and one through the compiled master."""
+    return [cosim.simulate_fmu(path, **options, master=master) for master in ("fmpy", "c")]
+
+
+# -- numbers ------------------------------------------------------------------------------------
+
+
+@VERSIONS
+@pytest.mark.parametrize("times", [(0.0, 1.0, 0.1), (0.3, 1.0, 0.13), (0.0, 0.5, 0.7)], ids=str)
+def test_co_simulation_has_the_bits_of_fmpy(fmi, times, fmus):
+    names = ("start_time", "stop_time", "output_interval")
+    options = dict(zip(names, times, strict=True)) | {"start": {"x": 1.5}}
+    through_fmpy, in_c = both(fmus[fmi], interface="CoSimulation", **options)
+    np.testing.assert_array_equal(in_c.time, through_fmpy.time)
+    np.testing.assert_array_equal(in_c.values, through_fmpy.values)
+    assert in_c.columns == through_fmpy.columns
+    assert in_c.stats["steps"] == len(in_c) - 1
+
+
+@VERSIONS
+def test_model_exchange_meets_the_closed_form(fmi, fmus):
+    run = cosim.simulate_fmu(
+        fmus[fmi], interface="ModelExchange", relative_tolerance=1e-9, master="c"
+    )
+    x = run["x"]
+    exact = x[0] * np.exp(np.log(x[-1] / x[0]) * run.time / run.time[-1])
+    np.testing.assert_allclose(x, exact, rtol=1e-8)
+    through_fmpy = cosim.simulate_fmu(fmus[fmi], interface="ModelExchange", relative_tolerance=1e-9)
+    np.testing.assert_array_equal(run.time, through_fmpy.time)
+    np.testing.assert_allclose(run.values, through_fmpy.values, rtol=1e-6)
+
+
+@VERSIONS
+def test_events_of_time_and_states_are_met_exactly(fmi, balls):
+    run = cosim.simulate_fmu(balls[fmi], master="c")
+    expected = free_fall(run.time)
+    np.testing.assert_array_equal(run["bounces"], expected["bounces"])
+    np.testing.assert_array_equal(run["pushed"], expected["pushed"])
+    for name in ("h", "v"):
+        np.testing.assert_allclose(run[name], expected[name], rtol=0, atol=1e-8)
+    assert run.stats["events"] == 2 * expected["bounces"][-1] + 1  # it leaves the ground again
+    assert expected["bounces"][-1] >= 2
+
+
+@VERSIONS
+def test_an_event_at_an_output_time_is_recorded_after_it(fmi, balls):
+    in_c, through_fmpy = (
+        cosim.simulate_fmu(balls[fmi], stop_time=0.3, output_interval=0.05, master=master)
+        for master in ("c", "fmpy")
+    )
+    assert in_c.time[5] == 0.25
+    assert in_c["pushed"][4:6].tolist() == [0.0, 1.0]
+    np.testing.assert_array_equal(in_c["pushed"], through_fmpy["pushed"])
+    np.testing.assert_allclose(in_c.values, through_fmpy.values, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "span", [(0.0, 1.0, 0.1), (0.0, 1.0, 0.3), (0.1, 0.4, 0.1), (2.0, 2.0, 1.0)]
+)
+@pytest.mark.parametrize("any_step", [True, False])
+def test_communication_points_are_those_of_a_loop(span, any_step):
+    start, stop, interval = span
+    found = communication_points(start, stop, interval, any_step=any_step)
+    time, expected, n = start, [start], 0
+    while time < stop and not np.isclose(time, stop, rtol=1e-9, atol=0):
+        time = start + (n + 1) * interval
+        if time > stop and not np.isclose(time, stop, rtol=1e-9, atol=0):
+            if not any_step:
+                break
+            time = stop
+        expected.append(time)
+        n += 1
+    assert found.tolist() == expected
+
+
+# -- what goes wrong ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "interface"),
+    [
+        ("fmi2DoStep status 3", "CoSimulation"),
+        ("fmi2DoStep status 2", "CoSimulation"),
+        ("fmi2DoStep status -7", "CoSimulation"),
+        ("fmi2GetReal status 3", "CoSimulation"),
+        ("fmi2SetTime status 3", "ModelExchange"),
+        ("fmi2EnterInitializationMode status 3", "ModelExchange"),
+        ("fmi2Terminate status 3", "ModelExchange"),
+    ],
+)
+def test_a_failed_call_is_told_in_the_words_of_fmpy(fault, interface, write):
+    path, said = write(fault), []
+    for master in ("fmpy", "c"):
+        with pytest.raises(FmuError) as caught:
+            cosim.simulate_fmu(path, interface=interface, master=master)
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+
+
+def test_derivatives_that_are_always_discarded_end_the_run(write):
+    path = write("fmi2GetDerivatives status 2")
+    with pytest.raises(FmuError, match=r"fmi2GetDerivatives failed with status 2 \(discard\)"):
+        cosim.simulate_fmu(path, interface="ModelExchange", master="c")
+
+
+@VERSIONS
+def test_an_fmu_that_ends_the_simulation_ends_the_run(fmi, balls):
+    landing = 0.25 + ((2 - 9.81 / 4) + np.sqrt((2 - 9.81 / 4) ** 2 + 2 * 9.81 * 0.6934375)) / 9.81
+    with pytest.raises(FmuError, match="the run ended at ") as caught:
+        cosim.simulate_fmu(balls[fmi], start={"limit": 1.0}, master="c")
+    assert f"at {landing:g} s" in str(caught.value)
+
+
+@INTERFACES
+def test_ctrl_c_ends_a_run(interface, fmus):
+    before = signal.getsignal(signal.SIGINT)
+    timer = threading.Timer(0.3, signal.raise_signal, [signal.SIGINT])
+    options = {"stop_time": 1e4, "output_interval": 0.002, "interface": interface}
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        cosim.simulate_fmu(fmus[2], **options, master="c")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_what_the_master_does_not_have_is_refused(fmus, monkeypatch):
+    with pytest.raises(UnknownName, match="did you mean c"):
+        cosim.simulate_fmu(fmus[2], master="C")
+    series = InputSeries(("u",), np.array([0.0, 1.0]), np.array([[0.0], [1.0]]))
+    with pytest.raises(UsageError, match="takes no series of inputs; use 'fmpy'"):
+        cosim.simulate_fmu(fmus[2], inputs=series, master="c")
+    monkeypatch.setattr(c_master, "cached_library", _no_compiler)
+    monkeypatch.setattr(c_master, "_library", c_master._library.__wrapped__)
+    with pytest.raises(MissingTool, match="no compiler"):
+        cosim.simulate_fmu(fmus[2], interface="CoSimulation", master="c")
+
+
+def _no_compiler(*_):
+    raise MissingTool("no compiler; install one")
+
+
+# -- kept open ----------------------------------------------------------------------------------
+
+
+def test_a_file_is_unpacked_once_and_runs_do_not_feel_each_other(fmus, monkeypatch, tmp_path):
+    path = tmp_path / "decay.fmu"
+    path.write_bytes(fmus[2].read_bytes())
+    count = []
+    original = opened.unpacked
+    monkeypatch.setattr(opened, "unpacked", lambda p: (count.append(p), original(p))[1])
+    first = cosim.simulate_fmu(path, master="c")
+    cosim.simulate_fmu(path, start={"x": 3.0}, master="c")
+    again = cosim.simulate_fmu(path, master="c")
+    assert len(count) == 1
+    np.testing.assert_array_equal(first.values, again.values)
+
+
+def test_a_file_that_has_changed_is_read_again(fmus, tmp_path):
+    path = tmp_path / "x.fmu"
+    path.write_bytes(fmus[2].read_bytes())
+    assert cosim.simulate_fmu(path, master="c").model == "decay"
+    path.unlink()
+    cosim.export_fmu(cosim.load("crank_shaft"), path)
+    assert cosim.simulate_fmu(path, master="c").model == "crank_shaft_driven"
