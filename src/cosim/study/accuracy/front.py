@@ -35,7 +35,7 @@ FRONT_TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
 ROUNDS = 4  # of which the fastest counts: what else the machine does makes a run slower only
 TIMING_SECONDS = 5.0  # after which no configuration is timed once more
 MOST_CALLS = 200_000  # of the equations; a solver that needs more is not tried any tighter
-_FRONT_FORMAT = "front-3"
+_FRONT_FORMAT = "front-4"
 
 
 @dataclass(frozen=True)
