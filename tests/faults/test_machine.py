@@ -71,3 +71,20 @@ def test_full_folder_for_temporary_files_is_told(mounted, exported):
     assert done.returncode == 1
     assert "No space left on device; make room, or set TMPDIR" in done.stderr
     assert list(place.iterdir()) == []
+
+
+def test_ctrl_c_while_modules_are_loaded_is_one_word():
+    code = (
+        "import sys\n"
+        "class Interrupting:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'cosim.cli.options':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupting())\n"
+        "from cosim.__main__ import main\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "list"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
