@@ -1,4 +1,4 @@
-/* Ctrl-C ends a run: the library takes the signal over, its caller gives it back afterwards.
+/* A signal ends a run (Ctrl-C, a time limit): the library takes it over, its caller gives it back.
  *
  * The run itself looks at `halted` once per step or right-hand side.
  */
@@ -17,16 +17,16 @@ static volatile sig_atomic_t halted;
 
 static void halt(int number) {
     signal(number, halt); /* some systems forget a handler that was called */
-    halted = 1;
+    halted = (sig_atomic_t)number;
 }
 
-SHARED void cosim_watch(void) {
-    signal(SIGINT, halt);
+SHARED void cosim_watch(int number) {
+    signal(number, halt);
 }
 
-/* Tells whether runs were ended, and lets the next ones go on. */
+/* Tells by which signal runs were ended, 0 for none, and lets the next ones go on. */
 SHARED int cosim_halted(void) {
-    const int was = halted;
+    const int was = (int)halted;
     halted = 0;
     return was;
 }
