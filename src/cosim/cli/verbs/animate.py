@@ -73,11 +73,15 @@ def run(args: argparse.Namespace) -> int:
     if args.shown_model is None and tables:
         args.shown_model = guessed_model(tables)
         if not args.quiet:
-            print(f"the result is drawn as {args.shown_model}", file=sys.stderr)
+            print(
+                f"the result is drawn as {args.shown_model}, with its parameters but for those "
+                "that -p gives",
+                file=sys.stderr,
+            )
     runs, _, code = runs_of(args, everything=args.outputs is None)
     model, values = args.shown_model, None
     if any(run.drawing is None for run in runs):  # parameters that an FMU or a result was run with
-        values = start_numbers(args, None if model is None else load(model)) or None
+        values = start_numbers(args, None if model is None else load(model))
     path = animate(
         runs,
         args.output_file,
