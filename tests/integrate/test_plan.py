@@ -5,8 +5,8 @@ import pytest
 from helpers.oscillators import oscillator
 
 from cosim.errors import ParameterError, UsageError
-from cosim.integrate import plan as planning
 from cosim.integrate.plan import Asked, Times, plan
+from cosim.integrate.run import worthwhile as deciding
 from cosim.integrate.simulate import simulate
 
 
@@ -40,9 +40,9 @@ def test_a_truth_value_is_not_the_number_that_equals_it():
 
 def test_a_compiler_that_comes_or_goes_is_noticed(monkeypatch):
     dae = oscillator().dae
-    monkeypatch.setattr(planning, "has_compiler", lambda: False)
+    monkeypatch.setattr(deciding, "has_compiler", lambda: False)
     monkeypatch.setenv("PATH", "/nowhere")
     assert not plan(dae, asked(compiled=None)).problem.compiled
-    monkeypatch.setattr(planning, "has_compiler", lambda: True)
+    monkeypatch.setattr(deciding, "has_compiler", lambda: True)
     monkeypatch.setenv("PATH", "/elsewhere")
     assert plan(dae, asked(compiled=None)).problem.compiled

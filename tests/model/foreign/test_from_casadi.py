@@ -225,7 +225,7 @@ def test_given_starts_that_contradict_the_constraints_are_refused():
 def test_first_example_of_the_readme_makes_an_fmu_that_fmpy_validates(
     tmp_path, monkeypatch, capsys
 ):
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
     code = next(part for part in text.split("```python\n")[1:] if "from_casadi" in part)
     code = code.partition("```")[0]
     assert len(code.splitlines()) <= 12
