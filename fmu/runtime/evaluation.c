@@ -73,7 +73,7 @@ static int compute_margins(Instance *self, double margins[]) {
 
 /* What to add to a message of failure at the present values. */
 Hint limit_hint(Instance *self) {
-    double margins[ROOM(N_LIMITS)];
+    double margins[ROOM(N_LIMITS)] = {0};
     for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
     if (N_LIMITS > 0) compute_margins(self, margins);
     return nearest_limit(self, margins);
