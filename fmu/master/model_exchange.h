@@ -12,7 +12,7 @@
 #include "interrupt.h"
 #include "run.h"
 
-enum { MOST_TRIALS = 100000, MOST_STANDSTILLS = 1000 }; /* per output interval; events at a time */
+enum { MOST_TRIED = 100000, MOST_STANDSTILLS = 1000 }; /* per output interval; events at a time */
 
 #if !defined NX || !defined NZ /* room for states and event indicators */
 #error "define NX and NZ before solvers are included"
@@ -208,7 +208,7 @@ static inline int until_event(Exchange *self, double goal, bool *event) {
             row = self->run->rows;
             trials = 0;
         }
-        if (++trials > MOST_TRIALS) return STEP_VANISHED;
+        if (++trials > MOST_TRIED) return STEP_VANISHED;
         how = advance(self, goal, &rejected, event);
     }
     return how;
