@@ -32,7 +32,7 @@ from cosim.study.tradeoff.study import study_record, tradeoff
 from cosim.study.tradeoff.variants import Workshop
 from cosim.verify.reference import reference
 
-TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9)
+TOLERANCES = (1e-4, 1e-5, 1e-7, 1e-9)  # at 1e-3 a handful of steps are no asymptote
 SMALL = Selection(("erk", "rk4"), TOLERANCES, (0.02, 0.01, 0.005), ("native",))
 
 
@@ -100,7 +100,7 @@ def test_longer_steps_are_compared_where_they_have_output_and_do_not_compete(stu
 def test_error_falls_in_proportion_to_the_tolerance(study):
     (fit,) = study.proportionality()
     assert fit.solver == "erk"
-    assert fit.slope == pytest.approx(1.0, abs=0.15)  # measured 1.02
+    assert fit.slope == pytest.approx(1.0, abs=0.15)  # measured 1.04
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -196,7 +196,7 @@ def test_tighter_tolerances_are_left_out_where_a_looser_one_was_slow(monkeypatch
     monkeypatch.setattr("cosim.study.tradeoff.rounds.SLOW", 0.0)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
     ran = {m.configuration for m in study.measurements if m.outcome == Outcome()}
-    assert {(c.tolerance, c.step) for c in ran} == {(1e-3, None), (None, 0.02)}
+    assert {(c.tolerance, c.step) for c in ran} == {(TOLERANCES[0], None), (None, 0.02)}
     assert "more than 0 s" in study.measurements[1].outcome.reason
     told = {row["configuration"] for row in study.missing()}
     assert told == {
