@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1] / "src" / "cosim"
 ALLOWED = {
     "add_parser": "a verb: its options",
     "run": "a verb: what it does",
+    "main": "the command line; what loads it, under the name that scripts have",
     "_main": "what a child process runs when it is started by this module's name",
     "simulate": "what `cosim` offers, over that of road one: accuracy and budget besides",
     "run_scene": "what `cosim` offers, over that of a scene: accuracy and budget besides",

@@ -17,7 +17,7 @@ from cosim.codegen.directional_jacobian import (
 from cosim.memo import kept_per_thread
 
 CALL = ["t", "x", "z", "u", "p"]
-LAWS = ["ode", "alg"]
+_LAWS = ["ode", "alg"]
 
 
 class Series(Protocol):
@@ -124,14 +124,14 @@ def _jacobian_in_a_loop(
     ]
     results = [
         MX.sym(f"out_{name}", ca.Sparsity(law.numel(), 1))
-        for name, law in zip(LAWS, laws, strict=True)
+        for name, law in zip(_LAWS, laws, strict=True)
     ]
     jacobian = ca.Function(
         "jac_dae",
         [*arguments, *results],
         blocks,
-        [*CALL, *(f"out_{name}" for name in LAWS)],
-        [f"jac_{law}_{name}" for law in LAWS for name in CALL],
+        [*CALL, *(f"out_{name}" for name in _LAWS)],
+        [f"jac_{law}_{name}" for law in _LAWS for name in CALL],
     )
     only = {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
     return {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True, **only}

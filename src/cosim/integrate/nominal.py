@@ -17,7 +17,7 @@ from cosim.arrays import Vector
 from cosim.memo import kept_per_thread
 
 NOT_GIVEN = 1.0  # the nominal value of a variable that has none of its own
-SMALL = 1e-3  # states that stay below get a nominal value of their own
+_SMALL_SHARE = 1e-3  # states that stay below get a nominal value of their own
 NOISE = 1e-7  # what states that begin at 0 may reach without being meant
 
 
@@ -64,7 +64,7 @@ class Nominal:
         def own(variable: Variable, nominal: float, row: Vector) -> float:
             size = np.abs(row).max()
             meant = size > NOISE or (variable.start_kind is Start.EXACT and row[0] != 0)
-            small = 0 < size < SMALL * nominal and meant
+            small = 0 < size < _SMALL_SHARE * nominal and meant
             return power(size) if small and not given(variable) else nominal
 
         return replace(self, x=tuple(map(own, dae.states, self.x, states)))
