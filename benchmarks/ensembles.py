@@ -98,6 +98,7 @@ def bicycles() -> None:
     cases: list[tuple[str, float, Callable[[], object], Callable[[object], float]]] = []
     for tolerance in (3e-4, 1e-6):
         for threads in (1, 2):
+            # an ensemble, as `lanes` returns it; other cases return arrays
             cases.append(
                 (f"cosim, {processor_lanes()} lanes, rtol {tolerance:g}, {threads} thread(s)", 1.0,
                  partial(lanes, tolerance, threads),
@@ -154,6 +155,7 @@ def scalar() -> None:
     """The right-hand side in lanes against the scalar one, solver and all."""
 
     def lane_run() -> float:
+        # `timed` returns what any call does; this is an ensemble
         own, _, run = timed(partial(lanes, 1e-8, 1))
         return own / run.rhs_calls.sum()  # type: ignore[attr-defined]
 
@@ -164,6 +166,7 @@ def scalar() -> None:
     def scalar_run() -> float:
         function, start = integrator_of("dop853", 1e-8), cosim.start_vectors(BICYCLE)
         start = {name: start[name] for name in ("x0", "p", "u")}
+        # a `casadi.Function`, called by keywords, for which its stub has no signature
         own, _, _ = timed(lambda: [function(**start) for _ in range(20)])  # type: ignore[operator]
         return own / 20 / calls
 

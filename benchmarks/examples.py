@@ -13,6 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
+# What follows is imported late: the oracles stand beside the tests, which that path finds
 from helpers import example_oracles as oracles  # noqa: E402
 
 import casadi_models  # noqa: E402
