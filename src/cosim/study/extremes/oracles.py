@@ -1,7 +1,7 @@
 """Judges of limit cases: closed forms, invariants and other runs, none from the run judged."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from cosim.arrays import Vector
 from cosim.errors import CosimError, InitialConditionError, SolverError, UnknownName, UsageError
 from cosim.integrate.simulate import simulate
 from cosim.model.catalogue import load
-from cosim.study.extremes.cases import Case
+from cosim.study.extremes.cases import Case, Counterpart
 from cosim.trajectory import Trajectory
 
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
@@ -143,21 +143,36 @@ def _against_reference(case: Case, run: Trajectory) -> float:
 
 
 def _first_success(case: Case) -> Trajectory:
+    values = tuple(sorted(case.values.items()))
+    found = _reference(case.references, case.stop_time, case.points, values)
+    if isinstance(found, str):
+        raise SolverError(f"no reference: {found}")
+    return found
+
+
+@lru_cache(maxsize=16)  # the same values under several solvers have one reference
+def _reference(
+    references: tuple[Counterpart, ...],
+    stop_time: float,
+    points: int,
+    values: tuple[tuple[str, float], ...],
+) -> Trajectory | str:
+    """Return the first reference that succeeds, or why none does."""
     reason = "the case names no reference"
-    for other in case.references:
+    for other in references:
         try:
             return simulate(
                 _model_of(other.model),
-                stop_time=case.stop_time,
-                output_interval=case.stop_time / case.points,
+                stop_time=stop_time,
+                output_interval=stop_time / points,
                 solver=other.solver,
                 relative_tolerance=other.relative_tolerance,
-                start=case.values,
+                start=dict(values),
                 on_invalid="ignore",
             )
         except SolverError as failure:
             reason = str(failure)
-    raise SolverError(f"no reference: {reason}")
+    return reason
 
 
 ORACLES: dict[str, Callable[[Case, Trajectory], float]] = {
