@@ -1,21 +1,15 @@
 """`cosim export MODEL|SCENE.toml -o FILE.fmu`: a model or a scene as an FMU."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cosim.cli.options import add_accuracy, add_output_file, add_timeout, common
-
-if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+from cosim.cli.options import Parser, add_accuracy, add_output_file, add_timeout
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser("export", parents=[common()], help="write a model as an FMU")
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
     add_output_file(parser, "FILE.fmu", "MODEL.fmu by default")
     parser.add_argument("--fmi", default="2", metavar="2|3", help="version of FMI; 2")
