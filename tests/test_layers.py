@@ -26,8 +26,8 @@ FOLDERS = {
 TABLE = """
 cosim._fmu | casadi_models | cosim.text
 cosim.errors | cosim.memo | cosim.arrays
-cosim.host
-cosim.files | cosim.plotting | cosim.series
+cosim.host | cosim.files
+cosim.plotting | cosim.series
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi

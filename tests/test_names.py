@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[1] / "src" / "cosim"
 # What several modules define on purpose, and why
 ALLOWED = {
-    "add_parser": "a verb: its options",
+    "add_options": "a verb: its options",
     "run": "a verb: what it does",
     "main": "the command line; what loads it, under the name that scripts have",
     "_main": "what a child process runs when it is started by this module's name",

@@ -163,13 +163,9 @@ def _si_name(unit: str) -> str:
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not a UTF-8 text; save it as CSV in UTF-8") from error
-    lines = [*enumerate(text.splitlines(), 1)]
+    from cosim.files import read_text  # only where a file is wanted
+
+    lines = [*enumerate(read_text(path).splitlines(), 1)]
     lines = [(i, line) for i, line in lines if line.strip() and not line.startswith("#")]
     if not lines:
         raise UsageError(f"{path} is empty; give a CSV file with a header")

@@ -110,8 +110,7 @@ def _spent(dae: Dae) -> Spent:
 
 @kept_per_thread(64)
 def _operations(dae: Dae) -> int:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return int(ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions())
+    return int(ca.Function("laws", dae.arguments, [dae.ode, dae.alg]).n_instructions())
 
 
 @kept_per_thread(64)

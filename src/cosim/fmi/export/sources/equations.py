@@ -10,12 +10,11 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
+from cosim.codegen.functions import CALL
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
 from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
 from cosim.fmi.export.sources.work import most_steps
-
-_ARGUMENTS = ["t", "x", "z", "u", "p"]
 
 
 def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
@@ -50,9 +49,8 @@ def _margins(dae: Dae) -> SX:
 
 
 def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     names = ["value", "margins"][: len(expressions)]
-    return ca.Function(name, symbols, [*expressions], _ARGUMENTS, names, {"cse": True})
+    return ca.Function(name, dae.arguments, [*expressions], CALL, names, {"cse": True})
 
 
 def solver_step(dae: Dae, plugin: str) -> ca.Function:
