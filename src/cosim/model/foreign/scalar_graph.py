@@ -40,13 +40,12 @@ _WHOLE = (
     ca.OP_SETNONZEROS_PARAM,
     ca.OP_ADDNONZEROS_PARAM,
 )
+_OF_A_LIBRARY = ("External", "GenericExternal")
 _REPEATED = ("Map", "OmpMap", "ThreadMap")
 _INSTEAD = {
     "CallbackInternal": "Python has no equations; write them with CasADi operations",
     "Newton": "use rootfinder 'fast_newton', or declare its unknowns as z and its residual as alg",
     "KinsolInterface": "declare its unknowns as z and its residual as alg",
-    "GenericExternal": "its source is not at hand; give the Function that it was generated from",
-    "External": "its source is not at hand; give the Function that it was generated from",
 }
 
 
@@ -80,17 +79,30 @@ def scalar_graph(
 
 
 def refuse_calls(who: str, function: ca.Function) -> None:
-    """Refuse a function that calls what cannot be generated as C code.
+    """Refuse a function that calls what cannot be generated as C code, or not be linearized.
 
     Raises:
         UsageError: Names the first of these, and what to do.
     """
     for called in function.find_functions():
         kind = called.class_name()
-        if kind not in _GENERATED:
+        if kind in _OF_A_LIBRARY:
+            _refuse_without_derivatives(who, called)
+        elif kind not in _GENERATED:
             what = "a callback" if kind == "CallbackInternal" else f"of type {kind}"
             told = _INSTEAD.get(kind, "CasADi generates no C code for it; write it as equations")
             raise UsageError(f"{who} calls '{called.name()}', {what}: {told}")
+
+
+def _refuse_without_derivatives(who: str, function: ca.Function) -> None:
+    try:
+        function.forward(1)
+    except RuntimeError as error:
+        raise UsageError(
+            f"{who} calls '{function.name()}', an external function without derivatives: generate "
+            "them into its C code (CodeGenerator.add of its jacobian() or forward(1)), or pass "
+            "{'enable_fd': True} to casadi.external"
+        ) from error
 
 
 def _scalar_values(
