@@ -3,11 +3,12 @@
 import ctypes
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Vector, frozen
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.interruptible import interruptible
@@ -105,70 +106,91 @@ class DrivenRun(NamedTuple):
     stats: dict[str, Any]
 
 
-def drive(
-    instance: Any,
-    description: Any,
-    kind: str,
-    span: tuple[float, float, float],
-    tolerance: float | None,
-    values: Mapping[str, float],
-    variables: Sequence[Any],
-) -> DrivenRun:
-    """Initialize an FMU and run it: model exchange by `dop853`, co-simulation step by step.
+class CompiledMaster:
+    """Drives an FMU: model exchange by `dop853`, co-simulation step by step.
 
     Args:
-        instance: Of fmpy, instantiated or reset.
+        instance: Of fmpy, instantiated or reset before each run.
         description: Of the FMU, of version 2 or 3.
         kind: "ModelExchange" or "CoSimulation".
-        span: Begin, end and output interval, s.
-        tolerance: Error per step; the FMU's own, or fmpy's, when None.
-        values: Start values by name.
-        variables: What to record.
 
     Raises:
-        FmuError: A call failed, or the run ended early.
         MissingTool: There is no compiler.
     """
-    start, stop, _ = span
-    if tolerance is None and getattr(description.defaultExperiment, "tolerance", None) is not None:
-        tolerance = float(description.defaultExperiment.tolerance)
-    exchange = kind == "ModelExchange"
-    library = _library(
-        description.numberOfContinuousStates if exchange else 0,
-        description.numberOfEventIndicators if exchange else 0,
-        exchange,
-    )
-    experiment: dict[str, float | None] = {"startTime": start, "stopTime": stop}
-    if not exchange:
-        experiment["tolerance"] = tolerance
-    initialize(instance, description, values, **experiment)
-    any_step = exchange or description.coSimulation.canHandleVariableCommunicationStepSize
-    times = communication_points(*span, any_step=any_step)
-    rows = np.empty((len(times), len(variables)))
-    recording = _Recorded(instance, description, variables, rows)
-    functions = _functions(instance, description)
-    run = _Run(
-        functions=ctypes.pointer(functions),
-        recording=ctypes.pointer(recording.structure),
-        times=times.ctypes.data,
-        points=len(times),
-        start=start,
-        stop=times[-1] if exchange else stop,
-        interval=span[2],
-        any_step=any_step,
-    )
-    held = _prepare_exchange(run, instance, description, tolerance) if exchange else None
-    with interruptible(library) as interrupts:
-        library.run_fmu(ctypes.byref(run))
-    del held
-    _refuse(run, interrupts, stop)
-    instance.terminate()
-    stats = {"steps": run.steps, "events": run.events}
-    if exchange:
-        stats["rhs_calls"] = run.calls
-    return DrivenRun(times, rows, stats)
+
+    def __init__(self, instance: Any, description: Any, kind: str) -> None:
+        self._instance, self._description = instance, description
+        self._exchange = exchange = kind == "ModelExchange"
+        self._any_step = exchange or description.coSimulation.canHandleVariableCommunicationStepSize
+        self._library = _library(
+            description.numberOfContinuousStates if exchange else 0,
+            description.numberOfEventIndicators if exchange else 0,
+            exchange,
+        )
+        self._functions = _functions(instance, description)
+        self._recordings: dict[tuple[int, ...], _Recorded] = {}
+
+    def run(
+        self,
+        span: tuple[float, float, float],
+        tolerance: float | None,
+        values: Mapping[str, float],
+        variables: Sequence[Any],
+    ) -> DrivenRun:
+        """Initialize the FMU and run it.
+
+        Args:
+            span: Begin, end and output interval, s.
+            tolerance: Error per step; the FMU's own, or fmpy's, when None.
+            values: Start values by name.
+            variables: What to record.
+
+        Raises:
+            FmuError: A call failed, or the run ended early.
+        """
+        start, stop, _ = span
+        instance, description, exchange = self._instance, self._description, self._exchange
+        if tolerance is None:
+            own = getattr(description.defaultExperiment, "tolerance", None)
+            tolerance = None if own is None else float(own)
+        experiment: dict[str, float | None] = {"startTime": start, "stopTime": stop}
+        if not exchange:
+            experiment["tolerance"] = tolerance
+        initialize(instance, description, values, **experiment)
+        times = communication_points(*span, any_step=self._any_step)
+        rows = np.empty((len(times), len(variables)))
+        recording = self._recording(variables)
+        recording.rows = rows.ctypes.data
+        run = _Run(
+            functions=ctypes.pointer(self._functions),
+            recording=ctypes.pointer(recording),
+            times=times.ctypes.data,
+            points=len(times),
+            start=start,
+            stop=times[-1] if exchange else stop,
+            interval=span[2],
+            any_step=self._any_step,
+        )
+        held = _prepare_exchange(run, instance, description, tolerance) if exchange else None
+        with interruptible(self._library) as interrupts:
+            self._library.run_fmu(ctypes.byref(run))
+        del held
+        _refuse(run, interrupts, stop)
+        instance.terminate()
+        rows.setflags(write=False)
+        stats = {"steps": run.steps, "events": run.events}
+        if exchange:
+            stats["rhs_calls"] = run.calls
+        return DrivenRun(times, rows, stats)
+
+    def _recording(self, variables: Sequence[Any]) -> _Recording:
+        wanted = tuple(map(id, variables))  # which live as long as their description
+        if wanted not in self._recordings:
+            self._recordings = {wanted: _Recorded(self._instance, self._description, variables)}
+        return self._recordings[wanted].structure
 
 
+@lru_cache(8)
 def communication_points(start: float, stop: float, interval: float, *, any_step: bool) -> Vector:
     """Return the times at which fmpy records, s, (n,), bit for bit."""
     times: Vector = start + interval * np.arange(int((stop - start) / interval) + 3, dtype=float)
@@ -177,7 +199,7 @@ def communication_points(start: float, stop: float, interval: float, *, any_step
     times = times[: last + 1]
     if times[-1] > stop and not near[last]:
         times = np.append(times[:-1], [stop] if any_step else [])
-    return times
+    return frozen(times)
 
 
 def _prepare_exchange(run: _Run, instance: Any, description: Any, tolerance: float | None) -> Any:
@@ -197,9 +219,9 @@ def _prepare_exchange(run: _Run, instance: Any, description: Any, tolerance: flo
 
 
 class _Recorded:
-    """What is recorded, as C takes it; keeps its arrays alive."""
+    """What is recorded, as C takes it, but for the rows; keeps its arrays alive."""
 
-    def __init__(self, instance: Any, description: Any, variables: Sequence[Any], rows: Vector):
+    def __init__(self, instance: Any, description: Any, variables: Sequence[Any]) -> None:
         second = description.fmiVersion.startswith("2")
         found: dict[str, list[int]] = {}
         for place, variable in enumerate(variables):
@@ -207,7 +229,7 @@ class _Recorded:
             if getter == "Enumeration":
                 getter = "Integer" if second else "Int64"
             found.setdefault(getter, []).append(place)
-        self._held: list[Any] = [rows]
+        self._held: list[Any] = []
         groups = [
             self._group(instance, getter, [variables[i].valueReference for i in places], second)
             for getter, places in found.items()
@@ -215,7 +237,7 @@ class _Recorded:
         self._groups = (_Group * len(groups))(*groups)
         self._columns = np.concatenate([[], *found.values()]).astype(np.int64)
         self.structure = _Recording(
-            len(groups), rows.shape[1], self._groups, self._columns.ctypes.data, rows.ctypes.data
+            len(groups), len(variables), self._groups, self._columns.ctypes.data
         )
 
     def _group(self, instance: Any, getter: str, references: list[int], second: bool) -> _Group:
