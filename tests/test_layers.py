@@ -4,24 +4,15 @@ Imports inside functions and `import_module` count. The two roads share a layer,
 stay independent and meet in `Trajectory` only.
 """
 
-import ast
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from helpers.import_graph import FOLDERS, MODULES, ROOT, imports
 
 import cosim
 from cosim.presenters import presenter
-
-ROOT = Path(__file__).parents[1]
-FOLDERS = {
-    "casadi_models": ROOT / "casadi_models",
-    "cosim": ROOT / "src" / "cosim",
-    "cosim._fmu": ROOT / "fmu",
-}
 
 # One line per layer, the lowest first; an indented line goes on with it. `|` parts what does not
 # know each other; names without one between them are one part. A name stands for all modules of
@@ -50,45 +41,12 @@ LAYERS = {
 }
 
 
-def modules() -> dict[str, str]:
-    """Return the source of every module by its import name."""
-    sources = {}
-    for package, folder in FOLDERS.items():
-        for path in folder.rglob("*.py"):
-            parts = path.relative_to(folder).with_suffix("").parts
-            name = ".".join((package, *parts)).removesuffix(".__init__")
-            sources[name] = path.read_text(encoding="utf-8")
-    return sources
-
-
-MODULES = modules()
-
-
 def place(module: str) -> tuple[int, int] | None:
     """Return layer and part of a module; None when the table does not have it."""
     if module in LAYERS:
         return LAYERS[module]
     parents = [name for name in LAYERS if name != "cosim" and module.startswith(f"{name}.")]
     return LAYERS[parents[0]] if parents else None
-
-
-def imports(source: str) -> Iterator[str]:
-    """Yield the names of the modules that a source imports; a relative one begins with a dot."""
-    for node in ast.walk(ast.parse(source)):
-        match node:
-            case ast.Import(names=names):
-                yield from (alias.name for alias in names)
-            case ast.ImportFrom(module=base, names=names, level=level):
-                base = "." * level + (base or "")
-                inner = [f"{base}.{alias.name}" for alias in names]
-                yield from (name if name in MODULES else base for name in inner)
-            case ast.Call(
-                func=ast.Name(id="import_module" | "__import__")
-                | ast.Attribute(attr="import_module"),
-                args=[ast.Constant(value=str(name)), *_]
-                | [ast.JoinedStr(values=[ast.Constant(value=str(name)), *_]), *_],
-            ):
-                yield name.rstrip(".")
 
 
 def violations(module: str, source: str) -> list[str]:

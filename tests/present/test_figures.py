@@ -13,7 +13,7 @@ from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
 from cosim.present.figures import default_specs, draw_figures
 from cosim.present.picture_files import save
-from cosim.scene.roads import run_scene
+from cosim.scene.roads import run_on_road
 from cosim.scene.scene import FigureSpec
 from cosim.scene.variants import variant
 from cosim.trajectory import Column, Trajectory
@@ -139,7 +139,7 @@ def test_overview_draws_every_variable_with_its_unit():
 
 def test_book_draws_nineteen_figures_of_the_bicycle():
     scene = cosim.read_scene("bicycle_model_1.toml")
-    run = run_scene(scene)
+    run = run_on_road(scene)
     figures = draw_figures(scene.figures, run)
     assert len(figures) == 19
     yaw = curves(figures[0].axes[0])[0]
@@ -152,12 +152,12 @@ def test_book_draws_nineteen_figures_of_the_bicycle():
 
 def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
     scene = cosim.read_scene("crank_shaft.toml")
-    force, torque, _ = draw_figures(scene.figures, run_scene(scene))
+    force, torque, _ = draw_figures(scene.figures, run_on_road(scene))
     assert curves(force.axes[0])[0][0] == pytest.approx(-6.4994, abs=5e-5)
     assert curves(force.axes[1])[0][0] == pytest.approx(0.025998, abs=5e-7)
     assert curves(torque.axes[0])[0][0] == pytest.approx(0.086659, abs=5e-7)
     scene = cosim.read_scene("bar_on_frame.toml")
-    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, run_scene(scene))}
+    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, run_on_road(scene))}
     force = figures["Force Components on the Bar (expressed in F)"]
     np.testing.assert_allclose(curves(force.axes[0])[0], -0.2, rtol=0, atol=1e-12)
     torque = figures["Torque Components Acting on Bar (expressed in F)"]
@@ -167,7 +167,7 @@ def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
 def test_compared_formulations_differ_by_no_more_than_their_tolerance():
     scene = cosim.read_scene("bar_theta.toml")
     other, road = variant(scene, "two_body")
-    (figure,) = draw_figures(scene.figures, run_scene(scene), run_scene(other, road))
+    (figure,) = draw_figures(scene.figures, run_on_road(scene), run_on_road(other, road))
     gap = np.abs(curves(figure.axes[1])[0]).max() * DEGREE
     assert 0 < gap < 2e-6  # measured 2.2e-7 rad at rtol 1e-8
 
@@ -269,7 +269,7 @@ def test_unknown_road_is_exit_code_3(tmp_path, capsys):
 
 
 def test_unknown_ending_is_told_before_anything_is_computed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cosim.cli.running.run_scene", None)
+    monkeypatch.setattr("cosim.cli.running.run_on_road", None)
     target = tmp_path / "x.bmp"
     assert main(["plot", "bicycle_model_1.toml", "--output-file", str(target)]) == 3
     assert "no picture format 'bmp'" in capsys.readouterr().err
@@ -282,7 +282,7 @@ def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
     def fail(*_arguments, **_options):
         raise SolverError("it stopped", partial)
 
-    monkeypatch.setattr("cosim.cli.running.run_scene", fail)
+    monkeypatch.setattr("cosim.cli.running.run_on_road", fail)
     target = tmp_path / "x.png"
     assert main(["plot", "crank_shaft", "--output-file", str(target)]) == 1
     assert target.exists()
@@ -298,7 +298,7 @@ def test_window_needs_no_file(monkeypatch):
 
 
 def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
-    monkeypatch.setattr("cosim.cli.running.run_scene", None)
+    monkeypatch.setattr("cosim.cli.running.run_on_road", None)
     assert main(["plot", "crank_torque.toml"]) == 2
     assert "there is no screen" in capsys.readouterr().err
 
