@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 import cosim
 from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
-from cosim.present.figures import default_specs, draw_figures
+from cosim.present.figures import draw_figures
+from cosim.present.overlay import shared_specs
 from cosim.present.picture_files import save
 from cosim.scene.roads import run_on_road
 from cosim.scene.scene import FigureSpec
@@ -102,10 +103,11 @@ def test_runs_with_other_output_times_are_refused():
 
 def test_figures_of_two_plain_runs_hold_every_common_variable_once():
     run = made_up(a=[0, 1], b=[0, 1], c=[0, 1], d=[0, 1])
-    specs = default_specs(run, made_up(d=[0, 1], a=[0, 1], b=[1, 1], c=[0, 1], e=[1, 2]))
+    other = made_up(d=[0, 1], a=[0, 1], b=[1, 1], c=[0, 1], e=[1, 2])
+    specs, _ = shared_specs((), (run, other))
     assert [spec.names for spec in specs] == [("a", "b", "c"), ("d",)]
     with pytest.raises(UsageError, match="no variable in common"):
-        default_specs(run, made_up(z=[0, 1]))
+        shared_specs((), (run, made_up(z=[0, 1])))
 
 
 @pytest.mark.parametrize("value", [0.0, 5.0 * POUND])
@@ -269,7 +271,7 @@ def test_unknown_road_is_exit_code_3(tmp_path, capsys):
 
 
 def test_unknown_ending_is_told_before_anything_is_computed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cosim.cli.running.run_on_road", None)
+    monkeypatch.setattr("cosim.cli.running.run_scene", None)
     target = tmp_path / "x.bmp"
     assert main(["plot", "bicycle_model_1.toml", "--output-file", str(target)]) == 3
     assert "no picture format 'bmp'" in capsys.readouterr().err
@@ -282,7 +284,7 @@ def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
     def fail(*_arguments, **_options):
         raise SolverError("it stopped", partial)
 
-    monkeypatch.setattr("cosim.cli.running.run_on_road", fail)
+    monkeypatch.setattr("cosim.cli.running.run_scene", fail)
     target = tmp_path / "x.png"
     assert main(["plot", "crank_shaft", "--output-file", str(target)]) == 1
     assert target.exists()
@@ -298,7 +300,7 @@ def test_window_needs_no_file(monkeypatch):
 
 
 def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
-    monkeypatch.setattr("cosim.cli.running.run_on_road", None)
+    monkeypatch.setattr("cosim.cli.running.run_scene", None)
     assert main(["plot", "crank_torque.toml"]) == 2
     assert "there is no screen" in capsys.readouterr().err
 
