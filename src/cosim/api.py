@@ -250,12 +250,12 @@ def run_scene(
         ('T',)
     """
     if not isinstance(scene, Scene):
-        return roads.run_scene(scene, road, **options)  # which refuses it
+        return roads.run_on_road(scene, road, **options)  # which refuses it
     goals = {name: getattr(scene.settings, name) for name in GOALS}
     goal = any(value is not None for value in goals.values())
     asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
     if not goal and all(value is None for value in asked.values()):
-        return roads.run_scene(scene, road, **options)
+        return roads.run_on_road(scene, road, **options)
     if not _way(road).native:
         words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(

@@ -25,7 +25,7 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         dae: The model.
         identifier: What its inner names begin with.
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
-        solver: Of `SOLVERS`.
+        solver: Of `CO_SIMULATION_SOLVERS`.
     """
     generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
     for function in (
