@@ -86,8 +86,8 @@ class Trajectory:
                 f"{self.model}: {len(self.columns)} variables, but time of shape {self.time.shape} "
                 f"and values of shape {self.values.shape}; give (n,) and (n, {len(self.columns)})"
             )
-        names = ("time", *self.names)
-        if len(set(names)) < len(names):
+        if len({"time", *[column.name for column in self.columns]}) <= len(self.columns):
+            names = ("time", *self.names)
             twice = next(name for name in names if names.count(name) > 1)
             raise UsageError(f"{self.model}: '{twice}' is recorded twice; name it once")
 

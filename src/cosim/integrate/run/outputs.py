@@ -14,7 +14,7 @@ from cosim.codegen.functions import CALL, symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.runge_kutta.lane_library import Watched, lane_outputs, processor_lanes
 from cosim.errors import UsageError
-from cosim.integrate.run.call import call_on_arrays
+from cosim.integrate.run.call import call_on_arrays, finite_rows
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import no_such_output
 from cosim.trajectory import Column
@@ -85,7 +85,7 @@ def observe(
         sizes = len(places), len(dae.algebraics), len(dae.limits)
         table, unknowns, none = (np.empty((0, size)) for size in sizes)
         return Observed(table, unknowns, 0, (0,) * len(dae.limits), none)
-    computed = any(place >= nx for place in places)
+    computed = max(places, default=0) >= nx
     if not (computed or limits or dae.algebraics):
         return _states_alone(solved, places)
     several = compiled and n >= _WORTHWHILE
@@ -96,10 +96,9 @@ def observe(
 
 def _states_alone(solved: Solved, places: tuple[int, ...]) -> Observed:
     """Return what `observe` does where there is nothing to evaluate."""
-    n = len(solved.time)
-    lost = _first(~np.isfinite(solved.states).all(axis=0))
-    table = np.ascontiguousarray(solved.states[places, :].T)
-    return Observed(table, np.empty((n, 0)), lost, (), np.empty((n, 0)))
+    rows = solved.states.T  # as solvers write them
+    table, none = rows.take(_as_array(places), axis=1), np.empty((len(rows), 0))
+    return Observed(table, none, finite_rows(rows), (), none)
 
 
 def _one_by_one(
@@ -144,7 +143,7 @@ def _in_lanes(
     n = len(solved.time)
     table, first = np.empty((n, len(places))), np.empty(1 + len(dae.limits), dtype=np.int64)
     given = [solved.time, solved.states.T, solved.u.T, solved.p]
-    held = [np.ascontiguousarray(part, dtype=float) for part in given]
+    held = [*map(np.ascontiguousarray, given)]
     found = np.empty((n, len(dae.limits) if margins else 0))
     recorded = _as_array(places)
     library.lanes_outputs(
