@@ -109,6 +109,23 @@ def names_in(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(","))
 
 
+def numbers_in(option: str, text: str) -> tuple[float, ...]:
+    """Return the numbers of a list with commas."""
+    return tuple(number_in(option, word) for word in text.split(","))
+
+
+def number_in(option: str, text: str) -> float:
+    """Read a number of an option.
+
+    Raises:
+        ParameterError: It is none.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(f"{option}: '{text}' is not a number") from None
+
+
 def named_scene(name: str) -> Scene:
     """Return the scene of a file `NAME.toml`, or a model as a scene without settings."""
     return read_scene(name) if name.endswith(".toml") else Scene(name, load(name))

@@ -130,9 +130,14 @@ def _refuse_unwritable(args: argparse.Namespace) -> None:
     """Refuse files that cannot be written before anything is computed for them."""
     from cosim.files import refuse_unwritable
 
-    for target in (getattr(args, "output_file", None), getattr(args, "figure", None)):
+    figure = getattr(args, "figure", None)
+    for target in (getattr(args, "output_file", None), figure):
         if target is not None:
             refuse_unwritable(target)
+    if figure is not None:
+        from cosim.present.picture_files import picture_format
+
+        picture_format(figure)
 
 
 def _warn(message: Warning | str, *_where: Any, **_more: Any) -> None:

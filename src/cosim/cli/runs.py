@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from cosim.api import run_scene
-from cosim.cli.arguments import names_in
+from cosim.cli.arguments import names_in, number_in
 from cosim.cli.running import run_or_partial, scene_or_none
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.run.outputs import all_columns
@@ -106,11 +106,3 @@ def size_of(args: argparse.Namespace) -> tuple[float, float]:
     if not cross:
         raise ParameterError(f"--size {args.size}: write WIDTHxHEIGHT in inches, e.g. 6.4x4.8")
     return number_in("--size", width), number_in("--size", height)
-
-
-def number_in(option: str, text: str) -> float:
-    """Read a number of a list of an option."""
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(f"{option}: '{text}' is not a number") from None

@@ -61,14 +61,6 @@ def draw_figures(
         return [_figure(spec, run, other) for spec in specs]
 
 
-def default_specs(run: Trajectory, other: Trajectory) -> tuple[FigureSpec, ...]:
-    """Return figures of all variables that two runs have in common, a few in each."""
-    common = [name for name in run.names if name in other.names]
-    if not common:
-        raise UsageError(f"{run.model} and {other.model} have no variable in common")
-    return figures_of(common)
-
-
 def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:
     """Return figures of these variables, a few in each, a panel each."""
     size = VARIABLES_PER_FIGURE

@@ -70,7 +70,7 @@ def scene_dae(scene: Scene) -> Dae:
     return reduce(full, scene.outputs) if scene.outputs else full
 
 
-def run_scene(
+def run_on_road(
     scene: Scene,
     road: Road | str | None = None,
     *,

@@ -19,7 +19,7 @@ from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
-from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
+from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_on_road, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.variants import fitting_formulations
 from cosim.text.tables import MOST_LINES, html_table, text_table
@@ -153,7 +153,7 @@ def _all_checks(
             scene = replace(scene, settings=settings)
             try:
                 with doing(str(Road.NATIVE)):
-                    run = run_scene(scene)
+                    run = run_on_road(scene)
             except _FAILURES as error:
                 yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue

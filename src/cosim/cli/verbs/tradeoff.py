@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, add_timeout, common, run_options, value_options
+from cosim.cli.options import Parser, add_figure, add_output_file, add_run, add_timeout, add_values
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.study.tradeoff.result import Tradeoff
 
 _RUN_COLUMNS = (
@@ -19,13 +18,10 @@ _RUN_COLUMNS = (
 )
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "tradeoff",
-        parents=[common(), run_options(), value_options()],
-        help="error against cost, on every road",
-    )
+    add_run(parser)
+    add_values(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
     parser.add_argument("--solvers", metavar="A,B", help="all, and the FMU, by default")
     parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
@@ -38,7 +34,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--resume", action="store_true", help="go on after an interruption")
     add_output_file(parser, "FILE", "CSV or JSON, with provenance")
     add_timeout(parser)
-    parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
+    add_figure(parser)
     parser.add_argument(
         "--all",
         dest="everything",
@@ -49,27 +45,23 @@ def add_parser(verbs: Verbs) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
-    from cosim.cli.arguments import scene_from
+    from cosim.cli.arguments import names_in, numbers_in, scene_from
     from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
-    from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
+    from cosim.study.tradeoff.configuration import Selection
     from cosim.study.tradeoff.study import tradeoff
 
     refuse_timeout(args)
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
-    if args.figure:
-        from cosim.present.picture_files import picture_format
-
-        picture_format(args.figure)
-    selection = Selection(
-        parse_list(args.solvers),
-        parse_numbers("--tolerances", args.tolerances),
-        parse_numbers("--steps", args.steps),
-        parse_list(args.roads),
-        parse_list(args.drift_controls),
-    )
+    names = ("solvers", "roads", "drift_controls")
+    chosen: dict[str, Any] = {
+        name: names_in(text) for name in names if (text := getattr(args, name))
+    }
+    for name in ("tolerances", "steps"):
+        if text := getattr(args, name):
+            chosen[name] = numbers_in(f"--{name}", text)
     scene = scene_from(args)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
@@ -82,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         study = tradeoff(
             scene,
-            selection=selection,
+            selection=Selection(**chosen),
             every_formulation=not named,
             repeats=args.repeats,
             resume=args.resume,

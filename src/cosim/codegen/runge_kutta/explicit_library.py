@@ -20,8 +20,6 @@ from cosim.codegen.runge_kutta.tableau import Tableau
 
 _sizing = Lock()
 
-SETTINGS = 6  # numbers of output times, breaks, columns of u; both tolerances, largest step
-
 
 class MethodText(NamedTuple):
     """A method in C: which of fmu/solvers steps, "adaptive" or "fixed", and its coefficients."""
@@ -70,7 +68,8 @@ def explicit_function(
     Args:
         path: Of the library.
         points: Number of output times; p = (c, points, breaks, columns, relative and absolute
-            tolerance, largest step, output times, positions of the breaks).
+            tolerance, largest step, nominal values of the states, output times, positions of the
+            breaks).
         breaks: Number of output times at which a step ends and a fresh one begins.
         columns: Of u: 1, or one per output time that holds on the way there.
     """

@@ -19,7 +19,7 @@ from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.dependencies import dependencies
+from cosim.fmi.export.dependencies import structural_dependencies
 from cosim.fmi.export.description.build_description import build_description
 from cosim.fmi.export.description.fmi2_xml import FMI2
 from cosim.fmi.export.description.fmi3_xml import FMI3
@@ -187,7 +187,7 @@ def source_files(
     told = {ABOUT[key]: text for key, text in about.items()}
     indicators = len(dae.limits) if valid else 0
     draft = Identity(name, "", tool, compiled, tolerance, adjoint, told, indicators)
-    depends = dependencies(dae)
+    depends = structural_dependencies(dae)
     unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
     digest = hashlib.sha256()
     for part in (unsigned, *code.values(), *runtime.values()):

@@ -9,7 +9,7 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.sources.sensitivities import jacobian_function
 
 # `dop853` is hand-written, in the runtime; the others are CasADi's.
-DOP853, ERK, ROSENBROCK = SOLVERS = ("dop853", "erk", "rosenbrock")
+DOP853, ERK, ROSENBROCK = CO_SIMULATION_SOLVERS = ("dop853", "erk", "rosenbrock")
 
 # Decay rates times the output interval beyond which the steps of an explicit method, short for
 # stability alone, cost more than the linear equations of an implicit one.
@@ -28,8 +28,8 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
     if wanted is None:
         stiff = fastest_decay(dae) * dae.experiment.output_interval > STIFF
         return ROSENBROCK if stiff else DOP853
-    if wanted not in SOLVERS:
-        raise UnknownName.among("cosim export", "solver", wanted, SOLVERS)
+    if wanted not in CO_SIMULATION_SOLVERS:
+        raise UnknownName.among("cosim export", "solver", wanted, CO_SIMULATION_SOLVERS)
     if wanted == ERK and dae.algebraics:
         raise UsageError(
             f"{dae.full_name} has algebraic unknowns, which erk cannot solve for; take dop853 "

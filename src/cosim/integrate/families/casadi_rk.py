@@ -70,7 +70,7 @@ class _OwnOfCasadi(AdaptiveSolver):
             return f"{head}#define SETTINGS {_SETTINGS}\n{self.finished(code)}"
 
         key = cache_key(
-            f"generated-9 {self.name}", original, repr(sorted(options.items())).encode()
+            f"generated-10 {self.name}", original, repr(sorted(options.items())).encode()
         )
         path = str(cached_library(key, generate, sources_beside(original)))
         points = len(grid)

@@ -12,13 +12,11 @@ from casadi import MX, SX
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
 from cosim.codegen.externals import add_integrator, sources_beside
-from cosim.codegen.functions import driven_equations, is_large
+from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
 from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
 from cosim.fmi.export.sources.work import most_steps
-
-_ARGUMENTS = ["t", "x", "z", "u", "p"]
 
 
 def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
@@ -28,7 +26,7 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         dae: The model.
         identifier: What its inner names begin with.
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
-        solver: Of `SOLVERS`.
+        solver: Of `CO_SIMULATION_SOLVERS`.
     """
     generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
     for function in (
@@ -63,9 +61,8 @@ def _margins(dae: Dae) -> SX:
 
 
 def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     names = ["value", "margins"][: len(expressions)]
-    return ca.Function(name, symbols, [*expressions], _ARGUMENTS, names, {"cse": True})
+    return ca.Function(name, dae.arguments, [*expressions], CALL, names, {"cse": True})
 
 
 def solver_step(dae: Dae, plugin: str) -> ca.Function:
