@@ -79,7 +79,7 @@ def test_example_is_right_as_an_fmu_or_says_where_it_ends(name, interface, fmu):
     options = {"interface": interface, "stop_time": stop}
     options |= {"relative_tolerance": 1e-9, "output_interval": stop / 100}
     if name in LOSES_RANK:
-        with pytest.raises(FmuError, match=r"0\.714|came no further"):
+        with pytest.raises(FmuError, match="mxstep steps taken|came no further"):
             cosim.simulate_fmu(fmu(name), **options)
         return
     bound = 1e-7 if name == "van_der_pol" else 1e-5
