@@ -26,12 +26,13 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
         solver: Of `CO_SIMULATION_SOLVERS`.
     """
+    margins = ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
     generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
     for function in (
         start_function(dae),
         algebraic_function(dae),
         _plain_function(dae, "model_ode", dae.ode),
-        _plain_function(dae, "model_outputs", dae.outputs, _margins(dae)),
+        _plain_function(dae, "model_outputs", dae.outputs, margins),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
@@ -42,10 +43,6 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         return code
     code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
     return differential_errors(code) if dae.algebraics else code
-
-
-def _margins(dae: Dae) -> SX:
-    return ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
 
 
 def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
