@@ -84,8 +84,8 @@ def simulate(
             every step, which makes `dop853` the default solver; what the model has when None.
             `relative_tolerance`, `absolute_tolerance`, `step_size`: numbers of a solver that is
             named or left out: error per step relative to each state's size (1), 1e-8 when None;
-            in SI units, a hundredth of the relative one when None; largest step of `rk4` and
-            `ode8`, s, the output interval when None.
+            error per step in the nominal value of each unknown (1), a hundredth of the relative
+            one when None; largest step of `rk4` and `ode8`, s, the output interval when None.
             `output_times`: times of one's own, s, (n,), in place of `stop_time` and
             `output_interval`.
             `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes

@@ -24,6 +24,7 @@ from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.run.worthwhile import Choice, worthwhile
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, SOLVERS, engine_of
+from cosim.integrate.tightened import said
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values, assign, listed, numbers_of
@@ -77,7 +78,8 @@ def simulate(
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
         shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
-            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in the
+            step relative to each state's size (1), 1e-8 when None (of a tighter one, a solver that
+            nobody named takes down to a thirtieth: its errors add up); `absolute_tolerance` in the
             nominal value of each unknown, which is 1 SI unit where the model says nothing; when
             None, a hundredth of the relative one, in nominal values that are found from the start
             and the run where the model says nothing; `step_size`, largest step of `rk4` and
@@ -116,31 +118,36 @@ def simulate(
         project,
     )
     own = plan(dae, asked)
-    dae, problem, chosen = own.problem.dae, own.problem, own.solver
+    dae, problem, chosen, inner = own.problem.dae, own.problem, own.solver, own.inner
     before = time_compiling()
     with doing(dae.full_name):
         choice = own.choice or _worthwhile(problem, chosen)
         problem = replace(problem, compiled=choice.compiled)
         try:
-            solution = first = solve(problem, chosen, values, on_invalid, own.places)
+            solution = first = solve(problem, inner, values, on_invalid, own.places)
         except CompilerExhausted as error:
             if compiled or chosen.compiled_only or project:
                 raise
             choice = Choice(False, f"interpreted: {error}")
             problem = replace(problem, compiled=False)
-            solution = first = solve(problem, chosen, values, on_invalid, own.places)
+            solution = first = solve(problem, inner, values, on_invalid, own.places)
+        if inner != chosen and first.reason not in ("", INTERRUPTED):
+            inner = chosen
+            solution = first = solve(problem, inner, values, on_invalid, own.places)
     choice.add(first.solve_time)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
         shorter = problem.until(len(solution.table))
-        solution = solve(shorter, chosen, values, on_invalid, own.places)
+        solution = solve(shorter, inner, values, on_invalid, own.places)
     time = first.grid[: len(solution.table)]
     status = "complete"
     if first.reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
         status = f"stopped after {last}: {first.reason}"
     stats = _stats(chosen, first, solution, choice, perf_counter() - began)
+    if inner != chosen:
+        stats = replace(stats, note="; ".join(filter(None, (said(chosen, inner), stats.note))))
     if (compiling := time_compiling() - before) > 0:
         stats = replace(stats, compile_time=compiling)
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())

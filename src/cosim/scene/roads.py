@@ -7,7 +7,6 @@ from typing import Any
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.simulate import simulate
@@ -140,8 +139,7 @@ def run_fmu(scene: Scene, dae: Dae, path: Path, road: Road) -> Trajectory:
     """
     settings = scene.settings
     span = dae.experiment.stop_time
-    return patiently(
-        simulate_fmu,
+    return simulate_fmu(
         path,
         interface=road.interface,
         start_time=settings.start_time,

@@ -9,7 +9,6 @@ from casadi import MX, SX
 from fmpy.validation import validate_fmu
 
 import cosim
-from cosim.codegen.casadi_library import external
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 
 KINDS = pytest.mark.parametrize("kind", [SX, MX])
@@ -352,13 +351,6 @@ def test_integrator_inside_is_refused_by_name():
     inner = ca.integrator("inner", "cvodes", {"x": y, "ode": -y})
     with pytest.raises(UsageError, match="calls 'inner', of type CvodesInterface"):
         cosim.from_casadi({"x": x, "ode": inner(x0=x)["xf"]})
-
-
-def test_external_is_refused_by_name():
-    x, y = SX.sym("x"), MX.sym("y")
-    (function,) = external([ca.Function("outside", [x], [-x])], "test outside", ["outside"])
-    with pytest.raises(UsageError, match=r"calls 'outside', .*source is not at hand"):
-        cosim.from_casadi({"x": y, "ode": function(y)})
 
 
 # -- refusals -------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
+from cosim.codegen.externals import add_integrator, sources_beside
 from cosim.codegen.functions import CALL
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
@@ -26,23 +27,32 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
         solver: Of `CO_SIMULATION_SOLVERS`.
     """
-    margins = ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
     generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
     for function in (
         start_function(dae),
         algebraic_function(dae),
         _plain_function(dae, "model_ode", dae.ode),
-        _plain_function(dae, "model_outputs", dae.outputs, margins),
+        _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
     if not uses_dop853(dae, solver):
-        generator.add(solver_step(dae, solver))
+        add_integrator(generator, solver_step(dae, solver))
     code = str(generator.dump())
     if not dae.states or solver == DOP853:
         return code
     code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
     return differential_errors(code) if dae.algebraics else code
+
+
+def embedded_sources(dae: Dae) -> dict[str, str]:
+    """Return the C code of the libraries that a model calls, by file name; {} where it does not.
+
+    Raises:
+        UsageError: C code is not at hand.
+    """
+    laws = [dae.ode, dae.alg, dae.outputs, dae.margins]
+    return sources_beside(ca.Function("laws", dae.arguments, laws), start_function(dae))
 
 
 def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
