@@ -36,7 +36,9 @@ class _OwnOfCasadi(AdaptiveSolver):
         """Build the engine for a problem."""
         if problem.compiled:
             return self._generated(problem)
-        options = COMMON | tolerances(self) | _grouped(problem)
+        options = COMMON | tolerances(self)
+        if not problem.piecewise:  # steps may pass output times
+            options["control_group_size"] = [len(problem.grid)]
         return plugin_engine(problem, self.name, options, _CASADI_COUNTERS)
 
     def _generated(self, problem: Problem) -> Engine:
@@ -109,11 +111,6 @@ class Rosenbrock(_OwnOfCasadi):
     name = "rosenbrock"
     solves_dae = True
     uses_jacobian = True
-
-
-def _grouped(problem: Problem) -> dict[str, Any]:
-    """Let steps pass output times where inputs do not change there."""
-    return {} if problem.piecewise else {"control_group_size": [len(problem.grid)]}
 
 
 def _unit_grid(grid: Vector) -> Vector:
