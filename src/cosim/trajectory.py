@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
+from cosim.presenters import presenter
 from cosim.series.column import Column, summary_rows
 from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
 from cosim.series.frames import data_frame, data_set
@@ -380,9 +381,7 @@ class Trajectory:
 
     def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
         """Show the run in three dimensions; see `cosim.animate`."""
-        from cosim.present.playback.animate import animate  # the one import of an upper room
-
-        return animate(self, target, **options)
+        return presenter("animate")(self, target, **options)
 
     def _index(self, name: str) -> int:
         try:

@@ -24,6 +24,7 @@ from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.run.worthwhile import Choice, worthwhile
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, SOLVERS, engine_of
+from cosim.integrate.tightened import said
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values, assign, listed, numbers_of
@@ -77,7 +78,8 @@ def simulate(
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
         shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
-            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in the
+            step relative to each state's size (1), 1e-8 when None (of a tighter one, a solver that
+            nobody named takes down to a thirtieth: its errors add up); `absolute_tolerance` in the
             nominal value of each unknown, which is 1 SI unit where the model says nothing; when
             None, a hundredth of the relative one, in nominal values that are found from the start
             and the run where the model says nothing; `step_size`, largest step of `rk4` and
@@ -136,11 +138,13 @@ class _Computed:
         first: The run over the whole grid, which says how it ended.
         last: The run up to the last good time: what is recorded.
         choice: Whether it was compiled.
+        solver: The one that computed it, with its numbers.
     """
 
     first: Solution
     last: Solution
     choice: Choice
+    solver: Solver
 
 
 def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) -> _Computed:
@@ -148,21 +152,25 @@ def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) ->
     problem, choice = own.problem, own.choice or _worthwhile(own.problem, own.solver)
     if problem.compiled is not choice.compiled:
         problem = replace(problem, compiled=choice.compiled)
+    solver = own.inner
     try:
-        first = solve(problem, own.solver, values, on_invalid, own.places)
+        first = solve(problem, solver, values, on_invalid, own.places)
     except CompilerExhausted as error:
         if insisting or own.solver.compiled_only or problem.project:
             raise
         choice = Choice(False, f"interpreted: {error}")
         problem = replace(problem, compiled=False)
-        first = solve(problem, own.solver, values, on_invalid, own.places)
+        first = solve(problem, solver, values, on_invalid, own.places)
+    if solver != own.solver and first.reason not in ("", INTERRUPTED):
+        solver = own.solver
+        first = solve(problem, solver, values, on_invalid, own.places)
     choice.add(first.solve_time)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
     last = first
     while last.reason not in ("", INTERRUPTED) and 0 < len(last.table) < len(last.grid):
-        last = solve(problem.until(len(last.table)), own.solver, values, on_invalid, own.places)
-    return _Computed(first, last, choice)
+        last = solve(problem.until(len(last.table)), solver, values, on_invalid, own.places)
+    return _Computed(first, last, choice, solver)
 
 
 def _trajectory(own: Plan, values: Values, computed: _Computed, stats: RunStats) -> Trajectory:
@@ -249,6 +257,7 @@ def _numbers(dae: Dae, p: bytes, u: bytes) -> tuple[dict[str, float], Drawing]:
 
 def _stats(solver: Solver, computed: _Computed, wall_time: float, compile_time: float) -> RunStats:
     first, last, choice = computed.first, computed.last, computed.choice
+    inner = said(solver, computed.solver)
     return RunStats(
         solver=solver.name,
         relative_tolerance=getattr(solver, "relative_tolerance", None),
@@ -261,6 +270,6 @@ def _stats(solver: Solver, computed: _Computed, wall_time: float, compile_time: 
         wall_time=wall_time,
         compile_time=compile_time or None,
         invalid=tuple([breach.text for breach in first.invalid]),
-        note="; ".join(filter(None, (first.note, choice.note))) or None,
+        note="; ".join(filter(None, (inner, first.note, choice.note))) or None,
         invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

@@ -14,6 +14,7 @@ import casadi as ca
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key
 from cosim.codegen.compiler import cached_library
+from cosim.codegen.externals import sources_beside
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients, numbers, sums
 from cosim.codegen.runge_kutta.tableau import Tableau
 
@@ -40,6 +41,7 @@ def explicit_library(
 
     Raises:
         MissingTool: There is no compiler, or it fails.
+        UsageError: `rhs` calls a library's function whose C code is not at hand.
     """
     sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
     before = "".join(f"#define {macro} {size}\n" for macro, size in sizes)
@@ -53,7 +55,9 @@ def explicit_library(
         return f"{before}{generator.dump()}\n{after}"
 
     details = before + after + ("" if project is None else project.serialize())
-    return str(cached_library(cache_key(f"explicit {name}", rhs, details.encode()), generate))
+    key = cache_key(f"explicit {name}", rhs, details.encode())
+    functions = [rhs] if project is None else [rhs, project]
+    return str(cached_library(key, generate, sources_beside(*functions)))
 
 
 def explicit_function(

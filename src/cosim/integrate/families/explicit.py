@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function
-from cosim.codegen.projection import projection_step
 from cosim.codegen.runge_kutta.explicit_library import (
     MethodText,
     dop853_method,
@@ -20,6 +19,7 @@ from cosim.codegen.runge_kutta.explicit_library import (
     explicit_library,
     work_space,
 )
+from cosim.codegen.runge_kutta.projection import projection_step
 from cosim.integrate.engine import Engine, Functions, Problem, reported
 from cosim.integrate.run.call import call_on_arrays
 from cosim.integrate.solver import AdaptiveSolver

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from casadi import MX
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
+from cosim.codegen.functions import CALL, symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.runge_kutta.lane_library import Watched, lane_outputs, processor_lanes
 from cosim.errors import UsageError
@@ -212,14 +212,12 @@ def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
 @kept_per_thread(16)
 def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
     """Return `observe(t, x, z, u, p) -> rows` for n times, a column each."""
-    names = ["t", "x", "z", "u", "p"]
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    margins = (margin for margin, _ in dae.limits)
-    outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
-    t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
+    shown = ca.vertcat(dae.outputs, dae.margins)
+    outputs = ca.Function("outputs", dae.arguments, [shown], {"cse": True})
+    t, x, z, u, p = symbols_like(dae)
     solved = algebraic_function(dae)(t, x, z, u, p)
     rows = ca.densify(ca.vertcat(solved, outputs(t, x, solved, u, p)))  # cse makes zeros sparse
-    function = ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
+    function = ca.Function("observe", [t, x, z, u, p], [rows], CALL, ["rows"])
     if n == 1:
         return function
     if compiled:

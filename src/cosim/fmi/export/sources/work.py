@@ -44,8 +44,7 @@ def _right_hand_side(dae: Dae) -> float:
 
 
 def _operations(dae: Dae, *expressions: ca.SX) -> float:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    function = ca.Function("counted", symbols, [*expressions], {"cse": True})
+    function = ca.Function("counted", dae.arguments, [*expressions], {"cse": True})
     kinds = (function.instruction_id(k) for k in range(function.n_instructions()))
     return float(sum(1 if kind in _CHEAP else _DEAR for kind in kinds))
 
