@@ -84,8 +84,8 @@ def simulate(
             every step, which makes `dop853` the default solver; what the model has when None.
             `relative_tolerance`, `absolute_tolerance`, `step_size`: numbers of a solver that is
             named or left out: error per step relative to each state's size (1), 1e-8 when None;
-            in SI units, a hundredth of the relative one when None; largest step of `rk4` and
-            `ode8`, s, the output interval when None.
+            error per step in the nominal value of each unknown (1), a hundredth of the relative
+            one when None; largest step of `rk4` and `ode8`, s, the output interval when None.
             `output_times`: times of one's own, s, (n,), in place of `stop_time` and
             `output_interval`.
             `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes
@@ -250,19 +250,21 @@ def run_scene(
         ('T',)
     """
     if not isinstance(scene, Scene):
-        return roads.run_scene(scene, road, **options)  # which refuses it
+        return roads.run_on_road(scene, road, **options)  # which refuses it
     goals = {name: getattr(scene.settings, name) for name in GOALS}
     goal = any(value is not None for value in goals.values())
     asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
     if not goal and all(value is None for value in asked.values()):
-        return roads.run_scene(scene, road, **options)
-    if not _way(road).native:
+        return roads.run_on_road(scene, road, **options)
+    way = Road.NATIVE if road is None else Road.named(road)
+    if not way.native:
         words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
             f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
             "exported: cosim export --accuracy"
         )
-    options = _as_asked(road, options)
+    if way is Road.INTERPRETED:
+        options["compiled"] = False
     dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
     settings = roads.native_settings(scene, dae)
     if output_times is not None:
@@ -273,11 +275,3 @@ def run_scene(
     values = plain_values(scene.dae, scene.values)
     start = {name: value for name, value in values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
-
-
-def _way(road: Road | str | None) -> Road:
-    return Road.NATIVE if road is None else Road.named(road)
-
-
-def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
-    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from cosim.errors import ExportError
+from cosim.errors import ExportError, UsageError
 
 MOST_READ = 2**30  # bytes
 MOST_TEXT = 2**28  # bytes, of what people write
@@ -76,6 +76,24 @@ def read_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> b
     """
     with opened_plain(source, most_bytes) as stream:
         return stream.read()
+
+
+def read_text(source: str | os.PathLike[str], what: str = "") -> str:
+    """Return the text of a plain file that people write; a byte order mark is tolerated.
+
+    Args:
+        source: The file, in UTF-8.
+        what: What it is, for messages, e.g. "the input series ".
+
+    Raises:
+        UsageError: It cannot be read, or is in another encoding.
+    """
+    try:
+        return read_plain(source, MOST_TEXT).decode("utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"cannot read {what}{source}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{source} is not a UTF-8 text; save it in UTF-8") from error
 
 
 def refuse_unwritable(target: str | os.PathLike[str]) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
+from cosim.presenters import presenter
 from cosim.series.column import Column, summary_rows
 from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
 from cosim.series.frames import data_frame, data_set
@@ -85,8 +86,8 @@ class Trajectory:
                 f"{self.model}: {len(self.columns)} variables, but time of shape {self.time.shape} "
                 f"and values of shape {self.values.shape}; give (n,) and (n, {len(self.columns)})"
             )
-        names = ("time", *self.names)
-        if len(set(names)) < len(names):
+        if len({"time", *[column.name for column in self.columns]}) <= len(self.columns):
+            names = ("time", *self.names)
             twice = next(name for name in names if names.count(name) > 1)
             raise UsageError(f"{self.model}: '{twice}' is recorded twice; name it once")
 
@@ -379,9 +380,7 @@ class Trajectory:
 
     def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
         """Show the run in three dimensions; see `cosim.animate`."""
-        from cosim.present.playback.animate import animate  # the one import of an upper room
-
-        return animate(self, target, **options)
+        return presenter("animate")(self, target, **options)
 
     def _index(self, name: str) -> int:
         try:

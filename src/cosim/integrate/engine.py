@@ -37,6 +37,8 @@ class Problem:
         sensitivities: Whether somebody will differentiate the engine's function.
         piecewise: Whether inputs have a column per output time, which holds on the way there.
         project: Whether every step is to end where the model's invariants vanish.
+        nominal: What counts as 1 of each state, for solvers that `count_in_nominal`; as SI units
+            are where it is empty.
     """
 
     dae: Dae
@@ -46,6 +48,7 @@ class Problem:
     sensitivities: bool = True
     piecewise: bool = False
     project: bool = False
+    nominal: tuple[float, ...] = ()
 
     @property
     def grid(self) -> Vector:
@@ -75,7 +78,8 @@ class Engine:
         fallback: Builds the engine of settings that fail less, for a run that failed with a reason;
             None where there are none, or none for that reason.
         direct: Does what `function` does after `parameters`, on arrays without CasADi in between:
-            `(x0, z0, p, u, states, algebraics) -> succeeded`; None where nothing does.
+            `(x0, z0, p, u, states, algebraics) -> succeeded`; None where nothing does. It prints
+            nothing, and what it does not reach is not a number.
     """
 
     function: ca.Function

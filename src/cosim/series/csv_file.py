@@ -147,7 +147,7 @@ def in_si(
                 f"{path}: {name} is in '{unit}', which is unknown; give units={{'{name}': ...}}, "
                 f"one of {', '.join(UNITS)}"
             )
-        target = target or _si_name(unit)
+        target = target or si_name(unit)
         if not UNITS[unit].measures_like(UNITS[target]):
             raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
         values[:, i] *= UNITS[unit].factor / UNITS[target].factor
@@ -155,7 +155,8 @@ def in_si(
     return pairs, values
 
 
-def _si_name(unit: str) -> str:
+def si_name(unit: str) -> str:
+    """Return the name of the SI unit of the kind of a unit; its own where there is none."""
     if UNITS[unit].factor == 1:
         return unit
     fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(UNITS[unit]))
@@ -163,13 +164,9 @@ def _si_name(unit: str) -> str:
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not a UTF-8 text; save it as CSV in UTF-8") from error
-    lines = [*enumerate(text.splitlines(), 1)]
+    from cosim.files import read_text  # only where a file is wanted
+
+    lines = [*enumerate(read_text(path).splitlines(), 1)]
     lines = [(i, line) for i, line in lines if line.strip() and not line.startswith("#")]
     if not lines:
         raise UsageError(f"{path} is empty; give a CSV file with a header")

@@ -10,19 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_accuracy, add_output_file, add_timeout, common
+from cosim.cli.options import Parser, add_accuracy, add_output_file, add_timeout
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.verify.repeated_export import ExportNote
 
 # What changes what is told, not what is made
 _NO_MATTER = ("verb", "run", "output_file", "quiet", "verbose", "json", "debug")
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser("export", parents=[common()], help="write a model as an FMU")
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
     add_output_file(parser, "FILE.fmu", "MODEL.fmu by default")
     parser.add_argument("--fmi", default="2", metavar="2|3", help="version of FMI; 2")

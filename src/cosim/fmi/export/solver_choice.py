@@ -3,12 +3,12 @@
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.initialization import algebraic_function, start_function
+from cosim.codegen.initialization import usual_start
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.sources.sensitivities import jacobian_function
 
 # `dop853` is hand-written, in the runtime; the others are CasADi's.
-DOP853, ERK, ROSENBROCK = SOLVERS = ("dop853", "erk", "rosenbrock")
+DOP853, ERK, ROSENBROCK = CO_SIMULATION_SOLVERS = ("dop853", "erk", "rosenbrock")
 
 # Decay rates times the output interval beyond which the steps of an explicit method, short for
 # stability alone, cost more than the linear equations of an implicit one.
@@ -25,8 +25,8 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
     if wanted is None:
         stiff = fastest_decay(dae) * dae.experiment.output_interval > STIFF
         return ROSENBROCK if stiff else DOP853
-    if wanted not in SOLVERS:
-        raise UnknownName.among("cosim export", "solver", wanted, SOLVERS)
+    if wanted not in CO_SIMULATION_SOLVERS:
+        raise UnknownName.among("cosim export", "solver", wanted, CO_SIMULATION_SOLVERS)
     if wanted == ERK and dae.algebraics:
         raise UsageError(
             f"{dae.full_name} has algebraic unknowns, which erk cannot solve for; take dop853 "
@@ -45,14 +45,8 @@ def fastest_decay(dae: Dae) -> float:
 
     It is 0 where nothing dies out, or where there are no start values.
     """
-    p, u, guess = (
-        [float(variable.start or 0.0) for variable in group]
-        for group in (dae.parameters, dae.inputs, dae.algebraics)
-    )
     try:
-        x, _ = start_function(dae)(list(dae.x_start), p)
-        z = algebraic_function(dae)(0.0, x, guess, u, p)
-        jacobian, _ = jacobian_function(dae)(0.0, x, z, u, p)
+        jacobian, _ = jacobian_function(dae)(0.0, *usual_start(dae))
     except RuntimeError:  # no solution; whoever runs the FMU is told why
         return 0.0
     square = np.array(jacobian.full())[:, : len(dae.states)]

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function
-from cosim.codegen.projection import projection_step
 from cosim.codegen.runge_kutta.explicit_library import (
     MethodText,
     dop853_method,
@@ -19,6 +18,7 @@ from cosim.codegen.runge_kutta.explicit_library import (
     explicit_library,
     work_space,
 )
+from cosim.codegen.runge_kutta.projection import projection_step
 from cosim.integrate.engine import Engine, Problem, reported
 from cosim.integrate.run.call import call_on_arrays
 from cosim.integrate.solver import AdaptiveSolver
@@ -33,6 +33,7 @@ class Dop853(AdaptiveSolver):
     solves_dae = True
     compiled_only = True
     projects = True
+    counts_in_nominal = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
@@ -73,7 +74,8 @@ def explicit_engine(
     columns = len(grid) if problem.piecewise else 1
     run, library = explicit_function(path, len(grid), breaks.numel(), columns)
     p = MX.sym("p", dae.p.numel())
-    numbers = (len(grid), breaks.numel(), columns, *settings)
+    nominal = problem.nominal or (1.0,) * len(dae.states)
+    numbers = (len(grid), breaks.numel(), columns, *settings, *nominal)
     extended = ca.vertcat(constants(p), *numbers, ca.DM(grid), breaks)
     parameters = ca.Function("parameters", [p], [extended])
     counts = reported(library, 0.0, 1.0)
@@ -103,7 +105,7 @@ class DirectCall:
             call_on_arrays(self._parameters, [p], [self._extended])
             self._p = p.tobytes()
         arguments, results, integers, doubles = self._work
-        held = [np.ascontiguousarray(part, dtype=float) for part in (x0, z0, self._extended, u)]
+        held = [*map(np.ascontiguousarray, (x0, z0, self._extended, u))]
         for place, array in enumerate(held):
             arguments[place] = array.ctypes.data if array.size else None
         for place, array in enumerate((states, algebraics)):

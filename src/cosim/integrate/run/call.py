@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Sequence
-from contextlib import redirect_stderr
+from contextlib import nullcontext, redirect_stderr
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.codegen.interruptible import interruptible
-from cosim.host.progress import doing
+from cosim.host.progress import doing, looked_at
 from cosim.integrate.engine import Counts, Engine
 
 INTERRUPTED = "interrupted"
@@ -39,15 +39,18 @@ class Reached:
 
 def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
     """Call an engine with start values, parameters and constant inputs."""
-    n = engine.points
-    # CasADi writes column by column, and those after a failure not at all
-    states, algebraics = (np.full((n, len(start)), np.nan) for start in (x0, z0))
+    n, apart = engine.points, engine.direct is None
+    states, algebraics = (np.empty((n, len(start))) for start in (x0, z0))
+    if apart or looked_at():  # CasADi writes column by column, and those after a failure not at all
+        states.fill(np.nan)
+        algebraics.fill(np.nan)
     if engine.repeat_u:
         u = np.tile(u, n)
     counts = Counts()
     began = perf_counter()
     told = io.StringIO()  # what SUNDIALS says: at which time and step it failed
-    with redirect_stderr(told), interruptible(engine.library) as interrupts:
+    heard = redirect_stderr(told) if apart else nullcontext()
+    with heard, interruptible(engine.library) as interrupts:
         try:
             with doing("solving", partial(_filled, states)):
                 succeeded = _evaluated(engine, x0, z0, p, u, states, algebraics)
@@ -61,8 +64,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     if engine.kept is not None:
         states, algebraics = states[engine.kept], algebraics[engine.kept]
         n = len(states)
-    finite = np.isfinite(states)
-    reached = n if finite.all() else int(np.argmin(finite.all(axis=1)))
+    reached = n if not (apart or reason) else finite_rows(states)
     if interrupts or "KeyboardInterrupt" in reason + told.getvalue():  # a failure, to CasADi
         reason = INTERRUPTED
     elif reason:
@@ -71,6 +73,12 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     elif reached < n:
         reason = "a state is not finite"
     return Reached(states[:reached].T, algebraics[:reached].T, counts, reason, took)
+
+
+def finite_rows(rows: Vector) -> int:
+    """Return how many rows are finite before one that is not."""
+    finite = np.isfinite(rows)
+    return len(rows) if finite.all() else int(np.argmin(finite.all(axis=1)))
 
 
 def _evaluated(

@@ -15,7 +15,9 @@ import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import NotKept, has_compiler, only_kept
+from cosim.codegen.externals import sources_beside
 from cosim.codegen.functions import is_large
+from cosim.errors import UsageError
 from cosim.integrate.solver import Solver
 from cosim.memo import kept_per_thread
 
@@ -66,7 +68,11 @@ def settled(dae: Dae, solver: Solver) -> Choice | None:
     """
     if not has_compiler():
         return Choice(False)
-    return Choice(True) if _operations(dae) <= SMALL or solver.compiled_only else None
+    if solver.compiled_only:
+        return Choice(True)
+    if reason := _without_code(dae):
+        return Choice(False, f"interpreted: {reason}")
+    return Choice(True) if _operations(dae) <= SMALL else None
 
 
 def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object]) -> Choice:
@@ -109,9 +115,18 @@ def _spent(dae: Dae) -> Spent:
 
 
 @kept_per_thread(64)
+def _without_code(dae: Dae) -> str:
+    """Say which library the model calls whose C code is not at hand; empty where there is none."""
+    try:
+        sources_beside(ca.Function("laws", dae.arguments, [dae.ode, dae.alg, dae.outputs]))
+    except UsageError as error:
+        return str(error)
+    return ""
+
+
+@kept_per_thread(64)
 def _operations(dae: Dae) -> int:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return int(ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions())
+    return int(ca.Function("laws", dae.arguments, [dae.ode, dae.alg]).n_instructions())
 
 
 @kept_per_thread(64)

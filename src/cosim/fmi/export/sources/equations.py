@@ -10,12 +10,12 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
+from cosim.codegen.externals import add_integrator, sources_beside
+from cosim.codegen.functions import CALL
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
 from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
 from cosim.fmi.export.sources.work import most_steps
-
-_ARGUMENTS = ["t", "x", "z", "u", "p"]
 
 
 def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
@@ -25,19 +25,19 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         dae: The model.
         identifier: What its inner names begin with.
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
-        solver: Of `SOLVERS`.
+        solver: Of `CO_SIMULATION_SOLVERS`.
     """
     generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
     for function in (
         start_function(dae),
         algebraic_function(dae),
         _plain_function(dae, "model_ode", dae.ode),
-        _plain_function(dae, "model_outputs", dae.outputs, _margins(dae)),
+        _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
     if not uses_dop853(dae, solver):
-        generator.add(solver_step(dae, solver))
+        add_integrator(generator, solver_step(dae, solver))
     code = str(generator.dump())
     if not dae.states or solver == DOP853:
         return code
@@ -45,14 +45,19 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
     return differential_errors(code) if dae.algebraics else code
 
 
-def _margins(dae: Dae) -> SX:
-    return ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
+def embedded_sources(dae: Dae) -> dict[str, str]:
+    """Return the C code of the libraries that a model calls, by file name; {} where it does not.
+
+    Raises:
+        UsageError: C code is not at hand.
+    """
+    laws = [dae.ode, dae.alg, dae.outputs, dae.margins]
+    return sources_beside(ca.Function("laws", dae.arguments, laws), start_function(dae))
 
 
 def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     names = ["value", "margins"][: len(expressions)]
-    return ca.Function(name, symbols, [*expressions], _ARGUMENTS, names, {"cse": True})
+    return ca.Function(name, dae.arguments, [*expressions], CALL, names, {"cse": True})
 
 
 def solver_step(dae: Dae, plugin: str) -> ca.Function:
