@@ -120,6 +120,11 @@ class Dae:
         return [self.t, self.x, self.z, self.u, self.p]
 
     @property
+    def margins(self) -> SX:
+        """The margins of its limits, (n, 1): positive while these hold."""
+        return ca.vertcat(SX(0, 1), *(margin for margin, _ in self.limits))
+
+    @property
     def casadi(self) -> dict[str, SX]:
         """What `casadi.integrator` takes: t, x, z, u, p, ode and alg by these names."""
         return {

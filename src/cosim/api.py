@@ -256,13 +256,15 @@ def run_scene(
     asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
     if not goal and all(value is None for value in asked.values()):
         return roads.run_on_road(scene, road, **options)
-    if not _way(road).native:
+    way = Road.NATIVE if road is None else Road.named(road)
+    if not way.native:
         words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
             f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
             "exported: cosim export --accuracy"
         )
-    options = _as_asked(road, options)
+    if way is Road.INTERPRETED:
+        options["compiled"] = False
     dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
     settings = roads.native_settings(scene, dae)
     if output_times is not None:
@@ -273,11 +275,3 @@ def run_scene(
     values = plain_values(scene.dae, scene.values)
     start = {name: value for name, value in values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
-
-
-def _way(road: Road | str | None) -> Road:
-    return Road.NATIVE if road is None else Road.named(road)
-
-
-def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
-    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options

@@ -43,7 +43,8 @@ def _command(words: Sequence[str]) -> int:
         if (own := next(filter(names_own_code, _named_words(args)), None)) is not None:
             what = f"cosim {args.verb}: {own}"
             return supervised(words, what, getattr(args, "timeout", None))
-        with ending_orphans() if _names_fmu(args) else nullcontext():
+        foreign = any(word.endswith(".fmu") for word in _named_words(args))
+        with ending_orphans() if foreign else nullcontext():
             return _run_verb(args)
     except SystemExit as ended:  # of argparse
         return ended.code if isinstance(ended.code, int) else 2
@@ -68,10 +69,6 @@ def _named_words(args: argparse.Namespace) -> Iterator[str]:
     """Yield what a command line names: models above all."""
     for value in vars(args).values():
         yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
-
-
-def _names_fmu(args: argparse.Namespace) -> bool:
-    return any(word.endswith(".fmu") for word in _named_words(args))
 
 
 def _run_verb(args: argparse.Namespace) -> int:

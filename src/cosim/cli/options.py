@@ -88,9 +88,14 @@ def add_numbers(parser: Parser) -> None:
 
 def add_values(parser: Parser) -> None:
     """Let a verb set a model's numbers and choose its outputs."""
+    add_outputs(parser)
+    add_numbers(parser)
+
+
+def add_outputs(parser: Parser) -> None:
+    """Let a verb choose what it computes, and from when on."""
     parser.add_argument("--start-time", type=seconds, metavar="S", help="s; 0 by default")
     parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
-    add_numbers(parser)
 
 
 def add_single_run(parser: Parser) -> None:
@@ -126,23 +131,28 @@ def add_solver(parser: Parser) -> None:
         help='of time t, states and parameters, e.g. "steer_torque=2*sin(3*t)"',
     )
     parser.add_argument("--input-file", metavar="CSV", help="time series of inputs: time,NAME,...")
-    parser.add_argument(
-        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
-    )
-    parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
+    add_error_control(parser)
     parser.add_argument(
         "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"
     )
     parser.add_argument("--interpreted", action="store_true", help="do not compile the equations")
     parser.add_argument(
-        "--on-invalid",
-        metavar="ACTION",
-        help="where a run leaves the model's limits: warn (the default), stop or ignore",
-    )
-    parser.add_argument(
         "--drift-control",
         metavar="KIND",
         help="of constraints: none, baumgarte, or projection after every step; the model's own",
+    )
+
+
+def add_error_control(parser: Parser) -> None:
+    """Let a verb choose how accurate runs are, and what happens where they leave their model."""
+    parser.add_argument(
+        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
+    )
+    parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
+    parser.add_argument(
+        "--on-invalid",
+        metavar="ACTION",
+        help="where a run leaves the model's limits: warn (the default), stop or ignore",
     )
 
 
@@ -175,9 +185,9 @@ def add_figure(parser: Parser, text: str = "PNG, SVG or PDF") -> None:
     parser.add_argument("--figure", metavar="FILE", help=text)
 
 
-def add_output_file(parser: Parser, metavar: str, text: str) -> None:
+def add_output_file(parser: Parser, metavar: str, text: str, *, required: bool = False) -> None:
     """Let a verb write its result to a file."""
-    parser.add_argument("-o", "--output-file", metavar=metavar, help=text)
+    parser.add_argument("-o", "--output-file", required=required, metavar=metavar, help=text)
 
 
 def add_picture(parser: Parser, size: str) -> None:

@@ -48,7 +48,8 @@ def runs_of(
                 scene = replace(scene, outputs=(), figures=())
             seconds = [second_of(scene, name) for name in names_in(one.compare or "") if name]
             run, code = run_or_partial(one, scene)
-            runs.append(_with_variation(run, one.variation))
+            stats = {**run.stats, "variation": one.variation}
+            runs.append(replace(run, stats=stats) if one.variation else run)
             scenes.append(scene)
             for other in seconds:
                 runs.append(run_scene(*other, compiled=False if args.interpreted else None))
@@ -82,10 +83,6 @@ def _single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespac
         variation = ", ".join(chosen[i] for i in lists)
         changes = {"model": source, "values": list(chosen), "variation": variation}
         yield argparse.Namespace(**{**vars(args), **changes})
-
-
-def _with_variation(run: Trajectory, variation: str) -> Trajectory:
-    return replace(run, stats={**run.stats, "variation": variation}) if variation else run
 
 
 def second_of(scene: Scene | None, name: str) -> tuple[Scene, Road]:

@@ -63,6 +63,20 @@ def algebraic_function(dae: Dae) -> ca.Function:
     return ca.Function("model_algebraic", [t, x, z, u, p], [solution], CALL, ["z_solved"])
 
 
+def usual_start(dae: Dae) -> tuple[ca.DM, ca.DM, list[float], list[float]]:
+    """Return x, z, u, p with which a model starts that nobody gives anything.
+
+    Raises:
+        RuntimeError: There is no solution.
+    """
+    p, u, guess = (
+        [float(variable.start or 0.0) for variable in group]
+        for group in (dae.parameters, dae.inputs, dae.algebraics)
+    )
+    x, _ = start_function(dae)(list(dae.x_start), p)
+    return x, algebraic_function(dae)(0.0, x, guess, u, p), u, p
+
+
 def _solve_rule(dae: Dae, rule: StartRule, name: str, x: MX, p: MX) -> tuple[MX, MX]:
     unknown = SX.sym("unknown", len(rule.states))
     filled = dae.x + 0

@@ -108,10 +108,11 @@ def _bare_function(
         for name, symbol in (("x0", dae.x), ("z0", dae.z), ("p", dae.p))
     )
     u = MX.sym("u", dae.u.numel(), n)
-    parameters = p if built.parameters is None else built.parameters(p)
+    run, extended = built.functions
+    parameters = p if extended is None else extended(p)
     inputs = {"u": u} if dae.inputs else {}  # CasADi maps over columns of nothing
     x, z = ca.DM(nominal.x), ca.DM(nominal.z)
-    result = built.function(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
+    result = run(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
     names = ["x0", "z0", "p", "u"]
     unscaled = [ca.densify(result[name]) for name in ("xf", "zf")]
     columns = [rows * ca.repmat(size, 1, n) for rows, size in zip(unscaled, (x, z), strict=True)]

@@ -86,21 +86,17 @@ def plan(dae: Dae, asked: Asked) -> Plan:
     Raises:
         UnknownName, ParameterError, UsageError, MissingTool: See `simulate`.
     """
-    times = asked.times.interval
+    times: Any = asked.times.interval
     own = times.tobytes() if isinstance(times, np.ndarray) else b""
     still = asked._replace(times=asked.times._replace(interval=None)) if own else asked
     kinds = tuple(map(type, (*still, *still.times, *still.numbers)))  # True is not 1 here
-    if own and not _is_plain(times):
+    if own and not (times.ndim == 1 and times.dtype == np.float64):
         return _plan(dae, asked)
     try:
         hash(still)
     except TypeError:  # and refused below
         return _plan(dae, asked)
     return _kept_plan(dae, still, own, kinds, where_compilers_are())
-
-
-def _is_plain(times: Any) -> bool:
-    return bool(times.ndim == 1 and times.dtype == np.float64)
 
 
 @kept_per_thread(16)

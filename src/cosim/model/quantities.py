@@ -84,10 +84,8 @@ def quantity(name: str, text: str, unit: str) -> float:
         raise ParameterError(f"{name} = {text}: give a number in {unit}, without a unit")
     source = parse_unit(written, like=wanted)
     if source is None:
-        raise ParameterError(
-            f"{name} = {text}: unit '{written}' is unknown; "
-            f"fitting: {', '.join(_fitting_units(wanted))}"
-        )
+        fitting = ", ".join(known for known, one in UNITS.items() if one.measures_like(wanted))
+        raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
     if not source.measures_like(wanted):
         raise ParameterError(
             f"{name} = {text}: '{written}' cannot be converted to '{unit}': not the same kind of "
@@ -141,7 +139,3 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
     if expected:
         return None
     return Unit(factor, tuple((name, n) for name, n in base.items() if n))
-
-
-def _fitting_units(wanted: Unit) -> tuple[str, ...]:
-    return tuple(name for name, unit in UNITS.items() if unit.measures_like(wanted))

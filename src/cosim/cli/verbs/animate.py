@@ -3,19 +3,15 @@
 import argparse
 import sys
 
-from cosim.cli.options import Parser, add_picture, add_single_run
+from cosim.cli.options import Parser, add_output_file, add_picture, add_single_run
 
 
 def add_options(parser: Parser) -> None:
     """Declare the verb."""
     add_single_run(parser)
     parser.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
-    parser.add_argument(
-        "-o",
-        "--output-file",
-        required=True,
-        metavar="FILE",
-        help=".html, .glb, .mp4, .gif; or a picture: .png, .svg, .pdf",
+    add_output_file(
+        parser, "FILE", ".html, .glb, .mp4, .gif; or a picture: .png, .svg, .pdf", required=True
     )
     parser.add_argument(
         "--compare", metavar="A,B", help="more runs as ghosts: fmu-me, fmu-cs, solver, formulation"

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import Parser, add_single_run
+from cosim.cli.options import Parser, add_output_file, add_single_run
 
 if TYPE_CHECKING:
     pass
@@ -18,9 +18,7 @@ def add_options(parser: Parser) -> None:
     """Declare the verb."""
     add_single_run(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
-    parser.add_argument(
-        "-o", "--output-file", required=True, metavar="FILE.html", help="one HTML file"
-    )
+    add_output_file(parser, "FILE.html", "one HTML file", required=True)
     parser.add_argument(
         "--no-crosscheck",
         dest="crosscheck",

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import Parser, add_output_file, add_run
+from cosim.cli.options import Parser, add_error_control, add_output_file, add_outputs, add_run
 
 if TYPE_CHECKING:
     from cosim.study.sweep.samples import Samples
@@ -22,7 +22,7 @@ def add_options(parser: Parser) -> None:
     add_run(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     _add_samples(parser)
-    parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
+    add_outputs(parser)
     parser.add_argument(
         "--keep",
         nargs="+",
@@ -31,13 +31,8 @@ def add_options(parser: Parser) -> None:
         help="trajectories, statistics, final, max, min, mean, rms, 'max(phi)', 'first(phi, 0.5)'",
     )
     parser.add_argument("--times", metavar="T1,T2", help="output times, s, not an interval")
-    parser.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
     parser.add_argument("--solver", metavar="NAME", help="dop853 in lanes where that is possible")
-    parser.add_argument(
-        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
-    )
-    parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
-    parser.add_argument("--on-invalid", metavar="ACTION", help="warn, stop or ignore")
+    add_error_control(parser)
     parser.add_argument("--store", metavar="FOLDER", help="keeps everything, as it finishes")
     parser.add_argument("--resume", action="store_true", help="go on with a store")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per processor")

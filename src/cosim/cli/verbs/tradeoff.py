@@ -123,7 +123,16 @@ def _print(study: Tradeoff) -> None:
         print(f"{key}: {value}")
     for cost in COSTS:
         print(f"\nPareto front, error against {cost} ({'s' if cost == 'solver_time' else '1'})")
-        show_table([_plotted_point(study, m, cost) for m in study.front(cost)], as_json=False)
+        front = study.front(cost)
+        errors = (max(m.known_error, study.floor) for m in front)
+        points = zip(front, errors, strict=True)
+        show_table(
+            [
+                {"configuration": str(m.configuration), "error": e, cost: m.cost(cost)}
+                for m, e in points
+            ],
+            as_json=False,
+        )
     print("\nerror = constant * tolerance ** slope")
     show_table([fit.row() for fit in study.proportionality()], as_json=False)
     if study.orders:
@@ -133,11 +142,3 @@ def _print(study: Tradeoff) -> None:
         show_table([limit.row() for limit in study.stability], as_json=False)
         if not study.stability:
             print("none: no mode decays, or the motion has not become steady")
-
-
-def _plotted_point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:
-    return {
-        "configuration": str(measurement.configuration),
-        "error": max(measurement.error, study.floor),
-        cost: measurement.cost(cost),
-    }

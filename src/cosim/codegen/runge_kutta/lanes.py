@@ -53,7 +53,7 @@ _LANE_FORMS[ca.OP_CONSTPOW] = _LANE_FORMS[ca.OP_POW]
 @kept_per_thread(16)
 def fits_lanes(dae: Dae) -> bool:
     """Tell whether lanes have every operation of a model: calls of functions they do not."""
-    laws = [dae.ode, dae.outputs, *(margin for margin, _ in dae.limits)]
+    laws = [dae.ode, dae.outputs, dae.margins]
     function = ca.Function("laws", dae.arguments, [ca.vertcat(*laws)])
     codes = {function.instruction_id(i) for i in range(function.n_instructions())}
     return codes <= {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_LANE_FORMS}

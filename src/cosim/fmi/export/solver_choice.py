@@ -4,7 +4,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.initialization import algebraic_function, start_function
+from cosim.codegen.initialization import usual_start
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.sources.sensitivities import jacobian_function
 
@@ -49,14 +49,8 @@ def fastest_decay(dae: Dae) -> float:
     It is 0 where nothing dies out, or where there are no start values; of many states, a lower
     bound within a thousandth or so.
     """
-    p, u, guess = (
-        [float(variable.start or 0.0) for variable in group]
-        for group in (dae.parameters, dae.inputs, dae.algebraics)
-    )
     try:
-        x, _ = start_function(dae)(list(dae.x_start), p)
-        z = algebraic_function(dae)(0.0, x, guess, u, p)
-        jacobian, _ = jacobian_function(dae)(0.0, x, z, u, p)
+        jacobian, _ = jacobian_function(dae)(0.0, *usual_start(dae))
     except RuntimeError:  # no solution; whoever runs the FMU is told why
         return 0.0
     square = np.array(jacobian.full())[:, : len(dae.states)]

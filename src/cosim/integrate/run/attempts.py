@@ -84,7 +84,8 @@ def _scaled_call(engine: Engine, problem: Problem, start: Start, nominal: Nomina
     x, z = nominal.columns
     numbers = (start.x / x.ravel(), start.z / z.ravel(), *_constants(start))
     reached = call(engine, *numbers)
-    if engine.restart is not None and not _started(reached):
+    started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
+    if engine.restart is not None and not started:
         rates = _rates(problem, start) / x.ravel()
         reached = _after(reached, call(engine.restart(rates), *numbers))
     if nominal.in_si:
@@ -94,10 +95,6 @@ def _scaled_call(engine: Engine, problem: Problem, start: Start, nominal: Nomina
 
 def _constants(start: Start) -> tuple[Vector, Vector]:
     return start.values.p, start.values.u
-
-
-def _started(reached: Reached) -> bool:
-    return reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
 
 
 def _rates(problem: Problem, start: Start) -> Vector:

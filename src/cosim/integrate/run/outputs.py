@@ -212,7 +212,7 @@ def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
 @kept_per_thread(16)
 def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
     """Return `observe(t, x, z, u, p) -> rows` for n times, a column each."""
-    shown = ca.vertcat(dae.outputs, *(margin for margin, _ in dae.limits))
+    shown = ca.vertcat(dae.outputs, dae.margins)
     outputs = ca.Function("outputs", dae.arguments, [shown], {"cse": True})
     t, x, z, u, p = symbols_like(dae)
     solved = algebraic_function(dae)(t, x, z, u, p)

@@ -82,7 +82,8 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
     Raises:
         CosimError: The model cannot be run; see `reference`.
     """
-    scene = Scene(dae.full_name, _recording_all(dae))
+    every = tuple(column.name for column in all_columns(dae))
+    scene = Scene(dae.full_name, replace(dae, observed=every))
     key = _front_key(scene, compiled)
     entry = f"fronts/{key}"
     return _read_front(entry) or _measured_front(scene, compiled, entry)
@@ -100,10 +101,6 @@ def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
     """Return the solvers that are measured: of different kinds, so that each can check another."""
     own = ("idas", "rosenbrock") if dae.algebraics else ("cvodes", "erk")
     return (*own, "dop853") if compiled else own
-
-
-def _recording_all(dae: Dae) -> Dae:
-    return replace(dae, observed=tuple(column.name for column in all_columns(dae)))
 
 
 def _front_key(scene: Scene, compiled: bool) -> str:

@@ -18,7 +18,7 @@ from cosim.trajectory import Trajectory
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
 
 
-class Ending(NamedTuple):
+class CaseEnding(NamedTuple):
     """How a case ended.
 
     Attributes:
@@ -54,14 +54,14 @@ def _run(case: Case, how: Case | Counterpart, **more: Any) -> Trajectory:
 Runner = Callable[[Case], Trajectory]
 
 
-def judge(case: Case, runner: Runner = run_case) -> Ending:
+def judge(case: Case, runner: Runner = run_case) -> CaseEnding:
     """Run a case and judge it."""
     began = perf_counter()
     try:
         outcome, error, reason = _judge(case, runner)
     except Exception as defect:  # an error that is none of `CosimError` counts as a crash
         outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
-    return Ending(outcome, error, reason, perf_counter() - began)
+    return CaseEnding(outcome, error, reason, perf_counter() - began)
 
 
 def _judge(case: Case, runner: Runner) -> tuple[str, float | None, str]:

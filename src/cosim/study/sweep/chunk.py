@@ -12,10 +12,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.keep import Keep
 from cosim.study.sweep.statistics import node_of, sketch_of
-from cosim.study.sweep.store import STATES, ChunkRecord, Store
+from cosim.study.sweep.store import STATES, ChunkRecord, Store, Watch
 from cosim.study.sweep.subjects.opening import opened_subject
 from cosim.study.sweep.subjects.subject import Rows, Subject
 from cosim.trajectory import Trajectory

@@ -29,7 +29,7 @@ BEYOND = Rule(
     "do not learn that they went too far, for example beyond the data of a table",
     "end with an error beyond a stop time that was given, as the FMI has it",
 )
-MOST_STEPS = 1_000_000
+MOST_MADE = 1_000_000
 SIZE = 1 / 60  # s
 _SHARE = 1 / 12  # of all time is for the steps
 _FEW_STEPS = 10
@@ -43,7 +43,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     with bench.session(kind) as session:
         session.start()
         try:
-            for made in summed_steps(session, SIZE, MOST_STEPS, bench.loop):
+            for made in summed_steps(session, SIZE, MOST_MADE, bench.loop):
                 if not made.finite:
                     yield NOT_FINITE.at(kind, f"not finite at {made.time:.6g} s")
                     return

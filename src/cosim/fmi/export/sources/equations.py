@@ -33,7 +33,7 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         start_function(dae),
         algebraic_function(dae),
         _plain_function(dae, "model_ode", dae.ode),
-        _plain_function(dae, "model_outputs", dae.outputs, _margins(dae)),
+        _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)
@@ -52,12 +52,8 @@ def embedded_sources(dae: Dae) -> dict[str, str]:
     Raises:
         UsageError: C code is not at hand.
     """
-    laws = [dae.ode, dae.alg, dae.outputs, _margins(dae)]
+    laws = [dae.ode, dae.alg, dae.outputs, dae.margins]
     return sources_beside(ca.Function("laws", dae.arguments, laws), start_function(dae))
-
-
-def _margins(dae: Dae) -> SX:
-    return ca.vertcat(SX(0, 1), *(margin for margin, _ in dae.limits))
 
 
 def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:

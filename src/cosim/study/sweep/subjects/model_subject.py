@@ -17,8 +17,8 @@ from cosim.model.start_outputs import overriding
 from cosim.model.values import assign, listed, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
+from cosim.study.sweep.store import Watch
 from cosim.study.sweep.subjects.subject import Rows
 from cosim.trajectory import Column
 
