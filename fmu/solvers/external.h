@@ -6,8 +6,8 @@
  * largest step, nominal values of the states, output times, breaks). At a break, the position of an
  * output time, a step ends and a fresh one begins. u has one column, or one per output time that
  * holds on the way there; where it changes is a break, too. None of these numbers is a constant of
- * the library: `cosim_sizes` must be called before CasADi asks for the sizes. What a run that fails
- * does not reach is not a number.
+ * the library: `cosim_sizes` must be called before CasADi asks for the sizes. A run that fails leaves
+ * alone what it does not reach.
  */
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
@@ -32,6 +32,13 @@ static _Thread_local double report[REPORT];
  * time, step size. */
 SHARED void cosim_report(double *out) {
     memcpy(out, report, sizeof report);
+}
+
+static _Thread_local long long passed;
+
+/* How many output times the thread's last run reached. */
+SHARED long long cosim_passed(void) {
+    return passed;
 }
 
 static inline void widen(long long *size, long long wanted) {
@@ -119,10 +126,8 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const double seen[REPORT] = {
         (double)problem.steps, (double)problem.calls, 0, code, course.reached, course.last};
     memcpy(report, seen, sizeof report);
-    if (code == SUCCESS) return 0;
-    for (long long i = course.passed * NX; i < points * NX; ++i) res[0][i] = NAN;
-    for (long long i = course.passed * NZ; i < points * NZ && res[1]; ++i) res[1][i] = NAN;
-    return 1;
+    passed = course.passed;
+    return code != SUCCESS;
 }
 
 #endif

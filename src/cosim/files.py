@@ -23,23 +23,38 @@ def write_atomically(target: str | os.PathLike[str], content: bytes) -> Path:
     Raises:
         ExportError: The folder is missing or read-only, the disk is full, the name is a folder.
     """
+    with written_atomically(target) as stream:
+        stream.write(content)
+    return Path(target)
+
+
+@contextmanager
+def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Write a file piece by piece, as `write_atomically` does at once.
+
+    Yields:
+        What is written to; where the block is left by an error, the old content stays.
+
+    Raises:
+        ExportError: See there.
+    """
     with _explained(target):
         place = _place(target)
         if place.exists() and not place.is_file():
-            place.write_bytes(content)
-            return Path(target)
+            with place.open("wb") as stream:
+                yield stream
+            return
         mode = stat.S_IMODE(place.stat().st_mode) if place.exists() else 0o666 & ~_umask()
         temporary = _sibling(place)
         try:
             with temporary.open("wb") as stream:
-                stream.write(content)
+                yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
             temporary.chmod(mode)
             temporary.replace(place)
         finally:
             temporary.unlink(missing_ok=True)
-    return Path(target)
 
 
 def opened_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> BinaryIO:

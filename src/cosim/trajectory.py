@@ -301,11 +301,12 @@ class Trajectory:
                 raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
             write_columns(target, self.columns, self.time, self.values, units)
             return
-        from cosim.files import write_atomically  # only where a file is wanted
+        from cosim.files import written_atomically  # only where a file is wanted
 
-        text = io.StringIO(newline="")
-        write_columns(text, self.columns, self.time, self.values, units)
-        write_atomically(target, text.getvalue().encode())
+        with written_atomically(target) as file:
+            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+            write_columns(text, self.columns, self.time, self.values, units)
+            text.detach()
 
     def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
         """Write everything, bit for bit, as a file of numpy; see `from_npz`.
