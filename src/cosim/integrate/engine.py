@@ -60,7 +60,7 @@ class Problem:
         return replace(self, times=self.grid[:n].tobytes())
 
 
-class Functions(NamedTuple):
+class RunFunctions(NamedTuple):
     """What CasADi calls of an engine.
 
     Attributes:
@@ -97,7 +97,7 @@ class Engine:
             prints nothing, and leaves alone what it does not reach.
     """
 
-    make: Callable[[], Functions]
+    make: Callable[[], RunFunctions]
     points: int
     repeat_u: bool
     counts: Callable[[], Counts]
@@ -109,7 +109,7 @@ class Engine:
     direct: DirectRun | None = None
 
     @cached_property
-    def functions(self) -> Functions:
+    def functions(self) -> RunFunctions:
         """What CasADi calls."""
         return self.make()
 

@@ -16,7 +16,7 @@ from cosim.integrate import initial_values
 from cosim.integrate.derivatives import MOST_JACOBIAN_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.nominal import Nominal, measured
+from cosim.integrate.nominal import Nominal, in_nominal_values
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import chosen_solver, engine_of
 from cosim.model.time_grid import checked_grid
@@ -74,7 +74,7 @@ def integrator(
     own = isinstance(chosen, FixedStep) and not compiled  # CasADi's are those of the very steps
     problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
     nominal = Nominal.declared(dae) if isinstance(chosen, AdaptiveSolver) else Nominal.none(dae)
-    counted, nominal = measured(problem, chosen, nominal)
+    counted, nominal = in_nominal_values(problem, chosen, nominal)
     built = engine_of(counted, chosen)
     size = size_of_jacobian(dae, len(times))
     if own or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
