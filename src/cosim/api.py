@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
 from cosim.integrate.run.asked_times import AskedTimes, again
@@ -26,6 +25,7 @@ from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
+from cosim.study.accuracy.front import pays_compiling
 from cosim.study.accuracy.solver_selection import promised_run
 from cosim.trajectory import Trajectory
 
@@ -76,7 +76,7 @@ def simulate(
             output times. Other inputs keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
         options: What few runs need.
-            `compiled`: whether to compile the equations; if a compiler is there when None.
+            `compiled`: whether to compile the equations; where that pays when None.
             `on_invalid`: what happens where a run leaves the model's limits, or a fixed step is
             too long for the motion: "warn" (the default) says so in `stats["invalid"]`, "stop"
             ends the run there, "ignore" looks at neither.
@@ -160,7 +160,7 @@ def _promised(
     names = wanted_names(dae, wanted)
     grid = times.grid()
     compiled = options.get("compiled")
-    compiled = has_compiler() if compiled is None else compiled
+    compiled = pays_compiling(dae, grid) if compiled is None else compiled
     run = run | times.given | {"on_invalid": options.get("on_invalid", "warn")}
     solve = partial(native.simulate, dae, outputs=names, compiled=compiled, **run)
     length = float(grid[-1] - grid[0])

@@ -114,7 +114,8 @@ def compile_library(
 
     Args:
         sources: C files.
-        target: The library, replaced when the compiler succeeds.
+        target: The library, replaced when the compiler succeeds; its folder takes what the
+            compiler writes meanwhile.
         include: Folders of headers.
         options: Further compiler options.
         command: The compiler; `find_compiler()` when None.
@@ -130,7 +131,7 @@ def compile_library(
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     memory = most_memory()
     try:
-        failed, output = run_bounded(call, TIMEOUT, memory)
+        failed, output = run_bounded(call, TIMEOUT, memory, target.parent)
     except subprocess.TimeoutExpired as error:
         raise CompilerTimeout(
             f"{compiler[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"

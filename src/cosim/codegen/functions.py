@@ -48,6 +48,12 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
 
 
 @kept_per_thread(16)
+def driven_equations(dae: Dae) -> ca.Function:
+    """Return `dae(t, x, z, u, p) -> (ode, alg)` with derivatives but for p: what time changes."""
+    return _equations_function(dae, dae.p, dae.ode, dae.alg, [True, True, True, True, False])
+
+
+@kept_per_thread(16)
 def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.Function]:
     """Return `dae(t, x, z, u, c) -> (ode, alg)` and `p -> c`.
 

@@ -9,10 +9,10 @@ import cosim
 from cosim.errors import InitialConditionError
 
 
-def pendulum(kind=SX, **options) -> dict:
+def pendulum(kind=SX, rates=None, **options) -> dict:
     """Return a pendulum of index 3, reduced by CasADi."""
     x, y, u, v, lam, L = (kind.sym(n) for n in ("x", "y", "u", "v", "lam", "L"))
-    rates = ca.vertcat(*(kind.sym(f"d{n}") for n in "xyuv"))
+    rates = ca.vertcat(*(kind.sym(f"d{n}") for n in "xyuv")) if rates is None else rates
     laws = (
         rates[0] - u,
         rates[1] - v,
@@ -44,6 +44,16 @@ def test_reduced_index_3_pendulum_swings_with_its_period(tmp_path):
             path, interface=interface, stop_time=period, relative_tolerance=1e-10
         )
         assert fmu["x"][-1] == pytest.approx(np.sin(1.0), abs=1e-6)
+
+
+def test_vector_that_a_reduction_divides_keeps_casadis_names():
+    dae = cosim.from_casadi(pendulum(rates=SX.sym("d", 4)), {"x": 0.6, "y": -0.8, "L": 1.0})
+    names = [v.name for v in (*dae.states, *dae.algebraics)]
+    assert {"d_0", "d_1", "d_2", "d_3"} <= {*names}
+    assert len({*names}) == len(names)
+    scalars = cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.8, "L": 1.0})
+    runs = [cosim.simulate(form, stop_time=1.0, relative_tolerance=1e-9) for form in (dae, scalars)]
+    assert runs[0]["x"][-1] == pytest.approx(runs[1]["x"][-1], abs=1e-8)
 
 
 def test_starts_that_nobody_gave_satisfy_the_constraints_and_follow_the_parameters():

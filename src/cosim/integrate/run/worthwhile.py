@@ -75,7 +75,9 @@ def settled(dae: Dae, solver: Solver) -> Choice | None:
     return Choice(True) if _operations(dae) <= SMALL else None
 
 
-def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object]) -> Choice:
+def worthwhile(
+    dae: Dae, solver: Solver, points: int, build: Callable[[], object], runs: int = 1
+) -> Choice:
     """Decide for a run with a solver.
 
     Args:
@@ -84,6 +86,7 @@ def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object
         points: Number of output times.
         build: Makes what a compiled run needs; where the cache holds all of it, there is no
             question.
+        runs: How many are wanted at least.
 
     Raises:
         MissingTool: $CC names a compiler that is not there.
@@ -95,7 +98,7 @@ def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object
     jacobian = _jacobian_size(dae) if solver.uses_jacobian else 0.0
     code = operations * (1 + (_LOOP if is_large(dae) else jacobian))
     compiling = COMPILING * code
-    once = INTERPRETING * operations * calls * (1 + jacobian / _CALLS_PER_JACOBIAN)
+    once = runs * INTERPRETING * operations * calls * (1 + jacobian / _CALLS_PER_JACOBIAN)
     spent = _spent(dae)
     if spent.seconds + once > compiling:
         return Choice(True)

@@ -3,7 +3,6 @@
 import os
 import pickle
 import platform
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from cosim.errors import Interrupted, ParameterError, UsageError
 from cosim.host.optional_packages import optional_module
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.ensemble.simulate_many import processors
 from cosim.integrate.solver import Solver
 from cosim.study.sweep.chunk import Job
@@ -125,11 +125,7 @@ def sweep(
     crew = _Crew.of(workers, scheduler, client)
     with ExitStack() as stack:
         temporary = store is None
-        folder = (
-            stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-sweep-"))
-            if store is None
-            else os.fspath(store)
-        )
+        folder = stack.enter_context(temporary_folder()) if store is None else os.fspath(store)
         kept_here = Store(Path(folder).resolve() / "sweep" if temporary else Path(folder).resolve())
         manifest = {
             "format": _STORE_FORMAT,
