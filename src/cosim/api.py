@@ -140,7 +140,7 @@ def simulate(
     if accuracy is None and budget is None and SOLVERS[found.stats["solver"]].adaptive:
         settings = run | {"solver": solver, **options}
         span = float(found.time[0]), float(found.time[-1])
-        found = replace(found, again=partial(again, dae, settings, *span))
+        found = found.computed_by(partial(again, dae, settings, *span))
     return times.asked(found)
 
 

@@ -209,6 +209,12 @@ class Trajectory:
             found = replace(self, time=np.atleast_1d(wanted), values=values)
         return found.final if wanted.ndim == 0 else found
 
+    def computed_by(self, again: Callable[[Vector], Trajectory]) -> Trajectory:
+        """Return the same run, which a function computes again at other times; see `at`."""
+        other = object.__new__(type(self))  # of fields that have been checked
+        vars(other).update(vars(self), again=again)
+        return other
+
     def summary(self) -> Table:
         """Return start, end, smallest and largest value of every variable, in display units."""
         return Table(

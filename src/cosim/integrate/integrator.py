@@ -15,7 +15,7 @@ from cosim.integrate import initial_values
 from cosim.integrate.derivatives import MOST_JACOBIAN_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.nominal import Nominal, measured
+from cosim.integrate.nominal import Nominal, in_nominal_values
 from cosim.integrate.run.worthwhile import worthwhile
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import chosen_solver, engine_of
@@ -79,13 +79,13 @@ def integrator(
         return Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
 
     def engine(compiled: bool) -> Engine:
-        return engine_of(measured(problem_of(compiled), chosen, nominal)[0], chosen)
+        return engine_of(in_nominal_values(problem_of(compiled), chosen, nominal)[0], chosen)
 
     if compiled is None:
         compiled = worthwhile(dae, chosen, len(times), lambda: engine(True)).compiled
     problem, built = problem_of(compiled), engine(compiled)
     own = problem.sensitivities  # CasADi's are those of the very steps
-    _, divided = measured(problem, chosen, nominal)
+    _, divided = in_nominal_values(problem, chosen, nominal)
     size = size_of_jacobian(dae, len(times))
     if own or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
         return _bare_function(dae, built, divided, len(times), {})

@@ -126,7 +126,9 @@ def power(size: float) -> float:
     return float(2.0 ** round(log2(size)))
 
 
-def measured(problem: Problem, solver: Solver, nominal: Nominal) -> tuple[Problem, Nominal]:
+def in_nominal_values(
+    problem: Problem, solver: Solver, nominal: Nominal
+) -> tuple[Problem, Nominal]:
     """Return a problem as a solver takes it, and what its unknowns are to be divided by.
 
     One that counts in nominal values by itself takes the equations as they are: as dividing by

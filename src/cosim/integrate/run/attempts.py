@@ -7,7 +7,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.nominal import Nominal, measured
+from cosim.integrate.nominal import Nominal, in_nominal_values
 from cosim.integrate.run.call import INTERRUPTED, Reached, call
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import engine_of
@@ -75,7 +75,7 @@ def _run(
 @kept_per_thread(32)
 def _counting_engine(problem: Problem, solver: Solver, nominal: Nominal) -> tuple[Engine, Nominal]:
     """Return the engine that counts in nominal values, and what its unknowns are divided by."""
-    counted, sizes = measured(problem, solver, nominal)
+    counted, sizes = in_nominal_values(problem, solver, nominal)
     return engine_of(counted, solver), sizes
 
 
