@@ -4,7 +4,8 @@
 
 Both are installed into folders of their own, with the packages of this Python, and take turns in
 shuffled order. Printed are medians of the time on the processor, all threads and children included,
-and their ratios: below 1 the last commit is faster. What one of them cannot do is left out.
+and their ratios: below 1 the last commit is faster; of runs also the ratio per step, for where
+tolerances mean something else than then. What one of them cannot do is left out.
 """
 
 import json
@@ -82,20 +83,21 @@ class Installed:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         )  # fmt: skip
 
-    def time(self, case: str) -> float | None:
-        """Return the seconds that a case takes; None where it fails."""
+    def time(self, case: str) -> tuple[float, int | None] | None:
+        """Return the seconds that a case takes, and steps of a run; None where it fails."""
         if case in COMMANDS:
             before = os.times()
             command = [sys.executable, "-m", "cosim", *COMMANDS[case]]
             done = subprocess.run(command, env=self.environment, capture_output=True, check=False)
             after = os.times()
             own = after.children_user + after.children_system
-            return None if done.returncode else own - before.children_user - before.children_system
+            own -= before.children_user + before.children_system
+            return None if done.returncode else (own, None)
         assert self.process.stdin
         assert self.process.stdout
         print(case, file=self.process.stdin, flush=True)
-        found: float | None = json.loads(self.process.stdout.readline())
-        return found
+        found = json.loads(self.process.stdout.readline())
+        return None if found is None else (found[0], found[1])
 
 
 def serve() -> None:
@@ -112,11 +114,12 @@ def serve() -> None:
             before = os.times()
             began = process_time()
             call = ready[case]
-            seconds = call and (call(), process_time() - began)[1]
+            result, seconds = (call(), process_time() - began) if call else (None, None)
             after = os.times()
             children = after.children_user + after.children_system
             children -= before.children_user + before.children_system
-            answer = None if seconds is None else seconds + children
+            steps = getattr(result, "stats", {}).get("steps")
+            answer = None if seconds is None else (seconds + children, steps)
         except Exception as error:
             print(f"{case}: {error}", file=sys.stderr)
             ready[case] = answer = None
@@ -132,11 +135,14 @@ def main(commit: str, rounds: int) -> None:
         times = measured(trees, rounds)
         for tree in trees.values():
             tree.process.communicate()
-    print(f"{'':44}{'then [ms]':>10}{'now [ms]':>10}{'ratio':>8}")
+    print(f"{'':44}{'then [ms]':>10}{'now [ms]':>10}{'ratio':>8}{'per step':>10}")
     for case, found in times.items():
         if all(found.values()):
-            then, now = (statistics.median(found[tree]) for tree in ("then", "now"))
-            print(f"{case:44}{then * 1e3:10.2f}{now * 1e3:10.2f}{now / then:8.2f}")
+            both = [found[tree] for tree in ("then", "now")]
+            then, now = (statistics.median(seconds for seconds, _ in each) for each in both)
+            before, after = (each[0][1] for each in both)
+            each = f"{now / then * before / after:10.2f}" if before and after else ""
+            print(f"{case:44}{then * 1e3:10.2f}{now * 1e3:10.2f}{now / then:8.2f}{each}")
 
 
 def unpacked(commit: str, folder: Path) -> Path:
@@ -148,15 +154,20 @@ def unpacked(commit: str, folder: Path) -> Path:
     return folder
 
 
-def measured(trees: dict[str, Installed], rounds: int) -> dict[str, dict[str, list[float]]]:
-    """Return the times by case and tree; the first round compiles and is dropped."""
-    times = {case: {tree: list[float]() for tree in trees} for case in (*CASES, *COMMANDS)}
+def measured(
+    trees: dict[str, Installed], rounds: int
+) -> dict[str, dict[str, list[tuple[float, int | None]]]]:
+    """Return times and steps by case and tree; the first round compiles and is dropped."""
+    times = {
+        case: {tree: list[tuple[float, int | None]]() for tree in trees}
+        for case in (*CASES, *COMMANDS)
+    }
     for number in range(rounds + 1):
         for case in times:
             for tree in random.sample(sorted(trees), len(trees)):
-                seconds = trees[tree].time(case)
-                if number and seconds is not None:
-                    times[case][tree].append(seconds)
+                taken = trees[tree].time(case)
+                if number and taken is not None:
+                    times[case][tree].append(taken)
     return times
 
 

@@ -1,55 +1,63 @@
-"""Runs of model exchange that take as many steps as they need.
+"""Runs of model exchange that take as many steps as they need, and say so.
 
-fmpy's CVODE takes 500 steps at most from one output time to the next, which nothing sets. More
-output times give it more; those that nobody asked for are left out again.
+fmpy's CVODE takes 500 steps at most from one output time to the next, which no argument of
+`fmpy.simulate_fmu` sets.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from cosim.errors import FmuError
 from cosim.trajectory import Trajectory
 
-_LIMIT = "mxstep steps taken"  # CVODE's words
-FINER = (1, 10, 100)
+USUAL = 500
+MOST_STEPS = 20_000  # between two output times: a second of a small FMU
+LIMIT = "mxstep steps taken"  # CVODE's words
+ADVICE = "try a looser relative tolerance, or co-simulation, which takes the FMU's own solver"
+_WHERE = re.compile(r"At t = ([\d.eE+-]+)")
 
 
-def patiently(
-    simulate: Callable[..., Trajectory],
-    path: Any,
-    *,
-    output_interval: float,
-    least: int = 1,
-    **options: Any,
-) -> Trajectory:
-    """Run an FMU with ever more output times while its solver asks for more steps.
+def patiently(simulate: Callable[[], Trajectory]) -> Trajectory:
+    """Run an FMU; once more with as many steps as it takes where those of fmpy do not suffice.
 
-    Args:
-        simulate: `simulate_fmu`, or what runs an FMU like it.
-        path: The FMU.
-        output_interval: Of the times that are returned, s.
-        least: How many intervals of the first trial make one of those.
-        options: See `simulate_fmu`.
+    Where a solution jumps, the second run is right. Where it is singular, a solver may go on along
+    another one: `stats["note"]` says where the many steps began.
 
     Raises:
         FmuError: See `simulate_fmu`.
     """
-    for finer in FINER:
-        factor = least * finer
-        try:
-            run = simulate(path, output_interval=output_interval / factor, **options)
-        except FmuError as error:
-            if _LIMIT not in str(error):
-                raise
-            if finer == FINER[-1]:
-                raise FmuError(
-                    f"{error}; more output times do not help it: try a looser relative tolerance, "
-                    "or co-simulation, which takes the FMU's own solver"
-                ) from error
-            continue
-        rows = np.union1d(np.arange(0, len(run), factor), [len(run) - 1])
-        return replace(run, time=run.time[rows], values=run.values[rows])
-    raise AssertionError  # the last trial returns or raises
+    try:
+        return simulate()
+    except FmuError as error:
+        if LIMIT not in str(error):
+            raise
+        found = _WHERE.search(str(error))
+    with _many_steps():
+        run = simulate()
+    where = f" at {float(found[1]):.6g} s" if found else ""
+    note = (
+        f"fmpy's solver took more than {USUAL} steps between two outputs{where}: a jump, or a "
+        "singularity from which it may have gone on along another solution; compare with "
+        "co-simulation"
+    )
+    return replace(run, stats={**run.stats, "note": note})
+
+
+@contextmanager
+def _many_steps() -> Iterator[None]:
+    """Let fmpy's solver take `MOST_STEPS` between two output times."""
+    from fmpy import sundials
+
+    usual = sundials.CVodeSolver
+
+    def patient(*arguments: Any, **more: Any) -> Any:
+        return usual(*arguments, **{"maxNumSteps": MOST_STEPS} | more)
+
+    sundials.CVodeSolver = patient
+    try:
+        yield
+    finally:
+        sundials.CVodeSolver = usual

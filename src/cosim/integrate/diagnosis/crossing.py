@@ -22,6 +22,8 @@ MONITOR = "constraint_condition"
 LOST = 1e3  # condition, somewhere between two outputs, that counts as loss of rank
 SUSPECTED = 3.0  # intervals within which lines through neighbours reach 0 from both sides, at most
 _POINTS, _ZOOMS = 33, 4
+_COARSE = 1.5  # of the model's own output interval, at which branches can be told apart
+_MOST_TIMES = 20_000  # at which a run is looked at
 
 
 @kept_per_thread(8)
@@ -37,6 +39,28 @@ def watching_rank(dae: Dae) -> Dae:
     return replace(dae, limits=(*dae.limits, (1 / condition, "the constraints have full rank")))
 
 
+def times_between(dae: Dae, grid: Vector) -> Vector | None:
+    """Return output times with others between, close enough to see a crossing; None where they are.
+
+    Args:
+        dae: A model; one without that monitor has nothing to see.
+        grid: Output times, s, (n,).
+    """
+    if not dae.algebraics or _condition(dae) is None:  # explicit forms end at such a position
+        return None
+    span = float(grid[-1] - grid[0])
+    gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
+    lengths = np.diff(grid)
+    if not (lengths > _COARSE * gap).any():
+        return None
+    pieces = np.maximum(1, np.ceil(lengths / gap)).astype(int)
+    inner = [
+        np.linspace(a, b, k, endpoint=False)
+        for a, b, k in zip(grid, grid[1:], pieces, strict=False)
+    ]
+    return np.concatenate((*inner, grid[-1:]))
+
+
 def crossings(
     dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
 ) -> list[Breach]:
@@ -45,12 +69,15 @@ def crossings(
     Args:
         dae: The model.
         time: Output times, s, (n,).
-        states, algebraics, u: There, n columns each.
+        states, algebraics, u: There, n columns each; one of u where inputs are constant.
         p: Parameters.
         rank: Last limit of `watching_rank` there, (n,).
     """
-    law, n = _law(dae), len(time)
-    for k in _suspects(time, rank):
+    n, suspects = len(time), _suspects(time, rank)
+    if not suspects:
+        return []
+    law, u = _law(dae), np.broadcast_to(u, (len(u), n))
+    for k in suspects:
         # along the motion, and along what it was before and after, lest the branch has changed
         parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
         found = []
@@ -88,12 +115,17 @@ def _law(dae: Dae) -> ca.Function:
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:
     """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
-    falls, length = -np.diff(rank), np.diff(time)
+    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
+    steep = rank[1:-2] * length[:-2] <= SUSPECTED * length[1:-1] * falls[:-2]
+    steep &= falls[2:] < 0
+    if not steep.any():  # as in most runs
+        return []
+    k = 1 + np.flatnonzero(steep)
     with np.errstate(divide="ignore", invalid="ignore"):  # at a time that stands twice
-        before, after = falls[:-2] / length[:-2], -falls[2:] / length[2:]
-        reach = rank[1:-2] / before + rank[2:-1] / after
-    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[1:-1])
-    return [int(k) for k in 1 + np.flatnonzero(touched)]
+        before, after = falls[k - 1] / length[k - 1], -falls[k + 1] / length[k + 1]
+        reach = rank[k] / before + rank[k + 1] / after
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[k])
+    return [int(i) for i in k[touched]]
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:

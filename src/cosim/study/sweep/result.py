@@ -215,7 +215,7 @@ class SweepResult:
         for name, column in self.numbers.items():
             told = {"long_name": self.meanings[name]} if name in self.meanings else {}
             variables[name] = ("run", column, told)
-        about = {c.name: {"units": c.unit, "long_name": c.meaning} for c in self.columns}
+        about = {column.name: column.facts for column in self.columns}
         if self.statistics is not None:
             for name, facts in about.items():
                 for kind in ("mean", "variance", "minimum", "maximum"):

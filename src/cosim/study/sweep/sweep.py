@@ -24,7 +24,7 @@ from cosim.study.sweep.engines.cluster import connected, run_cluster
 from cosim.study.sweep.engines.processes import run_here, run_processes
 from cosim.study.sweep.engines.schedule import Schedule, gaps
 from cosim.study.sweep.keep import keep_from
-from cosim.study.sweep.progress import Progress
+from cosim.study.sweep.progress import SweepProgress
 from cosim.study.sweep.result import SweepResult, collect
 from cosim.study.sweep.samples import Samples, as_samples, digest_of
 from cosim.study.sweep.store import Store
@@ -160,7 +160,7 @@ def sweep(
         schedule = Schedule(
             gaps(len(chosen), finished), max(1, crew.processes), chunk, _LANE_CHUNK if lean else 1
         )
-        tell = Progress(len(chosen), sum(count for _, count in finished), progress)
+        tell = SweepProgress(len(chosen), sum(count for _, count in finished), progress)
         meanings = {r.name: r.meaning for r in kept.reductions}
         gather = partial(
             collect, kept_here, thing.name, chosen, columns, meanings, temporary=temporary
@@ -201,7 +201,7 @@ class _Crew:
             raise UsageError("sweep: a scheduler has workers of its own; leave workers out")
         return cls(processors() if workers is None else workers, scheduler, client)
 
-    def compute(self, job: Job, samples: Samples, schedule: Schedule, tell: Progress) -> None:
+    def compute(self, job: Job, samples: Samples, schedule: Schedule, tell: SweepProgress) -> None:
         if self.client is not None:
             run_cluster(job, samples, schedule, tell, self.client)
         elif self.scheduler is not None:

@@ -35,7 +35,8 @@ def folded(code: str) -> str:
 
 
 def _folded_body(lines: Sequence[str]) -> Iterator[str]:
-    uses = _uses(lines)
+    assignments = [*map(_ASSIGNED_ONCE.fullmatch, lines)]
+    uses = _uses(lines, assignments)
     waiting: dict[str, str] = {}  # expressions that are not written yet, by variable
     readers: dict[str, list[str]] = {}  # which of them read a variable
 
@@ -45,11 +46,10 @@ def _folded_body(lines: Sequence[str]) -> Iterator[str]:
             if reader in waiting:
                 yield f" {reader}={waiting.pop(reader)};"
 
-    for line, count in zip(lines, uses, strict=True):
-        if DECLARATION.fullmatch(line):  # declarations
+    for line, assignment, count in zip(lines, assignments, uses, strict=True):
+        if assignment is None and DECLARATION.fullmatch(line):
             yield line
             continue
-        assignment = _ASSIGNED_ONCE.fullmatch(line)
         text = assignment[2] if assignment else line
         text = TEMPORARY.sub(lambda found: waiting.pop(found[0], found[0]), text)
         if not assignment:
@@ -65,13 +65,12 @@ def _folded_body(lines: Sequence[str]) -> Iterator[str]:
             yield f" {variable}={text};"
 
 
-def _uses(lines: Sequence[str]) -> list[int]:
+def _uses(lines: Sequence[str], assignments: Sequence[re.Match[str] | None]) -> list[int]:
     """Return for each line how often the value that it assigns is used."""
     uses, latest = [0] * len(lines), dict[str, int]()
-    for i, line in enumerate(lines):
-        if DECLARATION.fullmatch(line):
+    for i, (line, assignment) in enumerate(zip(lines, assignments, strict=True)):
+        if assignment is None and DECLARATION.fullmatch(line):
             continue
-        assignment = _ASSIGNED_ONCE.fullmatch(line)
         for variable in TEMPORARY.findall(assignment[2] if assignment else line):
             uses[latest[variable]] += 1
         if assignment:
@@ -86,6 +85,9 @@ def _may_move(text: str) -> bool:
 
 
 def _depth(text: str) -> int:
+    """Return how deep its parentheses are; at most how many there are, where these are few."""
+    if (opened := text.count("(")) < MOST_DEPTH:
+        return opened
     depth = deepest = 0
     for character in text:
         depth += (character == "(") - (character == ")")

@@ -11,14 +11,14 @@ from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
-from cosim.integrate.run.outputs import all_columns, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, recording, watching
 from cosim.model.inputs import InputSeries
 from cosim.model.start_outputs import overriding
-from cosim.model.values import assign, listed, settable
+from cosim.model.values import assign, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
+from cosim.study.sweep.store import Watch
 from cosim.study.sweep.subjects.subject import Rows
 from cosim.trajectory import Column
 
@@ -36,9 +36,7 @@ class ModelSubject:
         self._dae, self._values, self._settings, self._inputs = dae, values, settings, inputs
         self.name = dae.full_name
         rules = [rule.expression for rule in dae.start_rules]
-        function = ca.Function(
-            "model", [dae.t, dae.x, dae.z, dae.u, dae.p], [dae.ode, dae.alg, dae.outputs]
-        )
+        function = ca.Function("model", dae.arguments, [dae.ode, dae.alg, dae.outputs])
         starts = ca.Function("starts", [dae.x, dae.p], rules)
         numbers = [v.start for v in dae.variables]
         said = repr((dae.full_name, numbers, dae.x_start, sorted(values.items()), inputs))
@@ -48,10 +46,9 @@ class ModelSubject:
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return what is recorded."""
-        wanted = None if outputs is None else listed(f"{self.name}: outputs", outputs)
-        dae = watching(self._dae, wanted or ())
+        dae, names = recording(self._dae, outputs)
         known = {column.name: column for column in all_columns(dae)}
-        return tuple(known[name] for name in wanted_names(dae, wanted))
+        return tuple(known[name] for name in names)
 
     def unit(self, name: str) -> str | None:
         """Return the unit of what can be varied."""
