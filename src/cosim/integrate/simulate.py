@@ -19,6 +19,7 @@ from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.plan import Asked, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
+from cosim.integrate.run.pieces import pieces_of
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.run.worthwhile import Choice, worthwhile
@@ -174,7 +175,7 @@ def simulate(
 
 def _worthwhile(problem: Problem, solver: Solver) -> Choice:
     points = len(problem.grid)
-    return worthwhile(problem.dae, solver, points, lambda: engine_of(problem, solver))
+    return worthwhile(problem.dae, solver, points, lambda: engine_of(pieces_of(problem)[0], solver))
 
 
 def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:

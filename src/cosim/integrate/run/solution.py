@@ -7,18 +7,16 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import UnknownName, UsageError
 from cosim.integrate.diagnosis.crossing import crossings, watching_rank
 from cosim.integrate.diagnosis.validity import Breach, breaches, too_coarse
-from cosim.integrate.engine import Counts, Engine, Problem
+from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.run.attempts import Start, integrated
-from cosim.integrate.run.call import INTERRUPTED, call
+from cosim.integrate.run.attempts import Start
+from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.outputs import Observed, Solved, all_columns, observe
+from cosim.integrate.run.pieces import input_values, integrated_by_pieces
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import engine_of
-from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
 
 
@@ -63,11 +61,11 @@ def solve(
     reason, note, found = "", "", list[Breach]()
     if len(grid) > 1 and dae.states:
         start = Start(x0, z0, replace(values, u=u[:, 0]))
-        reached, note = integrated(problem, solver, start)
+        reached, note = integrated_by_pieces(problem, solver, start)
         counts, solve_time = reached.counts, reached.solve_time
         states, guesses, reason = reached.states, reached.algebraics, reached.reason
         if isinstance(solver, FixedStep) and not reason and on_invalid != "ignore":
-            found, reason = _step_check(problem, solver, states, z0, values)
+            found, reason = _step_check(problem, solver, states, start)
     else:
         states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
     n = states.shape[1]
@@ -101,25 +99,6 @@ def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...
     return all_columns(dae)[place].name
 
 
-def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
-    """Return every input at the output times, (nu, n); (nu, 1) where all are constant.
-
-    Raises:
-        UnknownName: A series is of no input of the model.
-    """
-    if not isinstance(inputs, InputSeries | None):
-        raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, "what read_inputs returns")
-    if inputs is None:
-        return values.u[:, None]
-    table = np.tile(values.u[:, None], len(grid))
-    known = [variable.name for variable in dae.inputs]
-    for name, row in zip(inputs.names, inputs.at(grid), strict=True):
-        if name not in known:
-            raise UnknownName.among(dae.full_name, "input", name, known)
-        table[known.index(name)] = row
-    return table
-
-
 def _crossings(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
     """Return where constraints lose rank before the time at position n."""
     u = np.broadcast_to(solved.u, (len(solved.u), len(solved.time)))[:, :n]
@@ -128,7 +107,7 @@ def _crossings(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]
 
 
 def _step_check(
-    problem: Problem, solver: FixedStep, states: Vector, z0: Vector, values: Values
+    problem: Problem, solver: FixedStep, states: Vector, start: Start
 ) -> tuple[list[Breach], str]:
     """Repeat a run of fixed steps with half of them; say where the states part.
 
@@ -136,8 +115,7 @@ def _step_check(
         What is found, and whether that was interrupted (then nothing is).
     """
     step = solver.step(problem)
-    engine: Engine = engine_of(problem, replace(solver, step_size=step / 2))
-    finer = call(engine, states[:, 0], z0, values.p, values.u)
+    finer, _ = integrated_by_pieces(problem, replace(solver, step_size=step / 2), start)
     if finer.reason == INTERRUPTED:
         return [], INTERRUPTED
     return too_coarse(problem.dae, problem.grid, states, finer.states, step), ""
