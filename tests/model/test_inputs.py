@@ -224,7 +224,7 @@ def test_csv_with_byte_order_mark_crlf_and_spaces_is_read(bicycle, write):
                      r"1 sample\(s\); give two or more", id="one sample"),
         pytest.param("time,steer_torque\n", UsageError, r"0 sample\(s\)", id="no sample"),
         pytest.param("time,steer_torque\n0,1\n2,1\n1,1\n", ParameterError,
-                     r"line 4, column 'time': 1 s is before the one", id="time goes back"),
+                     r"line 4, column 'time': 1 s comes after 2 s", id="time goes back"),
         pytest.param("time,steer_torque\n0,1\n2,1\n2,3\n2,4\n", ParameterError,
                      r"line 5, column 'time': 2 s .* for the third time; sort", id="time thrice"),
         pytest.param(b"time,steer_torque\n0,\xff\n", UsageError, r"not a UTF-8 text", id="bytes"),
