@@ -1,75 +1,161 @@
-"""How bare fmpy ends on the FMUs of the table of faults, beside `cosim simulate`.
+"""How bare fmpy and bare CasADi end on rows of the table of faults, beside `cosim simulate`.
 
     python benchmarks/bare_faults.py
 
-Each call is a process of its own with a folder for temporary files of its own.
+Each call is a process of its own with a folder for temporary files of its own. A tool is asked
+where it can be: an FMU that misbehaves in a function that the tool calls, any file that is no FMU,
+and numbers that its own functions take.
 """
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 from collections import Counter
-from itertools import count
+from functools import cache
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from helpers.fault_rows import rows
+from helpers.fault_rows import Row, rows
 from helpers.hostile import hostile, hostile_binary
 
-LIMIT = 8  # s
-BARE = {
-    "bare fmpy": """
+LIMIT = 20  # s; rows that loop have `--timeout 5`
+MEMORY = 8 * 2**30  # bytes: some files are endless
+OURS = "`cosim simulate`"
+FILES = {  # how a tool is asked to run a file for a second: FILE, INTERFACE
+    "fmpy": """
 import fmpy, sys
 fmpy.simulate_fmu(sys.argv[1], stop_time=1.0, fmi_type=sys.argv[2])
 """,
+    "CasADi": """
+import casadi as ca, sys
+fmu = ca.DaeBuilder("foreign", sys.argv[1])
+rate = fmu.create("rate", ["t", "x", "u"], ["ode"])
+t, x = ca.MX.sym("t"), ca.MX.sym("x", fmu.nx())
+dae = {"t": t, "x": x, "ode": rate(t, x, ca.DM.zeros(fmu.nu()))}
+ca.integrator("run", "cvodes", dae, 0, 1)(x0=fmu.start(fmu.x()))
+""",
 }
-KINDS = ("one sentence", "traceback", "crash or exit", "hang", "silent", "runs, as it should")
-
-
-def ended(call: list[str], good: bool, place: Path) -> tuple[str, bool]:
-    """Return how a call ended, and whether it left a folder."""
-    place.mkdir()
-    environment = {**os.environ, "TMPDIR": str(place)}
-    process = subprocess.Popen(
-        call, cwd=place, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        _, told = process.communicate(timeout=LIMIT + 12)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
-        return "hang", any(place.iterdir())
-    left = any(place.iterdir())
-    if "Traceback" in told:
-        return "traceback", left
-    if process.returncode == 0:
-        return ("runs, as it should" if good else "silent"), left
-    return ("one sentence" if told.strip() and process.returncode == 1 else "crash or exit"), left
+# CasADi on a model as CasADi's users write one: OPTION, VALUE
+NUMBERS = """
+import casadi as ca, sys
+option, value = sys.argv[1], float(sys.argv[2])
+x = ca.SX.sym("x", 2)
+times = {"--start-time": 0.0, "--stop-time": 1.0}
+times.update({option: value} if option in times else {})
+kept = {"--relative-tolerance": "reltol", "--absolute-tolerance": "abstol"}.get(option)
+dae = {"x": x, "ode": ca.vertcat(x[1], -x[0])}
+options = {kept: value} if kept else {}
+ca.integrator("run", "cvodes", dae, *times.values(), options)(x0=[1, 0])
+"""
+TAKEN = ("--start-time", "--stop-time", "--relative-tolerance", "--absolute-tolerance")
+LEFT = "something left behind"
+KINDS = (
+    *("one sentence", "traceback", "crash or exit", "hang", "silent", "runs, as it should"),
+    *(LEFT, "not asked"),
+)
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write = hostile(hostile_binary(folder))
-        chosen = [row for row in rows() if row.name.startswith("FMU fmi2")]
-        counts: dict[str, Counter[str]] = {}
-        numbers = count()
-        for row in chosen:
-            path, kind = str(write(row.words[1])), "CoSimulation"
-            if "--interface-type" in row.words:
-                kind = row.words[row.words.index("--interface-type") + 1]
-            ours = [sys.executable, "-P", "-m", "cosim", row.words[0], path, *row.words[2:]]
-            calls = {tool: [sys.executable, "-c", code, path, kind] for tool, code in BARE.items()}
-            for tool, call in {**calls, "cosim": ours}.items():
-                place = folder / str(next(numbers))  # no spaces: the FMU opens its resources' URI
-                how, left = ended(call, row.code == 0, place)
-                counts.setdefault(tool, Counter()).update([how, *["left"] * left])
-        print("| of", len(chosen), "|", " | ".join(counts), "|")
-        print("|---|" + "---|" * len(counts))
-        for kind in (*KINDS, "left"):
-            told = "a folder left behind" if kind == "left" else kind
-            print(f"| {told} |", " | ".join(str(ends[kind]) for ends in counts.values()), "|")
+        chosen = [row for row in rows() if _kind(row)]
+        counts: dict[str, Counter[str]] = {tool: Counter() for tool in (*FILES, OURS)}
+        for number, row in enumerate(chosen):
+            for tool, ends in counts.items():
+                ends.update(_ends(tool, row, folder / f"{number}{tool[0]}", write))
+    print(f"| of {len(chosen)} |", " | ".join(counts), "|")
+    print("|---|" + "---|" * len(counts))
+    for kind in KINDS:
+        print(f"| {kind} |", " | ".join(str(ends[kind]) for ends in counts.values()), "|")
+
+
+def _kind(row: Row) -> str:
+    """Return what a row is about, "" where no bare tool can be asked."""
+    if row.name.startswith("FMU fmi2"):
+        return "misbehaving"
+    if row.name.startswith("simulate FMU is"):
+        return "file"
+    is_number = row.name.startswith(tuple(f"simulate {option}=" for option in TAKEN))
+    return "number" if is_number and _value(row) is not None else ""
+
+
+def _ends(tool: str, row: Row, place: Path, write) -> list[str]:
+    """Return how a tool ended on a row, and whether it left a folder."""
+    place.mkdir()
+    kind, words = _kind(row), list(row.words)
+    if kind == "misbehaving":
+        words[1] = str(write(words[1]))
+        if tool != OURS and not _calls(tool, row.words[1].split()[0], _interface(row), write):
+            return ["not asked"]
+    elif row.prepare:
+        row.prepare(place)
+    if tool == OURS:
+        call = [sys.executable, "-P", "-m", "cosim", *words]
+    elif kind != "number":
+        call = [sys.executable, "-c", FILES[tool], words[1], _interface(row)]
+    elif tool == "CasADi":
+        option = next(word for word in words if "=" in word).partition("=")[0]
+        call = [sys.executable, "-c", NUMBERS, option, str(_value(row))]
+    else:
+        return ["not asked"]
+    return _ended(call, row.code == 0, place)
+
+
+def _value(row: Row) -> float | None:
+    """Return the number that a row gives; None where it is no number of Python's."""
+    try:
+        return float(row.name.partition("=")[2])
+    except ValueError:
+        return None
+
+
+def _interface(row: Row) -> str:
+    if "--interface-type" not in row.words:
+        return "CoSimulation"
+    return row.words[row.words.index("--interface-type") + 1]
+
+
+@cache
+def _calls(tool: str, function: str, interface: str, write) -> bool:
+    """Tell whether a tool calls a function of an FMU, by what that then prints."""
+    path = str(write(f"{function} print 1"))
+    call = [sys.executable, "-c", FILES[tool], path, interface]
+    with tempfile.TemporaryDirectory() as place:
+        done = subprocess.run(
+            call, cwd=place, capture_output=True, text=True, timeout=100, check=False
+        )
+    return "here I am" in done.stdout
+
+
+def _ended(call: list[str], good: bool, place: Path) -> list[str]:
+    temporary = place / "temporary"
+    temporary.mkdir()
+    before = _files(place)
+    process = subprocess.Popen(
+        call, cwd=place, env={**os.environ, "TMPDIR": str(temporary)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+    )  # fmt: skip
+    try:
+        _, told = process.communicate(timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        return ["hang", *[LEFT] * (_files(place) != before)]
+    if "Traceback" in told:
+        how = "traceback"
+    elif process.returncode == 0:
+        how = "runs, as it should" if good else "silent"
+    else:
+        how = "one sentence" if told.strip() and process.returncode > 0 else "crash or exit"
+    return [how, *[LEFT] * (_files(place) != before)]
+
+
+def _files(place: Path) -> set[Path]:
+    return {*place.rglob("*")}
 
 
 if __name__ == "__main__":

@@ -7,36 +7,18 @@ Times of one process, in turns, the least of many; `pip install pin` brings Pino
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from time import perf_counter
 
 import casadi as ca
 import numpy as np
-from casadi import SX
 
-from casadi_models.mechanics import rotations
-from casadi_models.mechanics.articulated import Link, accelerations
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from helpers.chains import crossed_chain
+
 from cosim.codegen.casadi_library import cache_key, external
 
 CALLS, TURNS = 20, 2000
-
-
-def chain(n: int) -> ca.Function:
-    """Return the accelerations of n slender links with crossed hinges."""
-    q, u = SX.sym("q", n), SX.sym("u", n)
-    links = [
-        Link(
-            i - 1,
-            SX([0, 0, -1.0 if i else 0.0]),
-            rotations.about(1 + i % 2, q[i]),
-            rotations.unit(1 + i % 2),
-            1.0,
-            SX([0, 0, -0.5]),
-            ca.diag(SX([1 / 12, 1 / 12, 0.01])),
-        )
-        for i in range(n)
-    ]
-    law = accelerations(links, u, SX(n, 1), SX([0, 0, -9.81]))
-    return ca.Function("chain", [q, u], [law], {"cse": True})
 
 
 def compiled(function: ca.Function, q: np.ndarray, u: np.ndarray) -> tuple[Callable, np.ndarray]:
@@ -90,7 +72,7 @@ def main() -> None:
     print("links  derived  operations  here     pinocchio  ratio  difference")
     for n in map(int, sys.argv[1:] or ("4", "8", "16", "32")):
         began = perf_counter()
-        function = chain(n)
+        function = crossed_chain(n)
         derived = perf_counter() - began
         rng = np.random.default_rng(n)
         q, u = rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)

@@ -93,7 +93,7 @@ UNITS = Units(
 )
 
 # Parts of products that are not in the table on their own
-_PARTS = {
+PARTS = {
     "A": _unit(A=1),
     "K": _unit(K=1),
     "mol": _unit(mol=1),
@@ -123,7 +123,7 @@ def product(name: str) -> Unit | None:
             if sign == 1 and part == "1":
                 continue
             match = _FACTOR.fullmatch(part)
-            unit = match and (dict.get(UNITS, match[1]) or _PARTS.get(match[1]))
+            unit = match and (dict.get(UNITS, match[1]) or PARTS.get(match[1]))
             if not (match and unit):
                 return None
             power = sign * int(match[2] or 1)

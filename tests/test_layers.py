@@ -4,30 +4,24 @@ Imports inside functions and `import_module` count. The two roads share a layer,
 stay independent and meet in `Trajectory` only.
 """
 
-import ast
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from helpers.import_graph import FOLDERS, MODULES, ROOT, imports
 
-ROOT = Path(__file__).parents[1]
-FOLDERS = {
-    "casadi_models": ROOT / "casadi_models",
-    "cosim": ROOT / "src" / "cosim",
-    "cosim._fmu": ROOT / "fmu",
-}
+import cosim
+from cosim.presenters import presenter
 
 # One line per layer, the lowest first; an indented line goes on with it. `|` parts what does not
 # know each other; names without one between them are one part. A name stands for all modules of
 # its folder ("cosim" does not).
 TABLE = """
 cosim._fmu | casadi_models | cosim.text
-cosim.errors | cosim.memo | cosim.arrays
-cosim.host
-cosim.files | cosim.plotting | cosim.series
+cosim.errors | cosim.memo | cosim.arrays | cosim.presenters
+cosim.host | cosim.files
+cosim.plotting | cosim.series
 cosim.trajectory
 cosim.model | cosim.codegen
 cosim.integrate | cosim.fmi
@@ -45,27 +39,6 @@ LAYERS = {
     for part, names in enumerate(line.split("|"))
     for name in names.split()
 }
-# Upward all the same, with the reason
-CONTRACT = {
-    (
-        "cosim.trajectory",
-        "cosim.present.playback.animate",
-    ): "run.animate(), loaded when it is called: a hook would hide from readers where it goes",
-}
-
-
-def modules() -> dict[str, str]:
-    """Return the source of every module by its import name."""
-    sources = {}
-    for package, folder in FOLDERS.items():
-        for path in folder.rglob("*.py"):
-            parts = path.relative_to(folder).with_suffix("").parts
-            name = ".".join((package, *parts)).removesuffix(".__init__")
-            sources[name] = path.read_text(encoding="utf-8")
-    return sources
-
-
-MODULES = modules()
 
 
 def place(module: str) -> tuple[int, int] | None:
@@ -76,25 +49,6 @@ def place(module: str) -> tuple[int, int] | None:
     return LAYERS[parents[0]] if parents else None
 
 
-def imports(source: str) -> Iterator[str]:
-    """Yield the names of the modules that a source imports; a relative one begins with a dot."""
-    for node in ast.walk(ast.parse(source)):
-        match node:
-            case ast.Import(names=names):
-                yield from (alias.name for alias in names)
-            case ast.ImportFrom(module=base, names=names, level=level):
-                base = "." * level + (base or "")
-                inner = [f"{base}.{alias.name}" for alias in names]
-                yield from (name if name in MODULES else base for name in inner)
-            case ast.Call(
-                func=ast.Name(id="import_module" | "__import__")
-                | ast.Attribute(attr="import_module"),
-                args=[ast.Constant(value=str(name)), *_]
-                | [ast.JoinedStr(values=[ast.Constant(value=str(name)), *_]), *_],
-            ):
-                yield name.rstrip(".")
-
-
 def violations(module: str, source: str) -> list[str]:
     """Return what a module imports against the direction of the layers, in words."""
     own, found = place(module), []
@@ -103,7 +57,7 @@ def violations(module: str, source: str) -> list[str]:
     for name in imports(source):
         if name.startswith("."):
             found.append(f"{module} imports {name} by a relative name")
-        elif name.partition(".")[0] in FOLDERS and (module, name) not in CONTRACT:
+        elif name.partition(".")[0] in FOLDERS:
             other = place(name)
             if other is None:
                 found.append(f"{module} imports {name}, which has no layer")
@@ -137,9 +91,13 @@ def test_what_is_imported_is_declared_as_a_dependency():
     assert set().union(*map(third_party, MODULES.values())) <= names
 
 
-@pytest.mark.parametrize(("module", "imported"), CONTRACT)
-def test_upward_import_is_still_needed(module, imported):
-    assert imported in imports(MODULES[module])
+def test_only_the_package_names_what_presents_results():
+    naming = [m for m, source in MODULES.items() if "present_by(" in source]
+    assert sorted(naming) == ["cosim", "cosim.presenters"]
+
+
+def test_what_presents_results_is_there():
+    assert presenter("animate") is cosim.animate
 
 
 def test_only_one_module_knows_where_the_c_sources_are():

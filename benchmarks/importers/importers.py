@@ -28,6 +28,7 @@ from cosim.fmi.export.build import fmi_headers
 
 STOP, STEPS, NAME = 2.0, 200, "phi"
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parents[1] / "tests"))
 
 
 def described(path: str):
@@ -94,21 +95,10 @@ def ecos_cs(path: str) -> float:
 
 
 def fmuloader_cs(path: str) -> float:
-    from fmuloader import fmi2, fmi3
+    from helpers.fmuloader_start import started
 
     description, reference = described(path)
-    identifier = description.coSimulation.modelIdentifier
-    if description.fmiVersion == "2.0":
-        slave = fmi2.Fmi2Slave(path, model_identifier=identifier)
-        slave.instantiate("one", fmi2.Fmi2Type.CO_SIMULATION, guid=description.guid)
-        slave.setup_experiment(start_time=0.0)
-        read = slave.get_real
-    else:
-        slave = fmi3.Fmi3Slave(path, model_identifier=identifier)
-        slave.instantiate_co_simulation("one", instantiation_token=description.guid)
-        read = slave.get_float64
-    slave.enter_initialization_mode()
-    slave.exit_initialization_mode()
+    slave, read = started(path, description)
     for i in range(STEPS):
         slave.do_step(STOP * i / STEPS, STOP / STEPS)
     value = read([reference])[0]
@@ -129,11 +119,20 @@ def program(*words: str) -> str:
     return done.stdout
 
 
-def fmusim_cs(path: str) -> float:
+def fmusim(path: str, *options: str) -> float:
     with tempfile.TemporaryDirectory() as folder:
         out = str(Path(folder) / "out.csv")
-        program("fmusim", "--stop-time", str(STOP), "--output-file", out, path)
+        steps = ("--output-interval", str(STOP / STEPS), "--stop-time", str(STOP))
+        program("fmusim", *options, *steps, "--output-file", out, path)
         return float(np.genfromtxt(out, delimiter=",", names=True)[NAME][-1])
+
+
+def fmusim_cs(path: str) -> float:
+    return fmusim(path, "--interface-type", "cs")
+
+
+def fmusim_me(path: str) -> float:
+    return fmusim(path, "--interface-type", "me", "--solver", "cvode", "--tolerance", "1e-10")
 
 
 def fmucheck_cs(path: str) -> float:
@@ -177,6 +176,7 @@ CLIENTS: dict[str, tuple[Callable[[str], float], str, str]] = {
     "ecos, CS": (ecos_cs, "23", "ecospy"),
     "fmuloader, CS": (fmuloader_cs, "23", "fmuloader"),
     "PyFMI, CS": (pyfmi_cs, "2", "pyfmi"),
+    "fmusim, ME": (fmusim_me, "23", "fmusim"),
     "fmusim, CS": (fmusim_cs, "23", "fmusim"),
     "fmuCheck, CS": (fmucheck_cs, "2", "fmuCheck"),
     "sources on aarch64 (qemu), CS": (qemu_cs, "2", "qemu-aarch64"),

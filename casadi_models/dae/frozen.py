@@ -1,6 +1,6 @@
 """`Dae`: a semi-explicit symbolic DAE that knows its variables."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
@@ -13,6 +13,11 @@ from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule, StartThrough
 from casadi_models.dae.variables import Experiment, Variable
+
+_LAWS = (
+    *("ode", "alg", "outputs", "start_rules", "start_outputs", "limits", "invariants"),
+    *("closing", "monitors"),
+)
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -115,6 +120,11 @@ class Dae:
         return [self.t, self.x, self.z, self.u, self.p]
 
     @property
+    def margins(self) -> SX:
+        """The margins of its limits, (n, 1): positive while these hold."""
+        return ca.vertcat(SX(0, 1), *(margin for margin, _ in self.limits))
+
+    @property
     def casadi(self) -> dict[str, SX]:
         """What `casadi.integrator` takes: t, x, z, u, p, ode and alg by these names."""
         return {
@@ -145,6 +155,12 @@ class Dae:
             observed=self.observed + tuple(v.name for v, _ in wanted),
             monitors=tuple((v, e) for v, e in self.monitors if v.name not in names),
         )
+
+    def rewritten(self, rewrite: Callable[[list[SX]], Sequence[SX]]) -> "Dae":
+        """Return the DAE with its laws rewritten, all at once: what they share stays shared."""
+        laws = tuple(getattr(self, name) for name in _LAWS)
+        changed = packed.rewritten(laws, lambda every: list(map(ca.densify, rewrite(every))))
+        return replace(self, **dict(zip(_LAWS, changed, strict=True)))
 
     def closing_at(self, rate: float) -> "Dae":
         """Return the DAE whose drift decays at another rate, 1/s; at 0 it grows.

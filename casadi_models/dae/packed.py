@@ -1,6 +1,6 @@
 """Models for pickle: CasADi's expressions cannot be pickled one by one, for they share symbols."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple
 
@@ -35,6 +35,13 @@ def packed(value: Any) -> tuple[str, Any]:
 def unpacked(content: str, rest: Any) -> Any:
     """Return the value that `packed` was given; its symbols are its own."""
     return _with(rest, iter(ca.StringDeserializer(content).unpack()))
+
+
+def rewritten(value: Any, rewrite: Callable[[list[SX]], Sequence[SX]]) -> Any:
+    """Return a value with its expressions rewritten, all of them at once."""
+    expressions: list[SX] = []
+    rest = _without(value, expressions)
+    return _with(rest, iter(rewrite(expressions)))
 
 
 def _without(value: Any, found: list[SX]) -> Any:

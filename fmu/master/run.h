@@ -5,7 +5,16 @@
 #include "recording.h"
 
 /* How a run ended. */
-enum { DONE, CALL_FAILED, ENDED_BY_FMU, STUCK, EARLY_RETURN, STEP_VANISHED, INTERRUPTED };
+enum {
+    DONE,
+    CALL_FAILED,
+    ENDED_BY_FMU,
+    STUCK,
+    EARLY_RETURN,
+    STEP_VANISHED,
+    INTERRUPTED,
+    NOT_A_NUMBER
+};
 
 typedef struct {
     const Functions *functions;

@@ -48,10 +48,11 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             double *column = out + next * NX;
             if (grid->times[next] < after) {
                 evaluate(&piece, grid->times[next], column);
-                if (restore(self, column)) return NOT_FINITE;
+                if (restore(self, column) || !is_finite(column)) return NOT_FINITE;
             } else {
                 memcpy(column, end, sizeof end);
             }
+            ++course->passed;
             if (z && equations_at(self, grid->times[next], column, k[1], z + next * NZ))
                 return NOT_FINITE;
         }

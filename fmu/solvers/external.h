@@ -3,14 +3,16 @@
  *     run(x0, z0, p, u) -> (xf, zf), one column per output time,
  *
  * p = (c, number of output times, of breaks and of columns of u, relative and absolute tolerance,
- * largest step, output times, breaks). At a break, the position of an output time, a step ends and
- * a fresh one begins. u has one column, or one per output time that holds on the way there; where
- * it changes is a break, too. None of these numbers is a constant of the library: `cosim_sizes`
- * must be called before CasADi asks for the sizes.
+ * largest step, nominal values of the states, output times, breaks). At a break, the position of an
+ * output time, a step ends and a fresh one begins. u has one column, or one per output time that
+ * holds on the way there; where it changes is a break, too. None of these numbers is a constant of
+ * the library: `cosim_sizes` must be called before CasADi asks for the sizes. A run that fails leaves
+ * alone what it does not reach.
  */
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
 
+#define SETTINGS (6 + NX)
 #include "shapes.h"
 
 /* What the functions below run; generated code fills it. */
@@ -30,6 +32,13 @@ static _Thread_local double report[REPORT];
  * time, step size. */
 SHARED void cosim_report(double *out) {
     memcpy(out, report, sizeof report);
+}
+
+static _Thread_local long long passed;
+
+/* How many output times the thread's last run reached. */
+SHARED long long cosim_passed(void) {
+    return passed;
 }
 
 static inline void widen(long long *size, long long wanted) {
@@ -93,7 +102,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const double *x0 = arg[0] ? arg[0] : none, *c = arg[2];
     (void)mem;
     if (!c || !res[0]) return 1;
-    const double *settings = c + NC, *times = settings + SETTINGS;
+    const double *settings = c + NC, *nominal = settings + SETTINGS - NX, *times = nominal + NX;
     const long long points = (long long)settings[0];
     const int given = arg[3] != NULL;
     const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
@@ -109,13 +118,15 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .w = w,
         .relative = settings[3],
         .absolute = settings[4],
+        .nominal = nominal,
     };
-    Course course = {times[0], 0};
+    Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
     const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);
     const double seen[REPORT] = {
         (double)problem.steps, (double)problem.calls, 0, code, course.reached, course.last};
     memcpy(report, seen, sizeof report);
+    passed = course.passed;
     return code != SUCCESS;
 }
 

@@ -1,4 +1,4 @@
-/* A signal ends a run (Ctrl-C, a time limit): the library takes it over, its caller gives it back.
+/* A signal ends a run (Ctrl-C, a limit of processor time): the library takes it over meanwhile.
  *
  * The run itself looks at `halted` once per step or right-hand side.
  */
@@ -6,6 +6,7 @@
 #define INTERRUPT_H
 
 #include <signal.h>
+#include <stddef.h>
 
 #ifdef _WIN32
 #define SHARED __declspec(dllexport)
@@ -15,18 +16,74 @@
 
 static volatile sig_atomic_t halted;
 
+#ifdef SA_ONSTACK /* of POSIX: what is given back is what it was, flags and all */
+typedef struct sigaction Handling;
+
 static void halt(int number) {
-    signal(number, halt); /* some systems forget a handler that was called */
     halted = (sig_atomic_t)number;
 }
 
-SHARED void cosim_watch(int number) {
-    signal(number, halt);
+static inline int take_over(int number, Handling *before) {
+    struct sigaction own = {.sa_handler = halt, .sa_flags = SA_ONSTACK};
+    sigemptyset(&own.sa_mask);
+    return sigaction(number, &own, before) == 0;
 }
 
-/* Tells by which signal runs were ended, 0 for none, and lets the next ones go on. */
+static inline void give_back(int number, const Handling *before) {
+    sigaction(number, before, NULL);
+}
+
+static inline int is_handled(const Handling *before) {
+    return before->sa_handler != SIG_DFL && before->sa_handler != SIG_IGN;
+}
+#else
+typedef void (*Handling)(int);
+
+static void halt(int number) {
+    signal(number, halt); /* Windows forgets a handler that was called */
+    halted = (sig_atomic_t)number;
+}
+
+static inline int take_over(int number, Handling *before) {
+    *before = signal(number, halt);
+    return *before != SIG_ERR;
+}
+
+static inline void give_back(int number, const Handling *before) {
+    signal(number, *before);
+}
+
+static inline int is_handled(const Handling *before) {
+    return *before != SIG_DFL && *before != SIG_IGN;
+}
+#endif
+
+static const int watched_signals[] = {
+    SIGINT,
+#ifdef SIGPROF
+    SIGPROF,
+#endif
+};
+enum { WATCHED = sizeof watched_signals / sizeof *watched_signals };
+
+static Handling handling_before[WATCHED];
+static int taken_over[WATCHED];
+
+/* Lets the signals that somebody handles end the runs that follow. */
+SHARED void cosim_watch(void) {
+    for (int i = 0; i < WATCHED; ++i) {
+        taken_over[i] = take_over(watched_signals[i], &handling_before[i]);
+        if (!taken_over[i] || is_handled(&handling_before[i])) continue;
+        give_back(watched_signals[i], &handling_before[i]);
+        taken_over[i] = 0;
+    }
+}
+
+/* Gives them back. Tells by which one a run was ended, 0 for none, and lets the next ones go on. */
 SHARED int cosim_halted(void) {
     const int was = (int)halted;
+    for (int i = 0; i < WATCHED; ++i)
+        if (taken_over[i]) give_back(watched_signals[i], &handling_before[i]);
     halted = 0;
     return was;
 }

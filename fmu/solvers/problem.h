@@ -26,7 +26,8 @@ typedef struct {
     long long *iw;
     double *w;
     long long steps, calls;
-    double relative, absolute; /* error that each step may have */
+    double relative, absolute; /* error that each step may have, the latter in nominal values */
+    const double *nominal;     /* of the states */
 } Problem;
 
 /* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */
@@ -48,8 +49,7 @@ static inline int problem_slope(void *problem, double t, const double *x, double
 
 static inline double problem_scale(const void *problem, int i, double x) {
     const Problem *self = problem;
-    (void)i;
-    return self->absolute + self->relative * fabs(x);
+    return self->absolute * self->nominal[i] + self->relative * fabs(x);
 }
 
 /* The output times, and the longest step. */
@@ -59,9 +59,10 @@ typedef struct {
     double largest;
 } Grid;
 
-/* Where a run ended, and the size of its last step. */
+/* Where a run ended, the size of its last step, and how many output times it has passed. */
 typedef struct {
     double reached, last;
+    long long passed;
 } Course;
 
 #endif

@@ -15,7 +15,7 @@
 #include "problem.h"
 
 #ifndef SETTINGS
-#define SETTINGS 6 /* between c and the output times; see there */
+#error "define SETTINGS, how many numbers stand between c and the output times"
 #endif
 
 static long long size_x0[3] = {NX, 1, 1}, size_z0[3] = {NZ, 1, 1}, size_u[3] = {NU, 1, 1};

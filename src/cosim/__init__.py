@@ -13,6 +13,8 @@ Names are imported when first used, so that `import cosim` costs nothing.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cosim.presenters import present_by
+
 if TYPE_CHECKING:
     from casadi_models.dae import Dae, Model
     from cosim import errors, solvers
@@ -136,6 +138,8 @@ __all__ = [
     "tradeoff",
     "write_ssp",
 ]
+
+present_by(animate="cosim.present.playback.animate:animate")
 
 
 def __getattr__(name: str) -> Any:

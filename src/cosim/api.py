@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
 from cosim.integrate.run.asked_times import AskedTimes, again
@@ -26,6 +25,7 @@ from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
+from cosim.study.accuracy.front import pays_compiling
 from cosim.study.accuracy.solver_selection import promised_run
 from cosim.trajectory import Trajectory
 
@@ -76,7 +76,7 @@ def simulate(
             output times. Other inputs keep their start value.
         outputs: Names to record, monitors among them; everything but those when None.
         options: What few runs need.
-            `compiled`: whether to compile the equations; if a compiler is there when None.
+            `compiled`: whether to compile the equations; where that pays when None.
             `on_invalid`: what happens where a run leaves the model's limits, or a fixed step is
             too long for the motion: "warn" (the default) says so in `stats["invalid"]`, "stop"
             ends the run there, "ignore" looks at neither.
@@ -84,8 +84,8 @@ def simulate(
             every step, which makes `dop853` the default solver; what the model has when None.
             `relative_tolerance`, `absolute_tolerance`, `step_size`: numbers of a solver that is
             named or left out: error per step relative to each state's size (1), 1e-8 when None;
-            in SI units, a hundredth of the relative one when None; largest step of `rk4` and
-            `ode8`, s, the output interval when None.
+            error per step in the nominal value of each unknown (1), a hundredth of the relative
+            one when None; largest step of `rk4` and `ode8`, s, the output interval when None.
             `output_times`: times of one's own, s, (n,), in place of `stop_time` and
             `output_interval`.
             `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes
@@ -160,7 +160,7 @@ def _promised(
     names = wanted_names(dae, wanted)
     grid = times.grid()
     compiled = options.get("compiled")
-    compiled = has_compiler() if compiled is None else compiled
+    compiled = pays_compiling(dae, grid) if compiled is None else compiled
     run = run | times.given | {"on_invalid": options.get("on_invalid", "warn")}
     solve = partial(native.simulate, dae, outputs=names, compiled=compiled, **run)
     length = float(grid[-1] - grid[0])
@@ -250,19 +250,21 @@ def run_scene(
         ('T',)
     """
     if not isinstance(scene, Scene):
-        return roads.run_scene(scene, road, **options)  # which refuses it
+        return roads.run_on_road(scene, road, **options)  # which refuses it
     goals = {name: getattr(scene.settings, name) for name in GOALS}
     goal = any(value is not None for value in goals.values())
     asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
     if not goal and all(value is None for value in asked.values()):
-        return roads.run_scene(scene, road, **options)
-    if not _way(road).native:
+        return roads.run_on_road(scene, road, **options)
+    way = Road.NATIVE if road is None else Road.named(road)
+    if not way.native:
         words = "accuracy and budget are" if goal else "stop_when and output_times are"
         raise UsageError(
             f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
             "exported: cosim export --accuracy"
         )
-    options = _as_asked(road, options)
+    if way is Road.INTERPRETED:
+        options["compiled"] = False
     dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
     settings = roads.native_settings(scene, dae)
     if output_times is not None:
@@ -273,11 +275,3 @@ def run_scene(
     values = plain_values(scene.dae, scene.values)
     start = {name: value for name, value in values.items() if name in known}
     return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
-
-
-def _way(road: Road | str | None) -> Road:
-    return Road.NATIVE if road is None else Road.named(road)
-
-
-def _as_asked(road: Road | str | None, options: dict[str, Any]) -> dict[str, Any]:
-    return {**options, "compiled": False} if _way(road) is Road.INTERPRETED else options

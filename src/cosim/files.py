@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from cosim.errors import ExportError
+from cosim.errors import ExportError, UsageError
 
 MOST_READ = 2**30  # bytes
 MOST_TEXT = 2**28  # bytes, of what people write
@@ -23,23 +23,38 @@ def write_atomically(target: str | os.PathLike[str], content: bytes) -> Path:
     Raises:
         ExportError: The folder is missing or read-only, the disk is full, the name is a folder.
     """
+    with written_atomically(target) as stream:
+        stream.write(content)
+    return Path(target)
+
+
+@contextmanager
+def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Write a file piece by piece, as `write_atomically` does at once.
+
+    Yields:
+        What is written to; where the block is left by an error, the old content stays.
+
+    Raises:
+        ExportError: See there.
+    """
     with _explained(target):
         place = _place(target)
         if place.exists() and not place.is_file():
-            place.write_bytes(content)
-            return Path(target)
+            with place.open("wb") as stream:
+                yield stream
+            return
         mode = stat.S_IMODE(place.stat().st_mode) if place.exists() else 0o666 & ~_umask()
         temporary = _sibling(place)
         try:
             with temporary.open("wb") as stream:
-                stream.write(content)
+                yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
             temporary.chmod(mode)
             temporary.replace(place)
         finally:
             temporary.unlink(missing_ok=True)
-    return Path(target)
 
 
 def opened_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> BinaryIO:
@@ -76,6 +91,24 @@ def read_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> b
     """
     with opened_plain(source, most_bytes) as stream:
         return stream.read()
+
+
+def read_text(source: str | os.PathLike[str], what: str = "") -> str:
+    """Return the text of a plain file that people write; a byte order mark is tolerated.
+
+    Args:
+        source: The file, in UTF-8.
+        what: What it is, for messages, e.g. "the input series ".
+
+    Raises:
+        UsageError: It cannot be read, or is in another encoding.
+    """
+    try:
+        return read_plain(source, MOST_TEXT).decode("utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"cannot read {what}{source}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{source} is not a UTF-8 text; save it in UTF-8") from error
 
 
 def refuse_unwritable(target: str | os.PathLike[str]) -> None:

@@ -21,9 +21,11 @@ def kept_per_thread(most: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @wraps(function)
         def keeping(*args: P.args, **kwargs: P.kwargs) -> T:
-            if not hasattr(own, "call"):
-                own.call = lru_cache(most)(function)
-            return cast(T, own.call(*args, **kwargs))
+            try:
+                call = own.call
+            except AttributeError:
+                call = own.call = lru_cache(most)(function)
+            return cast(T, call(*args, **kwargs))
 
         return keeping
 

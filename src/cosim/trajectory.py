@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
+from cosim.presenters import presenter
 from cosim.series.column import Column, summary_rows
 from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
 from cosim.series.frames import data_frame, data_set
@@ -85,8 +86,8 @@ class Trajectory:
                 f"{self.model}: {len(self.columns)} variables, but time of shape {self.time.shape} "
                 f"and values of shape {self.values.shape}; give (n,) and (n, {len(self.columns)})"
             )
-        names = ("time", *self.names)
-        if len(set(names)) < len(names):
+        if len({"time", *[column.name for column in self.columns]}) <= len(self.columns):
+            names = ("time", *self.names)
             twice = next(name for name in names if names.count(name) > 1)
             raise UsageError(f"{self.model}: '{twice}' is recorded twice; name it once")
 
@@ -300,11 +301,12 @@ class Trajectory:
                 raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
             write_columns(target, self.columns, self.time, self.values, units)
             return
-        from cosim.files import write_atomically  # only where a file is wanted
+        from cosim.files import written_atomically  # only where a file is wanted
 
-        text = io.StringIO(newline="")
-        write_columns(text, self.columns, self.time, self.values, units)
-        write_atomically(target, text.getvalue().encode())
+        with written_atomically(target) as file:
+            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+            write_columns(text, self.columns, self.time, self.values, units)
+            text.detach()
 
     def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
         """Write everything, bit for bit, as a file of numpy; see `from_npz`.
@@ -379,9 +381,7 @@ class Trajectory:
 
     def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
         """Show the run in three dimensions; see `cosim.animate`."""
-        from cosim.present.playback.animate import animate  # the one import of an upper room
-
-        return animate(self, target, **options)
+        return presenter("animate")(self, target, **options)
 
     def _index(self, name: str) -> int:
         try:

@@ -248,7 +248,7 @@ def test_info_reads_scenes_and_fmus(exported, capsys):
 
 def test_recorded_catalogue_is_that_of_the_models():
     recorded = json.loads(summary.FILE.read_text())
-    stale = [n for n in casadi_models.CATALOG if recorded.get(n) != summary.measured(n)]
+    stale = [n for n in casadi_models.CATALOG if recorded.get(n) != summary.facts_of(n)]
     assert stale == [], "run: python -m cosim.model.summary"
     assert [*recorded] == [*casadi_models.CATALOG]
 

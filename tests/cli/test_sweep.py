@@ -56,7 +56,7 @@ def test_a_failed_run_is_a_row_and_code_1(capsys, tmp_path):
         (["--sample", "random:4", "-p", "omega=normal(1,0)"], 2, "not positive"),
         (["-p", "omega=1,2", "--keep", "maxx"], 3, "max"),
         (["-p", "omega=1,2", "--times", "1,x"], 2, "not a number"),
-        (["--samples", "missing.csv"], 2, "cannot be read"),
+        (["--samples", "missing.csv"], 2, "cannot read"),
         (["--samples", "a.csv", "--sample", "lhs:4"], 2, "not both"),
     ],
 )

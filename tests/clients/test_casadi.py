@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.fmi_cases import VERSIONS
 
 import casadi_models
 import cosim
@@ -10,7 +11,6 @@ from casadi_models.dae import Dae
 from cosim.codegen.initialization import algebraic_function, start_function
 
 EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
 
 def numbers(variables) -> list[float]:

@@ -2,30 +2,12 @@
 
 import pytest
 from fmpy import read_model_description
+from helpers.fmuloader_start import started
 
 import cosim
 
-fmi2 = pytest.importorskip("fmuloader.fmi2")
-fmi3 = pytest.importorskip("fmuloader.fmi3")
+pytest.importorskip("fmuloader")
 NAME, STOP, STEPS = "bar_on_frame/reduced", 1.0, 100
-
-
-def started(path, description):
-    """Return an initialized instance and its function that reads reals."""
-    identifier = description.coSimulation.modelIdentifier
-    if description.fmiVersion == "2.0":
-        slave = fmi2.Fmi2Slave(path, model_identifier=identifier)
-        kind = fmi2.Fmi2Type.CO_SIMULATION
-        slave.instantiate("one", kind, guid=description.guid)
-        slave.setup_experiment(start_time=0.0)
-        read = slave.get_real
-    else:
-        slave = fmi3.Fmi3Slave(path, model_identifier=identifier)
-        slave.instantiate_co_simulation("one", instantiation_token=description.guid)
-        read = slave.get_float64
-    slave.enter_initialization_mode()
-    slave.exit_initialization_mode()
-    return slave, read
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

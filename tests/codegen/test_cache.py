@@ -206,6 +206,21 @@ def test_size_is_bounded_by_the_environment(folder, monkeypatch):
     assert cache.contents().files == 2
 
 
+def test_entries_of_a_few_bytes_are_written_without_a_look_at_all_others(folder, monkeypatch):
+    looks = []
+    monkeypatch.setattr(cache, "prune", lambda: looks.append(1))
+    cache.keep("fronts/little", b"exported here")
+    assert not looks
+    cache.keep("fronts/large", bytes(10_000))
+    assert looks
+
+
+def test_every_folder_that_is_written_to_is_pruned_and_cleared(folder):
+    for name in ("pictures", "exports", "fronts"):
+        cache.keep(f"{name}/a", b"x")
+    assert cache.clear().files == 3
+
+
 @pytest.mark.parametrize("size", ["-1", "2GB", "1e9"])
 def test_size_that_is_no_number_is_refused(folder, monkeypatch, size):
     monkeypatch.setenv("COSIM_CACHE_SIZE", size)

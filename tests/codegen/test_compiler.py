@@ -302,3 +302,14 @@ def test_library_that_another_process_has_made_and_loaded_meanwhile_is_taken(cac
 
     monkeypatch.setattr(Path, "replace", refuse)
     assert ctypes.CDLL(str(cached_library("key", lambda: CODE))).answer() == 42
+
+
+def test_what_a_compiler_writes_besides_is_gone_with_it(cache, script, tmp_path, monkeypatch):
+    theirs = tmp_path / "temporary"
+    theirs.mkdir()
+    for name in ("TMPDIR", "TEMP", "TMP"):
+        monkeypatch.setenv(name, str(theirs))
+    script('echo half > "${TMPDIR:-/tmp}/cc123.s"', "exit 1")  # as one that is interrupted
+    with pytest.raises(MissingTool):
+        cached_library("key", lambda: CODE)
+    assert (names(cache), names(theirs)) == ([], [])

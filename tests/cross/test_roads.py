@@ -7,6 +7,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from helpers.fmi_cases import INTERFACES
 
 import casadi_models
 import cosim
@@ -14,7 +15,6 @@ from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.package import source_files, zipped
 
 EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
-INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
 TIGHT = 1e-10  # relative tolerance of all solvers
 BOUND = 1e-6  # largest difference, in nominal values
 

@@ -11,7 +11,7 @@ import pytest
 import cosim
 from cosim.cli.main import main
 from cosim.scene.library import shipped_scenes
-from cosim.scene.roads import run_scene, scene_dae
+from cosim.scene.roads import run_on_road, scene_dae
 from cosim.scene.scene import Settings
 from cosim.verify.crosscheck import crosscheck
 
@@ -61,7 +61,7 @@ def test_at_least_twelve_scenes_want_some_outputs_only():
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_runs_and_draws_its_figures(name):
     scene = shortened(cosim.read_scene(name))
-    run = run_scene(scene)
+    run = run_on_road(scene)
     assert run.complete
     assert run.time[-1] == 0.5
     assert scene.title
@@ -72,7 +72,7 @@ def test_scene_runs_and_draws_its_figures(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_runs_over_its_full_span(name):
     scene = cosim.read_scene(name)
-    run = run_scene(scene)
+    run = run_on_road(scene)
     assert run.complete
     assert run.time[-1] == scene.settings.stop_time
 
@@ -80,10 +80,10 @@ def test_scene_runs_over_its_full_span(name):
 @pytest.mark.parametrize("name", ROADS)
 def test_scene_gives_the_same_on_both_roads(name):
     scene = accurate(cosim.read_scene(name), 1.5)
-    run = run_scene(scene)
+    run = run_on_road(scene)
     for road in ("fmu-me", "fmu-cs"):
         # measured 7.2e-8 of the nominal value at most, through fmpy's CVODE
-        assert cosim.compare(run, run_scene(scene, road), bound=5e-7).agrees
+        assert cosim.compare(run, run_on_road(scene, road), bound=5e-7).agrees
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in BOOK])
@@ -92,7 +92,7 @@ def test_reduced_scene_gives_what_the_full_model_gives(name):
     full = replace(scene, outputs=())
     small = scene_dae(scene)
     assert small.operations(with_outputs=True) < scene_dae(full).operations(with_outputs=True)
-    run, whole = run_scene(scene), run_scene(full)
+    run, whole = run_on_road(scene), run_on_road(full)
     assert set(run.names) == set(scene.outputs)
     assert cosim.compare(run, whole, bound=1e-7).agrees  # measured 1.4e-8 at rtol 1e-10
 
@@ -100,13 +100,13 @@ def test_reduced_scene_gives_what_the_full_model_gives(name):
 def test_book_model_2_of_the_bicycle_is_model_1_up_to_its_solver():
     first, second = (cosim.read_scene(f"bicycle_model_{i}.toml") for i in (1, 2))
     times = replace(first.settings, output_interval=0.025)
-    run = run_scene(replace(first, settings=times))
-    again = run_scene(second)
+    run = run_on_road(replace(first, settings=times))
+    again = run_on_road(second)
     assert cosim.compare(run, again, bound=1e-4).agrees  # measured 1.9e-5, of erk at rtol 1e-5
 
 
 def test_book_model_3_of_the_bicycle_is_model_2_but_for_the_path():
-    second, third = (run_scene(cosim.read_scene(f"bicycle_model_{i}.toml")) for i in (2, 3))
+    second, third = (run_on_road(cosim.read_scene(f"bicycle_model_{i}.toml")) for i in (2, 3))
     # the same method and steps for the same motion: rounding only, measured 1.3e-11
     assert cosim.compare(second, third, bound=1e-9, without=("xP", "yP")).agrees
     path = max(np.abs(second[name] - third[name]).max() for name in ("xP", "yP"))
@@ -115,7 +115,7 @@ def test_book_model_3_of_the_bicycle_is_model_2_but_for_the_path():
 
 def test_exercises_7_3_and_7_4_are_7_2_by_other_steps_and_other_equations():
     second, third, fourth = (
-        run_scene(cosim.read_scene(f"double_pendulum_7_{i}.toml")) for i in (2, 3, 4)
+        run_on_road(cosim.read_scene(f"double_pendulum_7_{i}.toml")) for i in (2, 3, 4)
     )
     assert cosim.compare(second, fourth, bound=5e-6).agrees  # measured 3.5e-7 at rtol 1e-8
     assert cosim.compare(second, third, bound=5e-6).agrees  # measured 2.3e-7
@@ -179,7 +179,7 @@ def test_export_takes_a_scene(tmp_path, capsys):
     target = tmp_path / "lean.fmu"
     assert main(["export", "bicycle_roll_steer.toml", "-o", str(target)]) == 0
     again = cosim.simulate_fmu(target, stop_time=0.5, output_interval=0.01)
-    run = run_scene(shortened(cosim.read_scene("bicycle_roll_steer.toml")))
+    run = run_on_road(shortened(cosim.read_scene("bicycle_roll_steer.toml")))
     assert again.model == "bicycle_roll_steer"
     assert cosim.compare(run, again, bound=1e-5).agrees
 

@@ -19,7 +19,12 @@ from cosim.cli.main import main
 
 BAD = ("silent", "hang", "crash", "traceback", "leftover", "orphan", "other")
 LIMIT = 60  # s
-COUNTS: Counter[str] = Counter()
+COUNTS: Counter[str] = Counter()  # of what a test says with `record_property`
+
+
+def pytest_runtest_logreport(report):
+    if report.when == "teardown":  # xdist hands the reports of its workers on
+        COUNTS.update(dict(report.user_properties).get("faults", {}))
 
 
 def pytest_terminal_summary(terminalreporter):
@@ -32,13 +37,21 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.write_line(f"{COUNTS['kills']} kills during writes: torn {COUNTS['torn']}")
 
 
+@pytest.fixture
+def counts(record_property):
+    """Return where a test counts what the summary adds up."""
+    own: Counter[str] = Counter()
+    yield own
+    record_property("faults", dict(own))
+
+
 @pytest.fixture(scope="session")
 def misbehaving(tmp_path_factory):
     return hostile(hostile_binary(tmp_path_factory.mktemp("hostile")))
 
 
 @pytest.fixture
-def ends_well(request, tmp_path, monkeypatch, capfd):
+def ends_well(request, tmp_path, monkeypatch, capfd, counts):
     """Return what runs a row and returns what is wrong with its end, by kind."""
     numbers = itertools.count()
 
@@ -63,7 +76,7 @@ def ends_well(request, tmp_path, monkeypatch, capfd):
             wrong["leftover"] = str([*place.iterdir(), *temporary.iterdir()])
         if orphans := _children(str(temporary)):
             wrong["orphan"] = str(orphans)
-        COUNTS.update(["rows", *wrong])
+        counts.update(["rows", *wrong])
         return wrong
 
     return run

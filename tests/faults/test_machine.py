@@ -94,3 +94,17 @@ def test_ctrl_c_while_modules_are_loaded_is_one_word():
         [sys.executable, "-c", code, "list"], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+def test_ctrl_c_while_python_leaves_changes_nothing():
+    code = (
+        "import atexit, os, signal, sys\n"
+        "from cosim.__main__ import main\n"
+        "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+        "sys.exit(main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "list"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "bicycle" in done.stdout

@@ -313,3 +313,80 @@ def alias_of_an_input():
     dae.eq(y, u)
     dae.eq(dae.der(x), -y * x)
     return dae
+
+
+# -- what only MX has ---------------------------------------------------------------------------
+
+
+@accepted(x=E1)
+def large_linear_system():  # more rows than are written out
+    dae, x = decay()
+    A = ca.DM.ones(30, 30) + ca.diag(ca.DM(range(1, 31))) + x * ca.DM.eye(30)
+    dae.eq(dae.der(x), -ca.solve(A, A @ ca.repmat(x, 30, 1))[17])
+    return dae
+
+
+@accepted(x=E1)
+def root_of_a_function():
+    dae, x = decay()
+    y, p = ca.SX.sym("y"), ca.SX.sym("p")
+    root = ca.rootfinder("root", "fast_newton", {"x": y, "p": p, "g": y**3 + y - p**3 - p})
+    dae.eq(dae.der(x), -root(0.5, x))
+    return dae
+
+
+@accepted(x=math.exp(-2))
+def short_circuit_with_an_index_between_two():
+    dae, x = decay()
+    which = dae.add("which", "parameter", "tunable", {"start": 1.5})
+    dae.eq(dae.der(x), ca.conditional(which, [-x, -2 * x, -3 * x], -4 * x, True))
+    return dae
+
+
+@accepted(x=E1)
+def mapped_function():
+    dae, x = decay()
+    v = ca.MX.sym("v")
+    every = ca.Function("half", [v], [-v / 2]).map(3)(ca.horzcat(x / 3, x, 2 * x / 3))
+    dae.eq(dae.der(x), ca.sum2(every))
+    return dae
+
+
+@accepted(x=E1)
+def accumulated_function():
+    dae, x = decay()
+    v, w = ca.MX.sym("v"), ca.MX.sym("w")
+    steps = ca.Function("step", [v, w], [v + w]).mapaccum(4)
+    dae.eq(dae.der(x), steps(0, -x / 4 * ca.DM.ones(1, 4))[3])
+    return dae
+
+
+@accepted(x=math.exp(-2))
+def entry_at_a_calculated_place():
+    dae, x = decay()
+    which = dae.add("which", "parameter", "tunable", {"start": 1})
+    dae.eq(dae.der(x), -ca.vertcat(x, 2 * x, 3 * x)[which])
+    return dae
+
+
+@accepted(x=E1)
+def sum_of_exponentials():
+    dae, x = decay()
+    dae.eq(dae.der(x), math.log(2) - ca.logsumexp(ca.vertcat(x, x)))
+    return dae
+
+
+@accepted(x=1 - E1)
+def smooth_table():
+    dae, x = decay(start=0.0)
+    line = ca.interpolant("line", "bspline", [[0, 1, 2, 3]], [1, 0, -1, -2])
+    dae.eq(dae.der(x), line(x))
+    return dae
+
+
+@accepted(x=E1)
+def matrices_and_norms():
+    dae, x = decay()
+    A = ca.reshape(ca.vertcat(x, 0, 0, x), 2, 2)
+    dae.eq(dae.der(x), -ca.norm_fro(A) / math.sqrt(2) * ca.det(A) / ca.dot(A, A) * 2)
+    return dae

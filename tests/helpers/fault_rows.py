@@ -69,6 +69,10 @@ def _numbers() -> Iterator[Row]:
             told = option.strip("-").replace("-", ".")
             yield Row(f"{verb} {option}={value}", words, 2, told)
 
+    for value in ("nan", "-1", "2"):
+        words = ("tradeoff", "crank_shaft/driven", f"--relative-tolerance={value}")
+        yield Row(f"tradeoff --relative-tolerance={value}", words, 2, "relative.tolerance")
+
 
 def _names() -> Iterator[Row]:
     names = (

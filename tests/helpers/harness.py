@@ -17,10 +17,12 @@ from ctypes import (
     c_uint,
     c_void_p,
 )
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import fmpy
+from helpers import toy
 
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
 SOLVERS = RUNTIME.parent / "solvers"
@@ -31,6 +33,10 @@ NAMES = "-DFMI3_OVERRIDE_FUNCTION_PREFIX"
 POSIX = "-D_POSIX_C_SOURCE=200809L"  # whose clocks and threads the programs of the tests use
 STRICT = ["-std=c11", NAMES, "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+THREADED = ["-g", "-O1", "-fsanitize=thread"]
+# The C library's functions of memory are the test's
+WRAPPED = [f"-Wl,--wrap={name}" for name in ("calloc", "malloc", "free")]
+FUZZED_STEPS = 100  # of a solver: what a call does when they are used up, it does sooner
 OK, WARNING, DISCARD, ERROR = range(4)
 NAN, INF = float("nan"), float("inf")
 
@@ -48,14 +54,18 @@ def sources(model: Path, version: int) -> list[Path]:
 
 
 def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Path) -> list[Path]:
-    """Compile model (leniently) and runtime (strictly); return the object files."""
+    """Compile model (leniently) and runtime (strictly) into a folder; return the object files.
+
+    What is there already, for the other version of the FMI, has the same model and flags.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", "-isystem", HEADERS]
     objects = []
     for source in [model / "model.c", *sources(model, version)]:
         target = folder / f"{source.stem}.o"
         strict = STRICT if source.parent == RUNTIME else ["-std=c11"]
-        run([compiler(), *strict, *flags, *include, "-c", source, "-o", target])
+        if not target.exists():
+            run([compiler(), *strict, *flags, *include, "-c", source, "-o", target])
         objects.append(target)
     return objects
 
@@ -92,6 +102,26 @@ def program(
         ]
     )
     return target
+
+
+def fuzzers(new_folder: Callable[[str], Path]) -> Callable[..., Path]:
+    """Return what builds a program of random calls on the toy, once for a solver and flags.
+
+    That of FMI 2 lets memory run out, and counts it. What both versions compile, they share.
+    """
+
+    @cache
+    def folder(solver: str, *flags: str) -> Path:
+        made = new_folder("fuzz")
+        toy.write(made, toy.toy(), toy.TABLE, solver, most_steps=FUZZED_STEPS)
+        return made
+
+    @cache
+    def build(solver: str, version: int, *flags: str) -> Path:
+        model, more = folder(solver, *flags), WRAPPED if version == 2 else []
+        return program(f"fuzz_fmi{version}", model, version, model / "built", [*flags, *more])
+
+    return build
 
 
 def run(command: Sequence[Any], timeout: float = 300) -> str:

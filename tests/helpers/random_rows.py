@@ -88,7 +88,7 @@ def _damaged(draw: random.Random, content: bytes) -> bytes:
     """Flip, cut, double, move or overwrite some of it."""
     data = bytearray(content)
     for _ in range(draw.randrange(1, 4)):
-        at, length = draw.randrange(len(data)), draw.randrange(1, 1 + len(data) // 4)
+        at, length = draw.randrange(len(data)), draw.randrange(1, 2 + len(data) // 4)
         match draw.randrange(5):
             case 0:
                 data[at] ^= 1 << draw.randrange(8)

@@ -105,10 +105,12 @@ def write(
     solver: str = "step",
     *,
     valid: bool = False,
+    most_steps: int = 1000,
 ) -> None:
     """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs.
 
     With `valid`, the model tells whether it holds, and its margins are its last outputs.
+    The generated solver takes up to `most_steps` in an attempt, dop853 tries 20 times as many.
     """
     if valid:
         table = (*table, Row("margin", "OUTPUT", "CALCULATED"))
@@ -123,7 +125,7 @@ def write(
         "#define HAS_ADJOINT 1",
         f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
         "#define LARGEST_STEP 0.5",
-        "#define MOST_TRIALS 20000",
+        f"#define MOST_TRIALS {20 * most_steps}",
         f"#define N_LIMITS {model.margins.numel()}",
         f"#define HAS_VALID {int(valid)}",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
@@ -131,7 +133,7 @@ def write(
     (folder / "model.h").write_text("\n".join(header) + "\n")
     (folder / "dop853_coefficients.h").write_text(dop853_coefficients())
     generator = ca.CodeGenerator("model.c", {"with_export": False})
-    for function in _contract(model):
+    for function in _contract(model, most_steps):
         generator.add(function)
     generator.generate(f"{folder}/")
     code = (folder / "model.c").read_text()
@@ -164,7 +166,7 @@ def _symbols(nx: int, nz: int, nu: int, np: int) -> tuple[SX, SX, SX, SX, SX]:
     return SX.sym("t"), x, z, u, p
 
 
-def _contract(m: Equations) -> list[ca.Function]:
+def _contract(m: Equations, most_steps: int) -> list[ca.Function]:
     known = [m.t, m.x, m.z, m.u, m.p]
     solved = m.z
     if m.z.numel():
@@ -187,7 +189,7 @@ def _contract(m: Equations) -> list[ca.Function]:
         ca.Function("model_directional", [*known, *along], forward),
         ca.Function("model_adjoint", [*known, *weights], ca.vertsplit(backward, sizes)),
         ca.Function("model_jacobian", known, [_dense(ode, m), _dense(solved, m)]),
-        _step_function(m),
+        _step_function(m, most_steps),
     ]
 
 
@@ -224,7 +226,7 @@ def _start_functions(m: Equations) -> list[ca.Function]:
     ]
 
 
-def _step_function(m: Equations) -> ca.Function:
+def _step_function(m: Equations, most_steps: int) -> ca.Function:
     """Integrate over s in [0, 1]; q = (t, h, tolerance, u, du, p)."""
     nu, s, q = m.u.numel(), SX.sym("s"), SX.sym("q", 3 + 2 * m.u.numel() + m.p.numel())
     t, h, u, du, p = q[0], q[1], q[3 : 3 + nu], q[3 + nu : 3 + 2 * nu], q[3 + 2 * nu :]
@@ -233,7 +235,7 @@ def _step_function(m: Equations) -> ca.Function:
     )  # fmt: skip
     problem = {"t": s, "x": m.x, "z": m.z, "p": q, "ode": h * ode, "alg": alg}
     method = "rosenbrock" if m.z.numel() else "erk"
-    integrate = ca.integrator("integrate", method, problem, 0, 1, {"max_num_steps": 1000})
+    integrate = ca.integrator("integrate", method, problem, 0, 1, {"max_num_steps": most_steps})
     x, z, parameters = MX.sym("x", m.x.numel()), MX.sym("z", m.z.numel()), MX.sym("q", q.numel())
     end = integrate(x0=x, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [end["xf"], end["zf"]])

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from cosim.cli.main import main
-from cosim.codegen.projection import projection_step
+from cosim.codegen.runge_kutta.projection import projection_step
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.drift_control import DRIFT_CONTROLS, controllable
 from cosim.scene.scene import Scene, Settings

@@ -2,6 +2,7 @@
 
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -225,10 +226,20 @@ def test_interrupted_command_writes_what_it_has(tmp_path):
     file = tmp_path / "run.csv"
     call = [sys.executable, "-m", "cosim", "simulate", "double_pendulum", "--interpreted"]
     call += ["--stop-time", "20000", "--output-interval", "0.5", "--output-file", str(file)]
-    process = subprocess.Popen(call, stderr=subprocess.PIPE, text=True)
-    time.sleep(3)  # a run takes some ten seconds, Python and CasADi one to start
+    ours, terminal = os.openpty()
+    process = subprocess.Popen(call, stderr=terminal)
+    os.close(terminal)
+    wait_for(ours, rb"solving \d+ %")  # some of some ten seconds
     process.send_signal(signal.SIGINT)
-    assert "interrupted" in process.communicate(timeout=30)[1]
-    assert process.returncode == 130
+    wait_for(ours, b"interrupted")
+    assert process.wait(timeout=60) == 130
     table = np.loadtxt(file, delimiter=",", skiprows=1)
     assert 1 < len(table) < 40001
+
+
+def wait_for(terminal, told):
+    """Read what a terminal shows until a pattern of words."""
+    text = b""
+    while not re.search(told, text):
+        assert select.select([terminal], [], [], 60)[0], text
+        text += os.read(terminal, 4096)

@@ -102,3 +102,18 @@ def test_compiler_without_memory_leaves_the_run_interpreted_unless_it_was_asked_
     assert run.stats.note.startswith("interpreted: cc needs more than 4 GB of memory")
     with pytest.raises(CompilerExhausted):
         cosim.simulate(heat(21), compiled=True, **OPTIONS)
+
+
+def test_bare_integrator_of_a_large_model_is_not_compiled_for_one_run(cold):
+    dae = rod()
+    with compiler.only_kept():
+        run = cosim.integrator(dae, [0.0, 0.01], derivatives=False)
+        with pytest.raises(compiler.NotKept):
+            cosim.integrator(dae, [0.0, 0.01], derivatives=False, compiled=True)
+    assert np.isfinite(np.array(run(**cosim.start_vectors(dae))["xf"])).all()
+
+
+def test_many_runs_pay_for_the_compiler_where_one_does_not():
+    dae = heat(850)
+    assert not worthwhile(dae, Cvodes(), 11, not_kept).compiled
+    assert worthwhile(dae, Cvodes(), 11, not_kept, runs=1000).compiled

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from casadi import SX
+from helpers.chains import crossed_chain
 
 from casadi_models.mechanics import kane, rotations
 from casadi_models.mechanics.articulated import Link, accelerations
@@ -74,29 +75,9 @@ def test_recursion_gives_what_kane_gives(parents):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
-def chain(n):
-    """Return the accelerations of a chain of slender links with crossed hinges."""
-    q, u = SX.sym("q", n), SX.sym("u", n)
-    inertia = ca.diag(SX([1 / 12, 1 / 12, 0.01]))
-    links = [
-        Link(
-            i - 1,
-            SX([0, 0, -1.0 if i else 0.0]),
-            rotations.about(1 + i % 2, q[i]),
-            rotations.unit(1 + i % 2),
-            1.0,
-            SX([0, 0, -0.5]),
-            inertia,
-        )
-        for i in range(n)
-    ]
-    law = accelerations(links, u, SX(n, 1), SX([0, 0, -9.81]))
-    return ca.Function("a", [q, u], [law], {"cse": True})
-
-
 def test_operations_grow_with_the_number_of_links():
     began = process_time()
-    sizes = {n: chain(n).n_instructions() for n in (8, 16, 32)}
+    sizes = {n: crossed_chain(n).n_instructions() for n in (8, 16, 32)}
     assert process_time() - began < 5.0
     per_link = [(sizes[16] - sizes[8]) / 8, (sizes[32] - sizes[16]) / 16]
     assert per_link[1] == pytest.approx(per_link[0], rel=0.02)

@@ -4,9 +4,10 @@ import math
 
 import pytest
 
-from casadi_models.units import UNITS
+from casadi_models.units import PARTS, UNITS
 from cosim.errors import ParameterError
-from cosim.model.quantities import MORE, parse_unit, quantity, si_name
+from cosim.model.quantities import MORE, parse_unit, quantity
+from cosim.series.csv_file import si_name
 
 
 @pytest.mark.parametrize(
@@ -88,13 +89,13 @@ def test_what_is_no_unit_is_none(text):
     assert parse_unit(text) is None
 
 
-@pytest.mark.parametrize("name", [*UNITS, *MORE])
+@pytest.mark.parametrize("name", [*UNITS, *PARTS, *MORE])
 def test_every_unit_reads_as_itself(name):
-    assert parse_unit(name) in (UNITS.get(name), MORE.get(name))
+    assert parse_unit(name) in (UNITS.get(name), PARTS.get(name), MORE.get(name))
 
 
 @pytest.mark.parametrize("name", UNITS)
 def test_si_unit_of_a_kind_has_factor_1(name):
-    si = si_name(UNITS[name])
+    si = si_name(name)
     assert UNITS[si].factor == 1
     assert UNITS[si].measures_like(UNITS[name])

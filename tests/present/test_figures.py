@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 import cosim
 from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
-from cosim.present.figures import default_specs, draw_figures
+from cosim.present.figures import draw_figures
+from cosim.present.overlay import shared_specs
 from cosim.present.picture_files import save
-from cosim.scene.roads import run_scene
+from cosim.scene.roads import run_on_road
 from cosim.scene.scene import FigureSpec
 from cosim.scene.variants import variant
 from cosim.trajectory import Column, Trajectory
@@ -102,10 +103,11 @@ def test_runs_with_other_output_times_are_refused():
 
 def test_figures_of_two_plain_runs_hold_every_common_variable_once():
     run = made_up(a=[0, 1], b=[0, 1], c=[0, 1], d=[0, 1])
-    specs = default_specs(run, made_up(d=[0, 1], a=[0, 1], b=[1, 1], c=[0, 1], e=[1, 2]))
+    other = made_up(d=[0, 1], a=[0, 1], b=[1, 1], c=[0, 1], e=[1, 2])
+    specs, _ = shared_specs((), (run, other))
     assert [spec.names for spec in specs] == [("a", "b", "c"), ("d",)]
     with pytest.raises(UsageError, match="no variable in common"):
-        default_specs(run, made_up(z=[0, 1]))
+        shared_specs((), (run, made_up(z=[0, 1])))
 
 
 @pytest.mark.parametrize("value", [0.0, 5.0 * POUND])
@@ -139,7 +141,7 @@ def test_overview_draws_every_variable_with_its_unit():
 
 def test_book_draws_nineteen_figures_of_the_bicycle():
     scene = cosim.read_scene("bicycle_model_1.toml")
-    run = run_scene(scene)
+    run = run_on_road(scene)
     figures = draw_figures(scene.figures, run)
     assert len(figures) == 19
     yaw = curves(figures[0].axes[0])[0]
@@ -152,12 +154,12 @@ def test_book_draws_nineteen_figures_of_the_bicycle():
 
 def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
     scene = cosim.read_scene("crank_shaft.toml")
-    force, torque, _ = draw_figures(scene.figures, run_scene(scene))
+    force, torque, _ = draw_figures(scene.figures, run_on_road(scene))
     assert curves(force.axes[0])[0][0] == pytest.approx(-6.4994, abs=5e-5)
     assert curves(force.axes[1])[0][0] == pytest.approx(0.025998, abs=5e-7)
     assert curves(torque.axes[0])[0][0] == pytest.approx(0.086659, abs=5e-7)
     scene = cosim.read_scene("bar_on_frame.toml")
-    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, run_scene(scene))}
+    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, run_on_road(scene))}
     force = figures["Force Components on the Bar (expressed in F)"]
     np.testing.assert_allclose(curves(force.axes[0])[0], -0.2, rtol=0, atol=1e-12)
     torque = figures["Torque Components Acting on Bar (expressed in F)"]
@@ -167,7 +169,7 @@ def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
 def test_compared_formulations_differ_by_no_more_than_their_tolerance():
     scene = cosim.read_scene("bar_theta.toml")
     other, road = variant(scene, "two_body")
-    (figure,) = draw_figures(scene.figures, run_scene(scene), run_scene(other, road))
+    (figure,) = draw_figures(scene.figures, run_on_road(scene), run_on_road(other, road))
     gap = np.abs(curves(figure.axes[1])[0]).max() * DEGREE
     assert 0 < gap < 2e-6  # measured 2.2e-7 rad at rtol 1e-8
 

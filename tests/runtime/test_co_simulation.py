@@ -253,7 +253,7 @@ def test_a_step_beyond_the_stop_time_is_an_error(cs):
 @pytest.mark.parametrize(
     ("name", "order", "value", "status"),
     [("q", 1, 1.0, ERROR), ("force", 1, NAN, DISCARD)],
-)  # fmt: skip
+)
 def test_senseless_input_derivatives_are_refused(cs, name, order, value, status):
     cs.initialize()
     orders = (c_int * 1)(order)

@@ -4,7 +4,7 @@ import pytest
 
 from cosim.errors import UnknownName
 from cosim.model.catalogue import load
-from cosim.scene.roads import Road, run_scene
+from cosim.scene.roads import Road, run_on_road
 from cosim.scene.scene import Scene, Settings
 from cosim.study.tradeoff.configuration import Configuration
 
@@ -39,4 +39,4 @@ def test_other_roads_are_refused(name):
 
 def test_interpreted_road_compiles_nothing():
     scene = Scene("crank", load("crank_shaft/driven"), settings=Settings(stop_time=0.02))
-    assert run_scene(scene, "native-interpreted").stats["compiled"] is False
+    assert run_on_road(scene, "native-interpreted").stats["compiled"] is False

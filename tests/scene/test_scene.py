@@ -14,7 +14,7 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.scene.library import shipped_scenes
-from cosim.scene.roads import run_scene, scene_dae
+from cosim.scene.roads import run_on_road, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.scene_file import find_scene, read_scene
 from cosim.scene.variants import in_formulation, variant, with_solver
@@ -61,7 +61,7 @@ def write(tmp_path):
 
 
 def test_everything_in_a_scene_reaches_the_run(write):
-    run = run_scene(read_scene(write(GOOD)))
+    run = run_on_road(read_scene(write(GOOD)))
     same = cosim.simulate(
         cosim.load("bar_on_frame/reduced"),
         stop_time=2,
@@ -82,13 +82,13 @@ def test_everything_in_a_scene_reaches_the_run(write):
 @pytest.mark.parametrize("road", ["fmu-me", "fmu-cs"])
 def test_everything_in_a_scene_reaches_the_fmu(write, road):
     scene = read_scene(write(GOOD))
-    run, again = run_scene(scene), run_scene(scene, road)
+    run, again = run_on_road(scene), run_on_road(scene, road)
     assert again.names == run.names
     assert cosim.compare(run, again, bound=1e-6).agrees  # measured 3e-8 ME at rtol 1e-9
 
 
 def test_scene_without_outputs_runs_the_full_model(write):
-    run = run_scene(read_scene(write('model = "crank_shaft"\n[run]\nstop_time = 0.1\n')))
+    run = run_on_road(read_scene(write('model = "crank_shaft"\n[run]\nstop_time = 0.1\n')))
     assert set(run.names) == set(cosim.load("crank_shaft").observed)
 
 
@@ -138,7 +138,7 @@ def test_user_model_is_looked_up_beside_its_scene(write):
         "    return model.freeze()\n",
         "mine.py",
     )
-    run = run_scene(read_scene(write('model = "mine.py:build"\n')))
+    run = run_on_road(read_scene(write('model = "mine.py:build"\n')))
     assert run["x"][-1] == pytest.approx(np.exp(-1), rel=1e-7)
 
 
@@ -153,7 +153,7 @@ def test_input_series_is_looked_up_beside_its_scene(write):
 def test_series_of_an_input_that_a_reduction_drops_does_no_harm(write):
     write("time,steer_torque\n0,0\n1,1\n", "kick.csv")
     text = 'model = "bicycle"\noutputs = ["zP"]\n[inputs]\nfile = "kick.csv"\n'
-    run = run_scene(read_scene(write(text + "[run]\nstop_time = 0.1\n")))
+    run = run_on_road(read_scene(write(text + "[run]\nstop_time = 0.1\n")))
     assert np.abs(run["zP"]).max() == 0
 
 
@@ -341,7 +341,7 @@ def test_scene_made_in_python_refuses_what_a_file_may_not_say():
 def test_other_formulation_takes_over_values_and_drops_a_solver_it_cannot_use(write):
     scene = in_formulation(read_scene(write(GOOD)), "bar_on_frame/two_body")
     assert scene.settings.solver is None
-    assert run_scene(scene).stats["solver"] == "idas"
+    assert run_on_road(scene).stats["solver"] == "idas"
     assert scene.configured().variable("length").start == 0.5
 
 

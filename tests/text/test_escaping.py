@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import FmuError
-from cosim.text.escaping import MOST, csv_cell, sentence, visible
+from cosim.text.escaping import LONGEST_SENTENCE, csv_cell, sentence, visible
 from cosim.trajectory import Column, Trajectory
 
 
@@ -30,7 +30,7 @@ def test_ends_of_lines_may_stay():
 
 def test_sentence_is_one_bounded_line():
     assert sentence("a\n  b\x1b") == r"a b\x1b"
-    assert len(sentence("x" * 5000)) == MOST
+    assert len(sentence("x" * 5000)) == LONGEST_SENTENCE
     assert str(FmuError("first\nsecond \x1b[0m")) == r"first second \x1b[0m"
 
 

@@ -93,13 +93,13 @@ def test_difference_that_no_reference_resolves_is_not_held_against_the_fmu(monke
 
 
 def test_fmu_nearer_to_the_truth_than_the_plain_run_is_right(monkeypatch):
-    original = crosschecks.run_scene
+    original = crosschecks.run_on_road
 
-    def run_scene(scene):
+    def run_on_road(scene):
         run = original(scene)
         return replace(run, values=run.values + 1e-3)
 
-    monkeypatch.setattr(crosschecks, "run_scene", run_scene)
+    monkeypatch.setattr(crosschecks, "run_on_road", run_on_road)
     checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
     assert [(c.verdict, c.against) for c in checks] == 2 * [("ok", "dop853 at 3e-14")]
 
@@ -169,14 +169,14 @@ def test_run_that_fails_does_not_end_the_others():
 
 
 def test_model_that_fails_on_our_road_is_a_failed_check(monkeypatch):
-    original = crosschecks.run_scene
+    original = crosschecks.run_on_road
 
-    def run_scene(scene):
+    def run_on_road(scene):
         if scene.dae.formulation == "driven":
             raise SolverError("CV_TOO_MUCH_WORK")
         return original(scene)
 
-    monkeypatch.setattr(crosschecks, "run_scene", run_scene)
+    monkeypatch.setattr(crosschecks, "run_on_road", run_on_road)
     checks = list(crosscheck(["crank_shaft"], **SHORT))
     assert [(c.road, c.verdict) for c in checks] == [
         ("native", "FAILED"),
@@ -210,7 +210,7 @@ def test_unknown_model_is_told():
 
 
 def test_unknown_model_is_told_before_the_first_one_runs(monkeypatch):
-    monkeypatch.setattr("cosim.verify.crosscheck.run_scene", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("cosim.verify.crosscheck.run_on_road", lambda *_: pytest.fail("it ran"))
     with pytest.raises(UnknownName, match="did you mean bicycle"):
         next(crosscheck(["crank_shaft", "bicycle/multipliers", "bicylce"]))
 

@@ -31,8 +31,8 @@ def made(monkeypatch):
 
 
 def test_a_second_export_is_the_first_one(made, tmp_path):
-    cold = export_kept(decay(), tmp_path / "cold.fmu")
-    warm = export_kept(decay(), tmp_path / "warm.fmu")
+    cold, _ = export_kept(decay(), tmp_path / "cold.fmu")
+    warm, _ = export_kept(decay(), tmp_path / "warm.fmu")
     assert len(made) == 1
     assert warm.read_bytes() == cold.read_bytes()
     assert is_made_here(warm)
@@ -42,20 +42,20 @@ def test_another_model_option_or_code_is_another_file(monkeypatch):
     dae = decay()
     keys = {export_key(dae, fmi=2), export_key(dae, fmi=3)}
     keys.add(export_key(replace(dae, description="other"), fmi=2))
-    monkeypatch.setattr("cosim.verify.kept_export._version", lambda package: "0")
+    monkeypatch.setattr("cosim.verify.made_with._version", lambda package: "0")
     keys.add(export_key(dae, fmi=2))
-    monkeypatch.setattr("cosim.verify.kept_export._code", lambda: iter([("changed", 1, 2)]))
+    monkeypatch.setattr("cosim.verify.made_with._code", lambda: iter([("changed", 1, 2)]))
     keys.add(export_key(dae, fmi=2))
     assert len(keys) == 5
     assert export_key(dae, fmi=2) == export_key(decay(), fmi=2)
 
 
 def test_a_damaged_entry_is_made_again(made, tmp_path):
-    cold = export_kept(decay(), tmp_path / "cold.fmu", reference=False)
+    cold, _ = export_kept(decay(), tmp_path / "cold.fmu", reference=False)
     (entry,) = (tmp_path / "cache" / "exports").iterdir()
     entry.write_bytes(entry.read_bytes()[:-1] + b"x")
     with pytest.warns(RuntimeWarning, match="was damaged"):
-        warm = export_kept(decay(), tmp_path / "warm.fmu", reference=False)
+        warm, _ = export_kept(decay(), tmp_path / "warm.fmu", reference=False)
     assert len(made) == 2
     assert warm.read_bytes() == cold.read_bytes()
 

@@ -1,6 +1,7 @@
 """From the words on the command line to a `Scene`: a model or a scene, and what overrides it."""
 
 import argparse
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -86,13 +87,20 @@ def inputs_in(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
-    laws = []
-    for item in getattr(args, "laws", ()):
-        name, equals, text = item.partition("=")
+    return [*assigned("--input", getattr(args, "laws", ()), "FORMULA")]
+
+
+def assigned(option: str, items: Iterable[str], form: str) -> Iterator[tuple[str, str]]:
+    """Yield name and text of what an option was given as NAME=TEXT.
+
+    Raises:
+        UsageError: Something is not written like that.
+    """
+    for item in items:
+        name, equals, text = (part.strip() for part in item.partition("="))
         if not equals:
-            raise UsageError(f"--input {item}: write NAME=FORMULA")
-        laws.append((name.strip(), text.strip()))
-    return laws
+            raise UsageError(f"{option} {item}: write NAME={form}")
+        yield name, text
 
 
 def times_in(option: str, text: str) -> list[float]:
@@ -107,6 +115,23 @@ def times_in(option: str, text: str) -> list[float]:
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names of a list with commas."""
     return tuple(name.strip() for name in text.split(","))
+
+
+def numbers_in(option: str, text: str) -> tuple[float, ...]:
+    """Return the numbers of a list with commas."""
+    return tuple(number_in(option, word) for word in text.split(","))
+
+
+def number_in(option: str, text: str) -> float:
+    """Read a number of an option.
+
+    Raises:
+        ParameterError: It is none.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise ParameterError(f"{option}: '{text}' is not a number") from None
 
 
 def named_scene(name: str) -> Scene:
@@ -124,25 +149,23 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
     words = args.start_values
     if len(words) % 2:
         raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
-    pairs = [*zip(words[::2], words[1::2], strict=True)]
-    for item in args.values:
-        name, equals, text = item.partition("=")
-        if not equals:
-            raise UsageError(f"-p {item}: write NAME=VALUE[UNIT]")
-        pairs.append((name.strip(), text.strip()))
+    pairs = zip(words[::2], words[1::2], strict=True)
     numbers: dict[str, float] = {}
-    for name, text in pairs:
+    for name, text in (*pairs, *assigned("-p", args.values, "VALUE[UNIT]")):
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
-        numbers[name] = (
-            _plain_number(name, text)
-            if dae is None
-            else quantity(name, text, _unit_of_name(dae, name))
-        )
+        numbers[name] = value_in(name, text, None if dae is None else _unit_of_name(dae, name))
     return numbers
 
 
-def _plain_number(name: str, text: str) -> float:
+def value_in(name: str, text: str, unit: str | None) -> float:
+    """Read the number of a variable, in SI units; in its own where nobody knows its unit.
+
+    Raises:
+        ParameterError: It is none, or its unit does not fit.
+    """
+    if unit is not None:
+        return quantity(name, text, unit)
     try:
         return float(text)
     except ValueError:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from cosim.cli.arguments import assigned, value_in
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
-from cosim.model.quantities import quantity
 from cosim.study.sweep.subjects.opening import as_subject, opened_subject
 from cosim.study.sweep.subjects.subject import Opened
 
@@ -34,10 +34,7 @@ def read_axes(model: str, items: Sequence[str], *, ranges: bool) -> dict[str, An
     """
     thing = opened_subject(as_subject(model))
     axes: dict[str, Any] = {}
-    for item in items:
-        name, equals, text = (part.strip() for part in item.partition("="))
-        if not equals:
-            raise UsageError(f"-p {item}: write NAME={_AXIS_FORMS}")
+    for name, text in assigned("-p", items, _AXIS_FORMS):
         if name in axes:
             raise UsageError(f"{name} is given twice; give it once")
         axes[name] = _range(thing, name, text) if ranges else _listed_values(thing, name, text)
@@ -87,10 +84,4 @@ def _distribution(thing: Opened, name: str, kind: str, words: Sequence[str]) -> 
 
 
 def _si_value(thing: Opened, name: str, text: str) -> float:
-    unit = thing.unit(name)
-    if unit is not None:
-        return quantity(name, text.strip(), unit)
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(f"{name} = {text}: give a number in the FMU's own unit") from None
+    return value_in(name, text.strip(), thing.unit(name))

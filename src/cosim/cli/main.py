@@ -43,7 +43,8 @@ def _command(words: Sequence[str]) -> int:
         if (own := next(filter(names_own_code, _named_words(args)), None)) is not None:
             what = f"cosim {args.verb}: {own}"
             return supervised(words, what, getattr(args, "timeout", None))
-        with ending_orphans() if _names_fmu(args) else nullcontext():
+        foreign = any(word.endswith(".fmu") for word in _named_words(args))
+        with ending_orphans() if foreign else nullcontext():
             return _run_verb(args)
     except SystemExit as ended:  # of argparse
         return ended.code if isinstance(ended.code, int) else 2
@@ -68,10 +69,6 @@ def _named_words(args: argparse.Namespace) -> Iterator[str]:
     """Yield what a command line names: models above all."""
     for value in vars(args).values():
         yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
-
-
-def _names_fmu(args: argparse.Namespace) -> bool:
-    return any(word.endswith(".fmu") for word in _named_words(args))
 
 
 def _run_verb(args: argparse.Namespace) -> int:
@@ -130,9 +127,14 @@ def _refuse_unwritable(args: argparse.Namespace) -> None:
     """Refuse files that cannot be written before anything is computed for them."""
     from cosim.files import refuse_unwritable
 
-    for target in (getattr(args, "output_file", None), getattr(args, "figure", None)):
+    figure = getattr(args, "figure", None)
+    for target in (getattr(args, "output_file", None), figure):
         if target is not None:
             refuse_unwritable(target)
+    if figure is not None:
+        from cosim.present.picture_files import picture_format
+
+        picture_format(figure)
 
 
 def _warn(message: Warning | str, *_where: Any, **_more: Any) -> None:

@@ -6,11 +6,7 @@ import argparse
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, NoReturn
-
-if TYPE_CHECKING:
-    Verbs = argparse._SubParsersAction["Parser"]
-
+from typing import NoReturn
 
 _CHOICE = re.compile(r"invalid choice: '?([^' ]*)'? ")
 
@@ -66,19 +62,17 @@ def common() -> Parser:
     return parser
 
 
-def run_options() -> Parser:
-    """Return the options of every verb that runs something."""
-    parser = Parser(add_help=False)
+def add_run(parser: Parser) -> None:
+    """Let a verb run something."""
     parser.add_argument(
         "--stop-time", type=seconds, metavar="S", help="s; the model's own by default"
     )
     parser.add_argument("--output-interval", type=seconds, metavar="S", help="s; 0.01 by default")
     parser.add_argument("--relative-tolerance", type=float, metavar="R", help="error per step")
-    return parser
 
 
-def add_numbers(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that set a model's numbers."""
+def add_numbers(parser: Parser) -> None:
+    """Let a verb set a model's numbers."""
     parser.add_argument(
         "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
     )
@@ -92,13 +86,25 @@ def add_numbers(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def value_options() -> Parser:
-    """Return the options that set a model's numbers and choose its outputs."""
-    parser = Parser(add_help=False)
+def add_values(parser: Parser) -> None:
+    """Let a verb set a model's numbers and choose its outputs."""
+    add_outputs(parser)
+    add_numbers(parser)
+
+
+def add_outputs(parser: Parser) -> None:
+    """Let a verb choose what it computes, and from when on."""
     parser.add_argument("--start-time", type=seconds, metavar="S", help="s; 0 by default")
     parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
-    add_numbers(parser)
-    return parser
+
+
+def add_single_run(parser: Parser) -> None:
+    """Let a verb make one run as `cosim simulate` does, of foreign code, too."""
+    add_run(parser)
+    add_values(parser)
+    add_solver(parser)
+    add_timeout(parser)
+    add_trust(parser)
 
 
 def add_solver(parser: Parser) -> None:
@@ -125,23 +131,28 @@ def add_solver(parser: Parser) -> None:
         help='of time t, states and parameters, e.g. "steer_torque=2*sin(3*t)"',
     )
     parser.add_argument("--input-file", metavar="CSV", help="time series of inputs: time,NAME,...")
-    parser.add_argument(
-        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
-    )
-    parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
+    add_error_control(parser)
     parser.add_argument(
         "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"
     )
     parser.add_argument("--interpreted", action="store_true", help="do not compile the equations")
     parser.add_argument(
-        "--on-invalid",
-        metavar="ACTION",
-        help="where a run leaves the model's limits: warn (the default), stop or ignore",
-    )
-    parser.add_argument(
         "--drift-control",
         metavar="KIND",
         help="of constraints: none, baumgarte, or projection after every step; the model's own",
+    )
+
+
+def add_error_control(parser: Parser) -> None:
+    """Let a verb choose how accurate runs are, and what happens where they leave their model."""
+    parser.add_argument(
+        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
+    )
+    parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
+    parser.add_argument(
+        "--on-invalid",
+        metavar="ACTION",
+        help="where a run leaves the model's limits: warn (the default), stop or ignore",
     )
 
 
@@ -169,9 +180,14 @@ def add_trust(parser: Parser) -> None:
     )
 
 
-def add_output_file(parser: Parser, metavar: str, text: str) -> None:
+def add_figure(parser: Parser, text: str = "PNG, SVG or PDF") -> None:
+    """Let a verb draw its result."""
+    parser.add_argument("--figure", metavar="FILE", help=text)
+
+
+def add_output_file(parser: Parser, metavar: str, text: str, *, required: bool = False) -> None:
     """Let a verb write its result to a file."""
-    parser.add_argument("-o", "--output-file", metavar=metavar, help=text)
+    parser.add_argument("-o", "--output-file", required=required, metavar=metavar, help=text)
 
 
 def add_picture(parser: Parser, size: str) -> None:

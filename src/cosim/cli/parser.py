@@ -5,13 +5,30 @@ from importlib import import_module
 from typing import Any
 
 from cosim.cli.completion import PrintCompletion
-from cosim.cli.options import Parser
+from cosim.cli.options import Parser, common
 
-# A new verb is a file in `verbs/` and its name here, where `cosim --help` shall show it.
-VERBS = (
-    *("list", "info", "simulate", "export", "check", "crosscheck", "tradeoff", "extremes", "plot"),
-    *("animate", "report", "sweep", "sensitivity", "linearize", "scene", "new", "cache"),
-)
+# A new verb is a file in `verbs/` and its line here, where `cosim --help` shall show it.
+VERBS = {
+    "list": "every model and formulation",
+    "info": "variables and equations of a model, a scene, an FMU",
+    "simulate": "one run, as CSV",
+    "export": "write a model as an FMU",
+    "check": "what is wrong with an FMU; its code runs with --run only",
+    "crosscheck": "the same run on every road, and the differences",
+    "tradeoff": "error against cost, on every road",
+    "extremes": "every model at its limits, and how each case ends",
+    "plot": "runs as curves, to a window or a file",
+    "animate": "runs in three dimensions, to a file",
+    "report": "everything about one run on one page",
+    "sweep": "many runs: tables, grids and designs, over processes or a cluster",
+    "sensitivity": "derivatives of a run by parameters and start values, checked by a second "
+    "method",
+    "linearize": "A, B, C, D and eigenvalues at a start, an equilibrium, a time, or along a "
+    "parameter",
+    "scene": "a shipped scene as a file, to start from",
+    "new": "a model file to start from",
+    "cache": "what is kept between runs: how much, or away with it",
+}
 
 _DESCRIPTION = (
     "Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other."
@@ -47,10 +64,11 @@ def command_line() -> Parser:
         help="a script for bash, zsh or fish that completes verbs and options",
     )
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for verb in VERBS:
+    for verb, text in VERBS.items():
         module = import_module(f"cosim.cli.verbs.{verb}")
-        module.add_parser(verbs)
-        verbs.choices[verb].set_defaults(run=module.run)
+        own = verbs.add_parser(verb, parents=[common()], help=text)
+        module.add_options(own)
+        own.set_defaults(run=module.run)
     return parser
 
 

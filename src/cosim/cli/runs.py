@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from cosim.api import run_scene
-from cosim.cli.arguments import names_in
+from cosim.cli.arguments import names_in, number_in
 from cosim.cli.running import run_or_partial, scene_or_none
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.run.outputs import all_columns
@@ -48,7 +48,8 @@ def runs_of(
                 scene = replace(scene, outputs=(), figures=())
             seconds = [second_of(scene, name) for name in names_in(one.compare or "") if name]
             run, code = run_or_partial(one, scene)
-            runs.append(_with_variation(run, one.variation))
+            stats = {**run.stats, "variation": one.variation}
+            runs.append(replace(run, stats=stats) if one.variation else run)
             scenes.append(scene)
             for other in seconds:
                 runs.append(run_scene(*other, compiled=False if args.interpreted else None))
@@ -84,10 +85,6 @@ def _single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespac
         yield argparse.Namespace(**{**vars(args), **changes})
 
 
-def _with_variation(run: Trajectory, variation: str) -> Trajectory:
-    return replace(run, stats={**run.stats, "variation": variation}) if variation else run
-
-
 def second_of(scene: Scene | None, name: str) -> tuple[Scene, Road]:
     """Return scene and road of a run that `--compare` asks for.
 
@@ -106,11 +103,3 @@ def size_of(args: argparse.Namespace) -> tuple[float, float]:
     if not cross:
         raise ParameterError(f"--size {args.size}: write WIDTHxHEIGHT in inches, e.g. 6.4x4.8")
     return number_in("--size", width), number_in("--size", height)
-
-
-def number_in(option: str, text: str) -> float:
-    """Read a number of a list of an option."""
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(f"{option}: '{text}' is not a number") from None

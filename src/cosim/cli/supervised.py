@@ -5,18 +5,17 @@ import signal
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
 from cosim.files import MOST_TEXT, read_plain
 from cosim.host.child import Child
-from cosim.host.inside import look_where_the_parent_does
-from cosim.host.processes import die_with_parent, ending_orphans
+from cosim.host.processes import ending_orphans
 from cosim.host.temporary import remove_leftovers
 
+OWN_CODE = "cosim.cli.own_code"  # what the child runs
 GRACE = 5.0  # s, that a child has to end after Ctrl-C
 _PAUSE = 0.03  # s, between two looks
 
@@ -44,7 +43,7 @@ def supervised(words: Sequence[str], what: str, timeout: float | None) -> int:
     reader, writer = os.pipe()
     told: list[int] = []
     shared = [] if sys.platform == "win32" else [writer]  # where the exit code is all there is
-    with ending_orphans(), Child(__name__, [str(writer), *words], descriptors=shared) as child:
+    with ending_orphans(), Child(OWN_CODE, [str(writer), *words], descriptors=shared) as child:
         os.close(writer)
         with _forwarded(child, told):
             status = _waited(child, timeout, told)
@@ -106,26 +105,3 @@ def _forwarded(child: Child, told: list[int]) -> Iterator[None]:
     finally:
         for kind, handler in usual.items():
             signal.signal(kind, handler)
-
-
-def _main(writer: int, words: Sequence[str]) -> None:
-    """Be the child."""
-    from cosim.cli.main import run_words
-
-    die_with_parent()
-    look_where_the_parent_does()
-    code = 1
-    try:
-        code = run_words(words)
-    except BaseException:  # of --debug
-        traceback.print_exc()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):
-            stream.flush()
-    if sys.platform != "win32":
-        os.write(writer, bytes([code]))
-    os._exit(code)  # whatever threads are left
-
-
-if __name__ == "__main__":
-    _main(int(sys.argv[1]), sys.argv[2:])

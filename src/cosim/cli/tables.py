@@ -22,17 +22,15 @@ def show_table(rows: Sequence[Mapping[str, Any]], *, as_json: bool, digits: int 
         print(json.dumps(rows, indent=1))
     elif rows:
         text = text_table(rows, width=terminal_width(), digits=digits)
-        print(_coloured(text) if colours() else text)
+        if colours():
+            text = _VERDICT.sub(lambda found: f"\x1b[{_COLOURS[found[1]]}m{found[1]}\x1b[0m", text)
+        print(text)
 
 
 def colours() -> bool:
     """Tell whether output may be coloured: to a terminal that can, where nobody objects."""
     wanted = "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"
     return wanted and sys.stdout.isatty()
-
-
-def _coloured(text: str) -> str:
-    return _VERDICT.sub(lambda match: f"\x1b[{_COLOURS[match[1]]}m{match[1]}\x1b[0m", text)
 
 
 def terminal_width() -> int | None:

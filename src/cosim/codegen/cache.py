@@ -21,10 +21,11 @@ from cosim.host.temporary import remove_leftovers
 
 LARGEST_CACHE = 2 * 10**9  # unless $COSIM_CACHE_SIZE says otherwise, in bytes
 MOST_ENTRY = 2**30  # bytes
+_LITTLE = 1e-6  # of that; an entry no larger than this share makes no difference
 IN_USE = 600  # s; what was used within stays, as somebody may be about to load it
 _ENTRY_HEAD = b"cosim-cache 1 "
 _LOCK = ".lock"
-_FOLDERS = ("references", "fronts", "tradeoffs", "binaries", "made", "exports")
+_FOLDERS = ("references", "fronts", "tradeoffs", "binaries", "made", "exports", "pictures")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -117,7 +118,8 @@ def keep(name: str, content: bytes) -> None:
     place.parent.mkdir(mode=0o700, exist_ok=True)
     head = _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode() + b"\n"
     _write_whole(place, head + content)
-    prune()
+    if len(content) > _LITTLE * most_bytes():  # looking at every entry takes longer than writing
+        prune()
 
 
 def _write_whole(place: Path, content: bytes) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from cosim.codegen.compiler import cached_library
+from cosim.codegen.externals import sources_beside
 
 
 def external(functions: Sequence[ca.Function], key: str, names: Sequence[str]) -> list[ca.Function]:
@@ -18,6 +19,7 @@ def external(functions: Sequence[ca.Function], key: str, names: Sequence[str]) -
 
     Raises:
         MissingTool: There is no compiler, or it fails.
+        UsageError: They call a library's function whose C code is not at hand.
     """
 
     def generate() -> str:
@@ -26,7 +28,7 @@ def external(functions: Sequence[ca.Function], key: str, names: Sequence[str]) -
             generator.add(function)
         return str(generator.dump())
 
-    path = str(cached_library(key, generate))
+    path = str(cached_library(key, generate, sources_beside(*functions)))
     return [ca.external(name, path) for name in names]
 
 

@@ -67,7 +67,7 @@ def watched(code: str) -> str:
 
     `void cosim_report(double out[6])` tells what the thread's last run took and where it ended:
     steps, right-hand sides, Jacobians, the driver's status (0: success), time, step size.
-    `void cosim_watch(int signal)` makes a signal end runs at their next right-hand side, `int
+    `void cosim_watch(void)` makes signals end runs at their next right-hand side, `int
     cosim_halted(void)` tells which one did; see fmu/solvers/interrupt.h.
 
     Raises:

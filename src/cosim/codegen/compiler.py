@@ -13,18 +13,19 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
+from types import MappingProxyType
 
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
 from cosim.codegen.pieces import in_pieces
-from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool
+from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool, UsageError
 from cosim.host.bounded import physical_memory, run_bounded
 from cosim.host.progress import doing
 from cosim.host.temporary import loads_no_library, temporary_folder
@@ -51,6 +52,10 @@ _EXHAUSTED = re.compile(
     r"|Killed signal|signal 9",
     re.IGNORECASE,
 )
+
+_NOTHING: Mapping[str, str] = MappingProxyType({})
+# What CasADi declares of a function that others are to link
+_CALLED = re.compile(r"^int (\w+)\(const casadi_real\*\* arg, [^)]*\);", re.MULTILINE)
 
 _HOW = 'install gcc or clang, or the bundled one: pip install "cosim-rigid[zig]"'
 
@@ -109,7 +114,8 @@ def compile_library(
 
     Args:
         sources: C files.
-        target: The library, replaced when the compiler succeeds.
+        target: The library, replaced when the compiler succeeds; its folder takes what the
+            compiler writes meanwhile.
         include: Folders of headers.
         options: Further compiler options.
         command: The compiler; `find_compiler()` when None.
@@ -125,7 +131,7 @@ def compile_library(
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     memory = most_memory()
     try:
-        failed, output = run_bounded(call, TIMEOUT, memory)
+        failed, output = run_bounded(call, TIMEOUT, memory, target.parent)
     except subprocess.TimeoutExpired as error:
         raise CompilerTimeout(
             f"{compiler[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"
@@ -197,20 +203,25 @@ def only_kept() -> Iterator[None]:
         _only_kept.reset(before)
 
 
-def cached_library(key: str, generate: Callable[[], str]) -> Path:
+def cached_library(
+    key: str, generate: Callable[[], str], beside: Mapping[str, str] = _NOTHING
+) -> Path:
     """Return the shared library of some C code from the cache, made first where it is missing.
 
     Args:
         key: What the code depends on; the same key must always mean the same code.
         generate: Returns the C code; called only where the library is missing.
+        beside: Further C files, by name; see `sources_beside`.
 
     Raises:
         MissingTool: There is no compiler, or it fails, or the cache cannot be written.
+        UsageError: The code calls what is nowhere defined.
     """
     command = find_compiler()
     own, processor = _own_processor()
     settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _SHORT, _LONG, str(_LENGTH))
-    digest = hashlib.sha256("\0".join((key, *settings)).encode()).hexdigest()[:32]
+    more = (text for file in beside.items() for text in file)
+    digest = hashlib.sha256("\0".join((key, *settings, *more)).encode()).hexdigest()[:32]
     folder = cache_folder()
     try:
         private_folder()
@@ -222,11 +233,14 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
         with compiling(), alone(folder, digest), temporary_folder(folder) as build:
             if found := _kept(folder, digest):  # made by another process meanwhile
                 return found
-            source, library = build / "code.c", build / f"code{SUFFIX}"
-            code = in_pieces(generate())
-            source.write_text(code, encoding="utf-8")
+            library, code = build / f"code{SUFFIX}", in_pieces(generate())
+            refuse_unlinked(code, beside)
+            files = {"code.c": code, **beside}
+            for name, text in files.items():
+                (build / name).write_text(text, encoding="utf-8")
             options = (*_HIDE_SYMBOLS, *own, _SHORT if len(code) < _LENGTH else _LONG)
-            compile_with_less([source], library, options=options, command=command)
+            sources = [build / name for name in files]
+            compile_with_less(sources, library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
             _keep_library(library, target)
         prune()
@@ -239,6 +253,20 @@ def cached_library(key: str, generate: Callable[[], str]) -> Path:
             f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return target
+
+
+def refuse_unlinked(code: str, beside: Mapping[str, str]) -> None:
+    """Refuse generated code that calls a function of which there is no code.
+
+    It could be compiled, and would end the process at the first call.
+
+    Raises:
+        UsageError: Names the function.
+    """
+    for name in _CALLED.findall(code):
+        own = re.search(rf"^\w.*\b{name}\(.*\{{", code, re.MULTILINE)
+        if not own and not any(re.search(rf"\b{name}\b", text) for text in beside.values()):
+            raise UsageError(f"generated code calls '{name}', of which there is no C code")
 
 
 @contextmanager

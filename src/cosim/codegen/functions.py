@@ -48,6 +48,12 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
 
 
 @kept_per_thread(16)
+def driven_equations(dae: Dae) -> ca.Function:
+    """Return `dae(t, x, z, u, p) -> (ode, alg)` with derivatives but for p: what time changes."""
+    return _equations_function(dae, dae.p, dae.ode, dae.alg, [True, True, True, True, False])
+
+
+@kept_per_thread(16)
 def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.Function]:
     """Return `dae(t, x, z, u, c) -> (ode, alg)` and `p -> c`.
 
@@ -65,9 +71,8 @@ def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.
 @kept_per_thread(16)
 def is_large(dae: Dae) -> bool:
     """Tell whether the formulas of the Jacobian are too long to be written out."""
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     unknowns = ca.vertcat(dae.x, dae.u, dae.z)
-    return has_long_jacobian(symbols, ca.vertcat(dae.ode, dae.alg), unknowns)
+    return has_long_jacobian(dae.arguments, ca.vertcat(dae.ode, dae.alg), unknowns)
 
 
 def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
@@ -81,6 +86,11 @@ def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
             samples = inputs.values[:, inputs.names.index(variable.name)]
             rows[i] = ca.interpolant("signal", "linear", [inputs.time], samples)(clipped)
     return ca.vertcat(*rows)
+
+
+def symbols_like(dae: Dae) -> list[MX]:
+    """Return symbols for `t, x, z, u, p` of a model, of the sizes of its own."""
+    return [MX.sym(n, s.numel()) for n, s in zip(CALL, dae.arguments, strict=True)]
 
 
 def symbols_of(function: ca.Function) -> list[MX]:

@@ -9,6 +9,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
+from cosim.codegen.functions import CALL, symbols_like
 from cosim.memo import kept_per_thread
 
 DEFECT_LIMIT = 1e-9  # of an implicit start equation, as a Newton step relative to the states' size
@@ -44,14 +45,10 @@ def algebraic_function(dae: Dae) -> ca.Function:
     Equations that are linear in z (every mechanical system here) are solved at once; others by
     Newton's method from the guess. Where there is no solution, the result is not a number.
     """
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    names = ["t", "x", "z", "u", "p"]
     if not dae.algebraics:
-        return ca.Function("model_algebraic", symbols, [SX(0, 1)], names, ["z_solved"])
+        return ca.Function("model_algebraic", dae.arguments, [SX(0, 1)], CALL, ["z_solved"])
     matrix = ca.jacobian(dae.alg, dae.z)
-    t, x, z, u, p = (
-        MX.sym(name, symbol.numel()) for name, symbol in zip(names, symbols, strict=True)
-    )
+    t, x, z, u, p = symbols_like(dae)
     if not ca.depends_on(matrix, dae.z):
         offset = ca.substitute(dae.alg, dae.z, SX.zeros(dae.z.numel()))
         linear = ca.Function(
@@ -63,7 +60,21 @@ def algebraic_function(dae: Dae) -> ca.Function:
         known = [dae.t, dae.x, dae.u, dae.p]
         root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
-    return ca.Function("model_algebraic", [t, x, z, u, p], [solution], names, ["z_solved"])
+    return ca.Function("model_algebraic", [t, x, z, u, p], [solution], CALL, ["z_solved"])
+
+
+def usual_start(dae: Dae) -> tuple[ca.DM, ca.DM, list[float], list[float]]:
+    """Return x, z, u, p with which a model starts that nobody gives anything.
+
+    Raises:
+        RuntimeError: There is no solution.
+    """
+    p, u, guess = (
+        [float(variable.start or 0.0) for variable in group]
+        for group in (dae.parameters, dae.inputs, dae.algebraics)
+    )
+    x, _ = start_function(dae)(list(dae.x_start), p)
+    return x, algebraic_function(dae)(0.0, x, guess, u, p), u, p
 
 
 def _solve_rule(dae: Dae, rule: StartRule, name: str, x: MX, p: MX) -> tuple[MX, MX]:

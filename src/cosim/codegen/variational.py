@@ -10,7 +10,7 @@ import casadi as ca
 from casadi import MX
 
 from casadi_models.dae import Dae
-from cosim.codegen.functions import CALL, equations
+from cosim.codegen.functions import CALL, equations, symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.memo import kept_per_thread
 
@@ -27,8 +27,7 @@ def variational_rhs(dae: Dae) -> ca.Function:
     Of the given Z, a guess, z alone is used.
     """
     nx, nz, nq = dae.x.numel(), dae.z.numel(), directions(dae)
-    t, p, u = (MX.sym(name, symbol.numel()) for name, symbol in
-               (("t", dae.t), ("p", dae.p), ("u", dae.u)))  # fmt: skip
+    t, _, _, u, p = symbols_like(dae)
     every, guess = MX.sym("x", nx * (1 + nq)), MX.sym("z", nz * (1 + nq))
     x, slopes = every[:nx], ca.reshape(every[nx:], nx, nq)
     z = algebraic_function(dae)(t, x, guess[:nz], u, p)

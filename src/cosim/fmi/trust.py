@@ -18,6 +18,8 @@ _RISK = "was not exported here: its code will run with your rights, in a process
 
 def remember(content: bytes, how: str = MADE) -> None:
     """Trust a file of these bytes from now on; where nothing can be kept, it is asked for again."""
+    if content_of(_entry(content)) == how.encode():
+        return
     with suppress(OSError, CacheError):
         keep(_entry(content), how.encode())
 

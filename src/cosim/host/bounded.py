@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 
 # A shell limits the memory and waits beside the program for the end of a pipe that only the caller
 # holds: whatever ends the caller, signal 9 included, closes it. `exec` keeps the exit code.
@@ -21,7 +22,9 @@ exec "$@"
 _NOT_RUN = (126, 127)  # of a shell: it is no program, or not there
 
 
-def run_bounded(command: Sequence[str], seconds: float, most_memory: int) -> tuple[int, str]:
+def run_bounded(
+    command: Sequence[str], seconds: float, most_memory: int, folder: Path
+) -> tuple[int, str]:
     """Run a program; return its exit code and what it printed. Its children end with it.
 
     Args:
@@ -29,6 +32,7 @@ def run_bounded(command: Sequence[str], seconds: float, most_memory: int) -> tup
         seconds: After which it is ended.
         most_memory: Address space of each of its processes, bytes. Windows and macOS do not limit
             it, and Windows does not end it with its caller.
+        folder: For its temporary files, which it leaves where it is ended.
 
     Raises:
         subprocess.TimeoutExpired: It took too long.
@@ -45,6 +49,7 @@ def run_bounded(command: Sequence[str], seconds: float, most_memory: int) -> tup
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                env=os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder)),
             )
             try:
                 process.wait(seconds)

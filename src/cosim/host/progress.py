@@ -8,7 +8,7 @@ import shutil
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from time import monotonic
@@ -108,10 +108,15 @@ class Display:
 
 
 _DISPLAY: ContextVar[Display | None] = ContextVar("display", default=None)
+_UNSEEN = nullcontext()
 
 
-@contextmanager
-def doing(what: What, fraction: Fraction | None = None) -> Iterator[None]:
+def looked_at() -> bool:
+    """Tell whether somebody looks."""
+    return _DISPLAY.get() is not None
+
+
+def doing(what: What, fraction: Fraction | None = None) -> AbstractContextManager[None]:
     """Say what is being done in here.
 
     Args:
@@ -119,9 +124,11 @@ def doing(what: What, fraction: Fraction | None = None) -> Iterator[None]:
         fraction: Returns how much of it is done, 0 to 1. Both are called from another thread.
     """
     display = _DISPLAY.get()
-    if display is None:
-        yield
-        return
+    return _UNSEEN if display is None else _shown(display, what, fraction)
+
+
+@contextmanager
+def _shown(display: Display, what: What, fraction: Fraction | None) -> Iterator[None]:
     display.add(Work(what, fraction, monotonic()))
     try:
         yield

@@ -95,7 +95,7 @@ def _compiled(problem: Problem, solver: Solver) -> ca.Function:
     path = explicit_library(variational_rhs(dae), f"variational {name}", method)
     run, _ = explicit_function(path, 2)
     arguments = x, z, p, u, begin, end = _arguments(dae)
-    own = ca.vertcat(p, 2, 0, 1, *settings, begin, end)
+    own = ca.vertcat(p, 2, 0, 1, *settings, ca.DM.ones(run.size1_in("x0")), begin, end)
     inputs = {"u": u} if dae.inputs else {}
     found = run(x0=_start(dae, x), z0=_guess(dae, z), p=own, **inputs)
     unknown = found["zf"]

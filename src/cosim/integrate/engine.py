@@ -37,6 +37,8 @@ class Problem:
         sensitivities: Whether somebody will differentiate the engine's function.
         piecewise: Whether inputs have a column per output time, which holds on the way there.
         project: Whether every step is to end where the model's invariants vanish.
+        nominal: What counts as 1 of each state, for solvers that `count_in_nominal`; as SI units
+            are where it is empty.
     """
 
     dae: Dae
@@ -46,6 +48,7 @@ class Problem:
     sensitivities: bool = True
     piecewise: bool = False
     project: bool = False
+    nominal: tuple[float, ...] = ()
 
     @property
     def grid(self) -> Vector:
@@ -57,13 +60,29 @@ class Problem:
         return replace(self, times=self.grid[:n].tobytes())
 
 
+class Functions(NamedTuple):
+    """What CasADi calls of an engine.
+
+    Attributes:
+        function: `(x0, z0, p, u, ...) -> (xf, zf, ...)`, one column per output time.
+        parameters: `p -> p` of `function`, which may take more; None where it takes the model's.
+    """
+
+    function: ca.Function
+    parameters: ca.Function | None = None
+
+
+# (x0, z0, p, u, states, algebraics) -> succeeded, number of output times that were reached
+DirectRun = Callable[[Vector, Vector, Vector, Vector, Vector, Vector], tuple[bool, int]]
+
+
 @dataclass(frozen=True)
 class Engine:
     """An integrator over a grid, ready to be called.
 
     Attributes:
-        function: `(x0, z0, p, u, ...) -> (xf, zf, ...)`, one column per output time.
-        parameters: `p -> p` of `function`, which may take more; None where it takes the model's.
+        make: Builds what CasADi calls, where somebody asks: its sizes grow with the grid.
+        points: Number of output times, columns of the results.
         repeat_u: Whether `u` has one column per output time.
         counts: Reads what the thread's last call took.
         compiled: Whether the equations are machine code.
@@ -74,12 +93,12 @@ class Engine:
             dx/dt there, (nx,); None where there is none.
         fallback: Builds the engine of settings that fail less, for a run that failed with a reason;
             None where there are none, or none for that reason.
-        direct: Does what `function` does after `parameters`, on arrays without CasADi in between:
-            `(x0, z0, p, u, states, algebraics) -> succeeded`; None where nothing does.
+        direct: Does the same on arrays without CasADi in between; None where nothing does. It
+            prints nothing, and leaves alone what it does not reach.
     """
 
-    function: ca.Function
-    parameters: ca.Function | None
+    make: Callable[[], Functions]
+    points: int
     repeat_u: bool
     counts: Callable[[], Counts]
     compiled: bool
@@ -87,12 +106,12 @@ class Engine:
     kept: NDArray[np.intp] | None = None
     restart: "Callable[[Vector], Engine] | None" = None
     fallback: "Callable[[str], Engine | None] | None" = None
-    direct: "Callable[[Vector, Vector, Vector, Vector, Vector, Vector], bool] | None" = None
+    direct: DirectRun | None = None
 
     @cached_property
-    def points(self) -> int:
-        """Number of times that `function` has columns for."""
-        return int(self.function.size2_out(0))
+    def functions(self) -> Functions:
+        """What CasADi calls."""
+        return self.make()
 
 
 def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], Counts]:

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.compiler import has_compiler
 from cosim.errors import UsageError
 from cosim.integrate import initial_values
 from cosim.integrate.derivatives import MOST_JACOBIAN_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.nominal import Nominal, scaled
+from cosim.integrate.nominal import Nominal, measured
+from cosim.integrate.run.worthwhile import worthwhile
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import chosen_solver, engine_of
 from cosim.model.time_grid import checked_grid
@@ -39,7 +39,9 @@ def integrator(
     Args:
         dae: The model.
         grid: Increasing output times, s, the start first, (n,).
-        solver, relative_tolerance, absolute_tolerance, compiled: See `simulate`.
+        solver, relative_tolerance, absolute_tolerance: See `simulate`.
+        compiled: Whether to compile the equations. When None, small ones are, and large ones where
+            the library is there already or one run would pay for it: nobody knows how many follow.
         step_size: Largest step of a solver with fixed ones, s; the model's output interval when
             None. Steps end at every output time.
         derivatives: Whether the function is to have derivatives, which takes some preparation and,
@@ -70,14 +72,23 @@ def integrator(
     chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
     if isinstance(chosen, FixedStep) and chosen.step_size is None:
         chosen = replace(chosen, step_size=dae.experiment.output_interval)
-    compiled = has_compiler() if compiled is None else compiled
-    own = isinstance(chosen, FixedStep) and not compiled  # CasADi's are those of the very steps
-    problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
     nominal = Nominal.declared(dae) if isinstance(chosen, AdaptiveSolver) else Nominal.none(dae)
-    built = engine_of(replace(problem, dae=scaled(dae, nominal)), chosen)
+
+    def problem_of(compiled: bool) -> Problem:
+        own = isinstance(chosen, FixedStep) and not compiled
+        return Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
+
+    def engine(compiled: bool) -> Engine:
+        return engine_of(measured(problem_of(compiled), chosen, nominal)[0], chosen)
+
+    if compiled is None:
+        compiled = worthwhile(dae, chosen, len(times), lambda: engine(True)).compiled
+    problem, built = problem_of(compiled), engine(compiled)
+    own = problem.sensitivities  # CasADi's are those of the very steps
+    _, divided = measured(problem, chosen, nominal)
     size = size_of_jacobian(dae, len(times))
     if own or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
-        return _bare_function(dae, built, nominal, len(times), {})
+        return _bare_function(dae, built, divided, len(times), {})
     if size > MOST_JACOBIAN_NUMBERS:
         raise UsageError(
             f"{dae.full_name}: derivatives over {len(times)} output times are {size:.0e} numbers; "
@@ -86,7 +97,7 @@ def integrator(
     jacobian = jacobian_of_run(problem, chosen)
     options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
     options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
-    return _bare_function(dae, built, nominal, len(times), options)
+    return _bare_function(dae, built, divided, len(times), options)
 
 
 def _bare_function(
@@ -97,10 +108,11 @@ def _bare_function(
         for name, symbol in (("x0", dae.x), ("z0", dae.z), ("p", dae.p))
     )
     u = MX.sym("u", dae.u.numel(), n)
-    parameters = p if built.parameters is None else built.parameters(p)
+    run, extended = built.functions
+    parameters = p if extended is None else extended(p)
     inputs = {"u": u} if dae.inputs else {}  # CasADi maps over columns of nothing
     x, z = ca.DM(nominal.x), ca.DM(nominal.z)
-    result = built.function(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
+    result = run(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
     names = ["x0", "z0", "p", "u"]
     unscaled = [ca.densify(result[name]) for name in ("xf", "zf")]
     columns = [rows * ca.repmat(size, 1, n) for rows, size in zip(unscaled, (x, z), strict=True)]

@@ -6,6 +6,7 @@ dividing by it and multiplying again changes no bit.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import log2
 
 import casadi as ca
@@ -14,10 +15,13 @@ from casadi import DM
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
+from cosim.integrate.engine import Problem
+from cosim.integrate.solver import Solver
 from cosim.memo import kept_per_thread
 
 NOT_GIVEN = 1.0  # the nominal value of a variable that has none of its own
 _SMALL_SHARE = 1e-3  # states that stay below get a nominal value of their own
+_SAMPLES = 16  # of a state, in which most are seen not to
 NOISE = 1e-7  # what states that begin at 0 may reach without being meant
 
 
@@ -35,21 +39,27 @@ class Nominal:
     @classmethod
     def declared(cls, dae: Dae) -> "Nominal":
         """Return the nominal values that a model has."""
-        x, z = (tuple(power(v.nominal) for v in group) for group in (dae.states, dae.algebraics))
-        return cls(x, z)
+        return _declared(dae)
 
     @classmethod
     def none(cls, dae: Dae) -> "Nominal":
         """Return those of solvers without error control: 1."""
-        return cls((1.0,) * len(dae.states), (1.0,) * len(dae.algebraics))
+        return _none(dae)
 
-    @property
+    @cached_property
+    def in_si(self) -> bool:
+        """Whether everything counts in SI units."""
+        return {*self.x, *self.z} <= {1.0}
+
+    @cached_property
     def columns(self) -> tuple[Vector, Vector]:
         """Of states and algebraic unknowns, (nx, 1) and (nz, 1)."""
         return np.array(self.x).reshape(-1, 1), np.array(self.z).reshape(-1, 1)
 
     def from_start(self, dae: Dae, z0: Vector) -> "Nominal":
         """Return them with those of algebraic unknowns that nobody gave, by their start."""
+        if not dae.algebraics:
+            return self
         z = zip(dae.algebraics, self.z, np.abs(z0), strict=True)
         return replace(self, z=tuple(n if given(v) else power(max(n, size)) for v, n, size in z))
 
@@ -60,14 +70,16 @@ class Nominal:
             dae: The model.
             states, algebraics: The run, (nx, n) and (nz, n).
         """
-
-        def own(variable: Variable, nominal: float, row: Vector) -> float:
+        found = list(self.x)
+        for i in _not_given(dae):
+            row, most = states[i], _SMALL_SHARE * self.x[i]
+            if np.abs(row[:: len(row) // _SAMPLES + 1]).max() >= most:
+                continue
             size = np.abs(row).max()
-            meant = size > NOISE or (variable.start_kind is Start.EXACT and row[0] != 0)
-            small = 0 < size < _SMALL_SHARE * nominal and meant
-            return power(size) if small and not given(variable) else nominal
-
-        return replace(self, x=tuple(map(own, dae.states, self.x, states)))
+            meant = size > NOISE or (dae.states[i].start_kind is Start.EXACT and row[0] != 0)
+            if 0 < size < most and meant:
+                found[i] = power(size)
+        return replace(self, x=tuple(found))
 
     def from_failure(self, dae: Dae, states: Vector, algebraics: Vector) -> "Nominal":
         """Return them with those of algebraic unknowns that nobody gave, by the largest of a unit.
@@ -88,6 +100,22 @@ class Nominal:
         return {v.name: after for v, before, after in both if before != after}
 
 
+@kept_per_thread(16)
+def _declared(dae: Dae) -> Nominal:
+    x, z = (tuple(power(v.nominal) for v in group) for group in (dae.states, dae.algebraics))
+    return Nominal(x, z)
+
+
+@kept_per_thread(16)
+def _none(dae: Dae) -> Nominal:
+    return Nominal((1.0,) * len(dae.states), (1.0,) * len(dae.algebraics))
+
+
+@kept_per_thread(16)
+def _not_given(dae: Dae) -> tuple[int, ...]:
+    return tuple(i for i, variable in enumerate(dae.states) if not given(variable))
+
+
 def given(variable: Variable) -> bool:
     """Tell whether a variable has a nominal value of its own."""
     return variable.nominal != NOT_GIVEN
@@ -98,13 +126,24 @@ def power(size: float) -> float:
     return float(2.0 ** round(log2(size)))
 
 
+def measured(problem: Problem, solver: Solver, nominal: Nominal) -> tuple[Problem, Nominal]:
+    """Return a problem as a solver takes it, and what its unknowns are to be divided by.
+
+    One that counts in nominal values by itself takes the equations as they are: as dividing by
+    powers of two changes no bit, its steps are those of the rewritten ones.
+    """
+    if solver.counts_in_nominal:
+        return replace(problem, nominal=nominal.x), Nominal.none(problem.dae)
+    return replace(problem, dae=scaled(problem.dae, nominal)), nominal
+
+
 @kept_per_thread(16)
 def scaled(dae: Dae, nominal: Nominal) -> Dae:
     """Return a model whose states and algebraic unknowns are measured in nominal values.
 
     What solvers need is rewritten: equations and invariants; outputs, limits and starts are not.
     """
-    if set(nominal.x + nominal.z) <= {1.0}:
+    if nominal.in_si:
         return dae
     x, z = DM(nominal.x), DM(nominal.z)
 

@@ -15,6 +15,7 @@ from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_na
 from cosim.integrate.run.worthwhile import Choice, settled
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, chosen_solver
+from cosim.integrate.tightened import tightened
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.time_grid import checked_grid, time_grid
@@ -65,6 +66,7 @@ class Plan:
     Attributes:
         problem: What is integrated.
         solver: By what.
+        inner: The same with the tolerance that it takes to get there; see `tightened`.
         choice: Whether it is compiled; None where that depends on the runs before.
         columns: What is recorded.
         places: Of these among `all_columns`.
@@ -72,6 +74,7 @@ class Plan:
 
     problem: Problem
     solver: Solver
+    inner: Solver
     choice: Choice | None
     columns: tuple[Column, ...]
     places: tuple[int, ...]
@@ -83,21 +86,17 @@ def plan(dae: Dae, asked: Asked) -> Plan:
     Raises:
         UnknownName, ParameterError, UsageError, MissingTool: See `simulate`.
     """
-    times = asked.times.interval
+    times: Any = asked.times.interval
     own = times.tobytes() if isinstance(times, np.ndarray) else b""
     still = asked._replace(times=asked.times._replace(interval=None)) if own else asked
     kinds = tuple(map(type, (*still, *still.times, *still.numbers)))  # True is not 1 here
-    if own and not _is_plain(times):
+    if own and not (times.ndim == 1 and times.dtype == np.float64):
         return _plan(dae, asked)
     try:
         hash(still)
     except TypeError:  # and refused below
         return _plan(dae, asked)
     return _kept_plan(dae, still, own, kinds, where_compilers_are())
-
-
-def _is_plain(times: Any) -> bool:
-    return bool(times.ndim == 1 and times.dtype == np.float64)
 
 
 @kept_per_thread(16)
@@ -123,4 +122,5 @@ def _plan(dae: Dae, asked: Asked) -> Plan:
     problem = Problem(
         dae, grid.tobytes(), asked.inputs, at_once, sensitivities=False, project=asked.project
     )
-    return Plan(problem, chosen, choice, *recorded_columns(dae, names))
+    inner = tightened(chosen) if asked.solver is None else chosen
+    return Plan(problem, chosen, inner, choice, *recorded_columns(dae, names))

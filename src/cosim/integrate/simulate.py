@@ -1,7 +1,7 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -17,7 +17,7 @@ from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
-from cosim.integrate.plan import Asked, Times, plan
+from cosim.integrate.plan import Asked, Plan, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.pieces import pieces_of
 from cosim.integrate.run.run_stats import RunStats
@@ -25,6 +25,7 @@ from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.run.worthwhile import Choice, worthwhile
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, SOLVERS, engine_of
+from cosim.integrate.tightened import said
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values, assign, listed, numbers_of
@@ -78,7 +79,8 @@ def simulate(
         drift_control: "none", "baumgarte" (the model's closing rate) or "projection" after every
             step, which makes `dop853` the default solver; what the model has when None.
         shorthand: Numbers of a solver that is named or left out: `relative_tolerance`, error per
-            step relative to each state's size (1), 1e-8 when None; `absolute_tolerance` in the
+            step relative to each state's size (1), 1e-8 when None (of a tighter one, a solver that
+            nobody named takes down to a thirtieth: its errors add up); `absolute_tolerance` in the
             nominal value of each unknown, which is 1 SI unit where the model says nothing; when
             None, a hundredth of the relative one, in nominal values that are found from the start
             and the run where the model says nothing; `step_size`, largest step of `rk4` and
@@ -111,42 +113,76 @@ def simulate(
         None if outputs is None else listed(f"{dae.full_name}: outputs", outputs),
         Times(start_time, stop_time, output_interval),
         solver,
-        tuple(shorthand.get(name) for name in NUMBERS),  # type: ignore[misc]  # all are numbers
+        tuple([shorthand.get(name) for name in NUMBERS]),  # type: ignore[misc]  # all are numbers
         inputs,
         compiled,
         project,
     )
     own = plan(dae, asked)
-    dae, problem, chosen = own.problem.dae, own.problem, own.solver
     before = time_compiling()
-    with doing(dae.full_name):
-        choice = own.choice or _worthwhile(problem, chosen)
+    with doing(own.problem.dae.full_name):
+        computed = _computed(own, values, on_invalid, insisting=bool(compiled))
+    stats = _stats(own.solver, computed, perf_counter() - began, time_compiling() - before)
+    run = _trajectory(own, values, computed, stats)
+    if computed.first.reason == INTERRUPTED:
+        raise Interrupted(f"{run.model}: {run.status}", run)
+    if computed.first.reason:
+        raise _failure(own, values, computed, run)
+    return run
+
+
+@dataclass(frozen=True)
+class _Computed:
+    """What a run computed.
+
+    Attributes:
+        first: The run over the whole grid, which says how it ended.
+        last: The run up to the last good time: what is recorded.
+        choice: Whether it was compiled.
+        solver: The one that computed it, with its numbers.
+    """
+
+    first: Solution
+    last: Solution
+    choice: Choice
+    solver: Solver
+
+
+def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) -> _Computed:
+    """Compute a run; interpreted where a compiler gives up that nobody insists on."""
+    problem, choice = own.problem, own.choice or _worthwhile(own.problem, own.solver)
+    if problem.compiled is not choice.compiled:
         problem = replace(problem, compiled=choice.compiled)
-        try:
-            solution = first = solve(problem, chosen, values, on_invalid, own.places)
-        except CompilerExhausted as error:
-            if compiled or chosen.compiled_only or project:
-                raise
-            choice = Choice(False, f"interpreted: {error}")
-            problem = replace(problem, compiled=False)
-            solution = first = solve(problem, chosen, values, on_invalid, own.places)
+    solver = own.inner
+    try:
+        first = solve(problem, solver, values, on_invalid, own.places)
+    except CompilerExhausted as error:
+        if insisting or own.solver.compiled_only or problem.project:
+            raise
+        choice = Choice(False, f"interpreted: {error}")
+        problem = replace(problem, compiled=False)
+        first = solve(problem, solver, values, on_invalid, own.places)
+    if solver != own.solver and first.reason not in ("", INTERRUPTED):
+        solver = own.solver
+        first = solve(problem, solver, values, on_invalid, own.places)
     choice.add(first.solve_time)
     # A run that failed is repeated up to its last good time: what is kept then equals, bit for bit,
     # a run that was to stop there (solvers look ahead to the stop time).
-    while solution.reason not in ("", INTERRUPTED) and 0 < len(solution.table) < len(solution.grid):
-        shorter = problem.until(len(solution.table))
-        solution = solve(shorter, chosen, values, on_invalid, own.places)
-    time = first.grid[: len(solution.table)]
-    status = "complete"
-    if first.reason:
+    last = first
+    while last.reason not in ("", INTERRUPTED) and 0 < len(last.table) < len(last.grid):
+        last = solve(problem.until(len(last.table)), solver, values, on_invalid, own.places)
+    return _Computed(first, last, choice, solver)
+
+
+def _trajectory(own: Plan, values: Values, computed: _Computed, stats: RunStats) -> Trajectory:
+    """Return what was computed with what is known of it."""
+    dae, reason, table = own.problem.dae, computed.first.reason, computed.last.table
+    time, status = computed.first.grid[: len(table)], "complete"
+    if reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
-        status = f"stopped after {last}: {first.reason}"
-    stats = _stats(chosen, first, solution, choice, perf_counter() - began)
-    if (compiling := time_compiling() - before) > 0:
-        stats = replace(stats, compile_time=compiling)
+        status = f"stopped after {last}: {reason}"
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
-    table = solution.table
-    run = Trajectory(
+    return Trajectory(
         dae.full_name,
         time,
         own.columns,
@@ -156,21 +192,22 @@ def simulate(
         drawing=drawing,
         numbers=dict(numbers),
     )
-    if first.reason == INTERRUPTED:
-        raise Interrupted(f"{dae.full_name}: {status}", run)
-    if first.reason:
-        others = [n for n, s in SOLVERS.items() if s.solves_dae and n != chosen.name]
-        which = f" ({', '.join(others)})" if dae.algebraics else ""
-        if dae.algebraics and dae.invariants and not project:
-            which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
-        kink = _kink(dae, time, solution.last, values)
-        raise SolverError(
-            f"{dae.full_name}: {chosen.name} {status} ({chosen.settings}){kink}; look for a "
-            "singularity near that state, or use another tolerance or step, formulation or "
-            f"solver{which}",
-            run,
-        )
-    return run
+
+
+def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) -> SolverError:
+    """Say why a run stopped, and what else there is."""
+    dae, solver = own.problem.dae, own.solver
+    others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
+    which = f" ({', '.join(others)})" if dae.algebraics else ""
+    if dae.algebraics and dae.invariants and not own.problem.project:
+        which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
+    kink = _kink(dae, run.time, computed.last.last, values)
+    return SolverError(
+        f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; look for a "
+        "singularity near that state, or use another tolerance or step, formulation or "
+        f"solver{which}",
+        run,
+    )
 
 
 def _worthwhile(problem: Problem, solver: Solver) -> Choice:
@@ -219,21 +256,21 @@ def _numbers(dae: Dae, p: bytes, u: bytes) -> tuple[dict[str, float], Drawing]:
     return numbers, dae.drawing.with_numbers(numbers)
 
 
-def _stats(
-    solver: Solver, first: Solution, last: Solution, choice: Choice, wall_time: float
-) -> RunStats:
-    steps, rhs_calls, jacobian_calls, _ = last.counts
+def _stats(solver: Solver, computed: _Computed, wall_time: float, compile_time: float) -> RunStats:
+    first, last, choice = computed.first, computed.last, computed.choice
+    inner = said(solver, computed.solver)
     return RunStats(
         solver=solver.name,
         relative_tolerance=getattr(solver, "relative_tolerance", None),
         step_size=getattr(solver, "step_size", None),
         solve_time=last.solve_time,
-        steps=steps,
-        rhs_calls=rhs_calls,
-        jacobian_calls=jacobian_calls,
+        steps=last.counts.steps,
+        rhs_calls=last.counts.rhs_calls,
+        jacobian_calls=last.counts.jacobian_calls,
         compiled=choice.compiled,
         wall_time=wall_time,
-        invalid=tuple(breach.text for breach in first.invalid),
-        note="; ".join(filter(None, (first.note, choice.note))) or None,
+        compile_time=compile_time or None,
+        invalid=tuple([breach.text for breach in first.invalid]),
+        note="; ".join(filter(None, (inner, first.note, choice.note))) or None,
         invalid_from=float(first.grid[first.invalid[0].position]) if first.invalid else None,
     )

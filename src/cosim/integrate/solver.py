@@ -52,6 +52,8 @@ class Solver(ABC):
         adaptive: Whether it chooses its steps.
         compiled_only: Whether it needs a compiler.
         projects: Whether it can end a step elsewhere than the step led to; compiled.
+        counts_in_nominal: Whether it takes nominal values as numbers; for others, equations are
+            rewritten.
         uses_jacobian: Whether it solves equations with the Jacobian, which takes long to compile.
     """
 
@@ -61,6 +63,7 @@ class Solver(ABC):
     adaptive: ClassVar[bool] = True
     compiled_only: ClassVar[bool] = False
     projects: ClassVar[bool] = False
+    counts_in_nominal: ClassVar[bool] = False
     uses_jacobian: ClassVar[bool] = False
 
     @property

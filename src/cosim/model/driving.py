@@ -150,22 +150,8 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...]) -> Dae:
         rows[known.index(name)] = found
     left = [i for i, name in enumerate(known) if name not in dict(laws)]
     u = ca.vertcat(*(dae.u[i] for i in left)) if left else SX(0, 1)
-
-    def put(value: SX) -> SX:
-        return ca.densify(ca.substitute(value, dae.u, ca.vertcat(*rows)))
-
-    closing = dae.closing and replace(dae.closing, residual=put(dae.closing.residual))
-    return replace(
-        dae,
-        u=u,
-        inputs=tuple(dae.inputs[i] for i in left),
-        ode=put(dae.ode),
-        alg=put(dae.alg),
-        outputs=put(dae.outputs),
-        limits=tuple((put(value), meaning) for value, meaning in dae.limits),
-        monitors=tuple((variable, put(value)) for variable, value in dae.monitors),
-        closing=closing,
-    )
+    followed = dae.rewritten(lambda laws: ca.substitute(laws, [dae.u], [ca.vertcat(*rows)]))
+    return replace(followed, u=u, inputs=tuple(dae.inputs[i] for i in left))
 
 
 def names_of(dae: Dae) -> dict[str, SX]:

@@ -15,7 +15,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.files import MOST_TEXT, read_plain
+from cosim.files import read_text
 
 _SAME_TIME = 1e-12  # of a time
 
@@ -205,14 +205,7 @@ def _disorder(times: Vector) -> tuple[int, str] | None:
 
 
 def _table_rows(path: Path) -> list[list[str]]:
-    try:
-        text = read_plain(path, MOST_TEXT).decode("utf-8-sig")
-    except OSError as error:
-        raise UsageError(
-            f"cannot read the input series {path}: {error.strerror or error}"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not a UTF-8 text; save it as CSV in UTF-8") from error
+    text = read_text(path, "the input series ")
     try:
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error as error:

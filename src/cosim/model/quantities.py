@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from math import pi
 
-from casadi_models.units import FOOT, INCH, POUND, UNITS, Unit
+from casadi_models.units import FOOT, INCH, PARTS, POUND, UNITS, Unit
 from cosim.errors import ParameterError
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)"
@@ -21,16 +21,12 @@ def _unit(factor: float = 1.0, **base: int) -> Unit:
 
 # Besides the units that models are written in; what electrical people bring along, too.
 MORE: Mapping[str, Unit] = {
-    "min": _unit(60.0, s=1),
-    "h": _unit(3600.0, s=1),
     "us": _unit(1e-6, s=1),
-    "Hz": _unit(s=-1),
     "RPM": UNITS["rpm"],
     "\u00b0": UNITS["deg"],
     "degree": UNITS["deg"],
     "degrees": UNITS["deg"],
     "mrad": _unit(1e-3, rad=1),
-    "km": _unit(1e3, m=1),
     "yd": _unit(3 * FOOT, m=1),
     "mi": _unit(_MILE, m=1),
     "mph": _unit(_MILE / 3600, m=1, s=-1),
@@ -42,21 +38,14 @@ MORE: Mapping[str, Unit] = {
     "kN": _unit(1e3, kg=1, m=1, s=-2),
     "kJ": _unit(1e3, kg=1, m=2, s=-2),
     "kW": _unit(1e3, kg=1, m=2, s=-3),
-    "Pa": _unit(kg=1, m=-1, s=-2),
     "kPa": _unit(1e3, kg=1, m=-1, s=-2),
     "MPa": _unit(1e6, kg=1, m=-1, s=-2),
     "bar": _unit(1e5, kg=1, m=-1, s=-2),
     "psi": _unit(POUND / INCH**2, kg=1, m=-1, s=-2),
-    "A": _unit(A=1),
     "mA": _unit(1e-3, A=1),
-    "C": _unit(A=1, s=1),
-    "V": _unit(kg=1, m=2, s=-3, A=-1),
     "mV": _unit(1e-3, kg=1, m=2, s=-3, A=-1),
-    "Ohm": _unit(kg=1, m=2, s=-3, A=-2),
     "\u03a9": _unit(kg=1, m=2, s=-3, A=-2),
-    "H": _unit(kg=1, m=2, s=-2, A=-2),
     "mH": _unit(1e-3, kg=1, m=2, s=-2, A=-2),
-    "F": _unit(kg=-1, m=-2, s=4, A=2),
     "turn": _unit(2 * pi, rad=1),
 }
 
@@ -95,10 +84,8 @@ def quantity(name: str, text: str, unit: str) -> float:
         raise ParameterError(f"{name} = {text}: give a number in {unit}, without a unit")
     source = parse_unit(written, like=wanted)
     if source is None:
-        raise ParameterError(
-            f"{name} = {text}: unit '{written}' is unknown; "
-            f"fitting: {', '.join(_fitting_units(wanted))}"
-        )
+        fitting = ", ".join(known for known, one in UNITS.items() if one.measures_like(wanted))
+        raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
     if not source.measures_like(wanted):
         raise ParameterError(
             f"{name} = {text}: '{written}' cannot be converted to '{unit}': not the same kind of "
@@ -125,14 +112,8 @@ def parse_unit(text: str, like: Unit | None = None) -> Unit | None:
     return unit
 
 
-def si_name(unit: Unit) -> str | None:
-    """Return the name of the SI unit of a kind; None when models have no unit of that kind."""
-    fitting = (name for name, u in UNITS.items() if u.factor == 1 and u.measures_like(unit))
-    return next(fitting, None)
-
-
 def _known(name: str) -> Unit | None:
-    return UNITS.get(name) or MORE.get(name)
+    return UNITS.get(name) or PARTS.get(name) or MORE.get(name)
 
 
 def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
@@ -158,7 +139,3 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
     if expected:
         return None
     return Unit(factor, tuple((name, n) for name, n in base.items() if n))
-
-
-def _fitting_units(wanted: Unit) -> tuple[str, ...]:
-    return tuple(name for name, unit in UNITS.items() if unit.measures_like(wanted))

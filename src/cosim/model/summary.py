@@ -17,7 +17,7 @@ def summary() -> list[dict[str, Any]]:
     The rows are recorded; a formulation that is not is built.
     """
     recorded = json.loads(FILE.read_text(encoding="utf-8"))
-    return [{"model": name, **(recorded.get(name) or measured(name))} for name in CATALOG]
+    return [{"model": name, **(recorded.get(name) or facts_of(name))} for name in CATALOG]
 
 
 def models() -> Table:
@@ -30,7 +30,7 @@ def models() -> Table:
     return Table(tuple(summary()))
 
 
-def measured(name: str) -> dict[str, Any]:
+def facts_of(name: str) -> dict[str, Any]:
     """Return the row of a formulation from its model."""
     from cosim.model.catalogue import load  # CasADi takes its time
 
@@ -46,7 +46,7 @@ def measured(name: str) -> dict[str, Any]:
 
 def record(tell: Callable[[str], None] = print) -> None:
     """Write the rows of all formulations: `python -m cosim.model.summary`."""
-    rows = {name: measured(name) for name in CATALOG}
+    rows = {name: facts_of(name) for name in CATALOG}
     FILE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     tell(f"{FILE}: {len(rows)} formulations")
 

@@ -22,7 +22,7 @@ from cosim.plotting import (
     shade_invalid,
 )
 from cosim.scene.scene import FigureSpec
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Trajectory
 from cosim.verify.comparison import refuse_other_times
 
 _SECOND: Any = {"color": "black", "linewidth": 0.9, "linestyle": (0, (4, 4))}
@@ -61,14 +61,6 @@ def draw_figures(
         return [_figure(spec, run, other) for spec in specs]
 
 
-def default_specs(run: Trajectory, other: Trajectory) -> tuple[FigureSpec, ...]:
-    """Return figures of all variables that two runs have in common, a few in each."""
-    common = [name for name in run.names if name in other.names]
-    if not common:
-        raise UsageError(f"{run.model} and {other.model} have no variable in common")
-    return figures_of(common)
-
-
 def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:
     """Return figures of these variables, a few in each, a panel each."""
     size = VARIABLES_PER_FIGURE
@@ -89,7 +81,8 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
     mains = rows[::2] if below else rows
     for index, axis in enumerate(mains):
         _panel(axis, spec, index, run, other)
-    mains[0].set_title(_origin_line(run, other), fontsize=7, color="0.4", loc="right")
+    origin = "; dashed: ".join(_run_label(each) for each in (run, other) if each is not None)
+    mains[0].set_title(origin, fontsize=7, color="0.4", loc="right")
     if other is not None:
         for index, axis in enumerate(rows[1::2]):
             names = spec.panels[index]
@@ -109,7 +102,8 @@ def _panel(
 ) -> None:
     names = spec.panels[index]
     columns = [run.column(name) for name in names]
-    legends = spec.legends[index] if spec.legends else _meanings(columns)
+    meanings = [f"{column.name}: {column.meaning or column.name}" for column in columns]
+    legends = spec.legends[index] if spec.legends else meanings
     for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
         colour = COLOURS[i % len(COLOURS)]
         line = LINES[i % len(LINES)]
@@ -132,7 +126,8 @@ def _panel(
         axis.set_aspect("equal", adjustable="datalim")
     else:
         drawn = np.column_stack([_displayed(run, name) for name in names])
-        keep_constant_flat(axis, drawn, _shown_nominal(columns))
+        nominal = max(float(c.shown(np.array([c.nominal]))[0]) for c in columns)
+        keep_constant_flat(axis, drawn, nominal)
 
 
 def _difference(
@@ -194,18 +189,6 @@ def _share_time(rows: Sequence[Axes]) -> None:
 
 def _displayed(run: Trajectory, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     return run.time if name == "time" else run.column(name).shown(run[name])
-
-
-def _shown_nominal(columns: Sequence[Column]) -> float:
-    return max(float(c.shown(np.array([c.nominal]))[0]) for c in columns)
-
-
-def _meanings(columns: Sequence[Column]) -> tuple[str, ...]:
-    return tuple(f"{column.name}: {column.meaning or column.name}" for column in columns)
-
-
-def _origin_line(run: Trajectory, other: Trajectory | None) -> str:
-    return _run_label(run) if other is None else f"{_run_label(run)}; dashed: {_run_label(other)}"
 
 
 def _run_label(run: Trajectory) -> str:

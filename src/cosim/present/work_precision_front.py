@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from cosim.plotting import STYLE, Picture
 from cosim.present.work_precision import SOLVER_COLOURS
@@ -59,8 +60,9 @@ def draw_front(study: Tradeoff) -> Figure:
         axis.set_title(f"{study.scene}: error against cost", fontsize=12)
         legend = figure.legend(loc="outside right upper", fontsize=9, title="cheapest form of each")
         legend.get_title().set_fontsize(9)
+        unseen = [Line2D([], [], linestyle="") for _ in notes]
         figure.legend(
-            *_notes(notes), loc="outside right lower", fontsize=9, title="on the front",
+            unseen, notes, loc="outside right lower", fontsize=9, title="on the front",
             title_fontsize=9, handlelength=0, handletextpad=0,
         )  # fmt: skip
     return figure
@@ -98,10 +100,6 @@ def _write_numbers(
         setting = start.setting if len(stretch) == 1 else f"{start.setting} ... {last.setting}"
         notes.append(f"{number}  {_family_name(first.configuration.family)}, {setting}")
     return notes
-
-
-def _notes(notes: Sequence[str]) -> tuple[list[Any], list[str]]:
-    return [matplotlib.lines.Line2D([], [], linestyle="") for _ in notes], list(notes)
 
 
 def _family_name(family: Family) -> str:

@@ -19,6 +19,8 @@ def refuse_contradiction(accuracy: object, budget: object, **settings: object) -
         ParameterError: A goal is not finite or not positive.
         UsageError: Two things are given of which one decides on the other.
     """
+    if accuracy is None and budget is None:
+        return
     goals = dict(zip(GOALS, (accuracy, budget), strict=True))
     given = [name for name, value in goals.items() if value is not None]
     for name in given:

@@ -7,7 +7,6 @@ from typing import Any
 from casadi_models.dae import Dae
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.simulate import simulate
@@ -71,7 +70,7 @@ def scene_dae(scene: Scene) -> Dae:
     return reduce(full, scene.outputs) if scene.outputs else full
 
 
-def run_scene(
+def run_on_road(
     scene: Scene,
     road: Road | str | None = None,
     *,
@@ -140,8 +139,7 @@ def run_fmu(scene: Scene, dae: Dae, path: Path, road: Road) -> Trajectory:
     """
     settings = scene.settings
     span = dae.experiment.stop_time
-    return patiently(
-        simulate_fmu,
+    return simulate_fmu(
         path,
         interface=road.interface,
         start_time=settings.start_time,

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.errors import ParameterError
+from cosim.integrate.solver import Tolerance
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign, number, plain_values
 from cosim.scene.goals import OVERRULED, refuse_contradiction
@@ -51,6 +52,9 @@ class Settings:
         for name in ("stop_time", "output_interval", "step_size"):
             if (value := getattr(self, name)) is not None:
                 number("run", name, value, positive=name != "stop_time")
+        given = {"relative": self.relative_tolerance, "absolute": self.absolute_tolerance}
+        if given := {name: value for name, value in given.items() if value is not None}:
+            Tolerance(**given)  # refuses nonsense, also where no solver takes it
         if self.stop_time is not None and self.stop_time < self.start_time:
             raise ParameterError(
                 f"stop_time = {self.stop_time:g} s lies before start_time = "

@@ -117,10 +117,6 @@ def _outputs(file: TomlFile, dae: Dae) -> tuple[str, ...]:
     return names
 
 
-def _startable(dae: Dae) -> tuple[Variable, ...]:
-    return (*dae.states, *(way.variable for way in dae.start_outputs))
-
-
 def _values(
     file: TomlFile,
     table: str,
@@ -156,9 +152,10 @@ def _misplaced(
 
 
 def _own_values(file: TomlFile, dae: Dae) -> dict[str, float]:
+    startable = (*dae.states, *(way.variable for way in dae.start_outputs))
     return {
         **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
-        **_values(file, "start", _table(file, "start"), dae, _startable(dae)),
+        **_values(file, "start", _table(file, "start"), dae, startable),
     }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
-from cosim.files import MOST_TEXT, read_plain
+from cosim.files import read_text
 
 Key = tuple[str | int, ...]
 
@@ -81,12 +81,7 @@ def read_toml(path: Path) -> TomlFile:
     Raises:
         UsageError: It cannot be read or is no TOML; line and column are named.
     """
-    try:
-        text = read_plain(path, MOST_TEXT).decode("utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not a UTF-8 text; save it in UTF-8") from error
+    text = read_text(path)
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

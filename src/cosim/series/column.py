@@ -30,6 +30,11 @@ class Column:
         """The unit in which people read it."""
         return self.display_unit or self.unit
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """Unit and meaning by the names of the climate and forecast conventions, for datasets."""
+        return {"units": self.unit, "long_name": self.meaning}
+
     def shown(self, values: Vector) -> Vector:
         """Convert SI values of this variable to `shown_unit`."""
         if self.display_unit is None or self.unit not in UNITS:

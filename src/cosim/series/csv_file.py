@@ -13,11 +13,13 @@ import numpy as np
 from casadi_models.units import UNITS
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.host.progress import doing
 from cosim.series.column import Column
 from cosim.text.escaping import csv_cell
 
 UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
+_BLOCK = 1000  # rows, that are written at once
 _TIMES = ("time", "t", "zeit", "temps")
 
 
@@ -37,47 +39,36 @@ class CsvSamples:
     values: Vector
 
 
-def write_csv(
-    stream: TextIO, names: Sequence[str], units: Sequence[str] | None, table: Vector
-) -> None:
-    """Write a header, a second one of units where they are given, and every number in 17 digits.
-
-    Args:
-        stream: An open text file.
-        names: Of the columns, time first.
-        units: Of the columns, time first; no second line when None.
-        table: (n, columns).
-    """
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([csv_cell(name) for name in names])
-    if units is not None:
-        writer.writerow(units)
-    writer.writerows([repr_17(value) for value in row] for row in table.tolist())
-
-
 def write_columns(
     stream: TextIO, columns: Sequence[Column], time: Vector, values: Vector, units: str
 ) -> None:
-    """Write samples over time.
+    """Write samples over time: names, units where people read them, every number in 17 digits.
 
     Args:
         stream: An open text file.
         columns: What is known of each.
         time: s, (n,).
         values: SI, (n, len(columns)).
-        units: One of `KINDS`; "book" is display units, and a second line that names them.
+        units: One of `UNIT_KINDS`; "book" is display units, and a second line that names them.
 
     Raises:
         UnknownName: There is no such kind of units.
     """
     if units not in UNIT_KINDS:
         raise UnknownName.among("to_csv", "kind of units", units, UNIT_KINDS)
-    second = None
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([csv_cell(name) for name in ("time", *(column.name for column in columns))])
     if units == "book":
-        second = ("s", *(column.shown_unit for column in columns))
+        writer.writerow(("s", *(column.shown_unit for column in columns)))
         shown = [column.shown(own) for column, own in zip(columns, values.T, strict=True)]
         values = np.transpose(shown).reshape(values.shape)
-    write_csv(stream, ("time", *(c.name for c in columns)), second, np.column_stack((time, values)))
+    line = ",".join(["%.17g"] * (1 + len(columns))) + "\n"  # see `repr_17`
+    written = 0
+    with doing("writing", lambda: written / len(time)):
+        for written in range(0, len(time), _BLOCK):
+            rows = slice(written, written + _BLOCK)
+            block = np.column_stack((time[rows], values[rows]))
+            stream.write(line * len(block) % tuple(block.ravel().tolist()))
 
 
 def repr_17(value: float) -> str:
@@ -147,7 +138,7 @@ def in_si(
                 f"{path}: {name} is in '{unit}', which is unknown; give units={{'{name}': ...}}, "
                 f"one of {', '.join(UNITS)}"
             )
-        target = target or _si_name(unit)
+        target = target or si_name(unit)
         if not UNITS[unit].measures_like(UNITS[target]):
             raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
         values[:, i] *= UNITS[unit].factor / UNITS[target].factor
@@ -155,7 +146,8 @@ def in_si(
     return pairs, values
 
 
-def _si_name(unit: str) -> str:
+def si_name(unit: str) -> str:
+    """Return the name of the SI unit of the kind of a unit; its own where there is none."""
     if UNITS[unit].factor == 1:
         return unit
     fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(UNITS[unit]))
@@ -163,13 +155,9 @@ def _si_name(unit: str) -> str:
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not a UTF-8 text; save it as CSV in UTF-8") from error
-    lines = [*enumerate(text.splitlines(), 1)]
+    from cosim.files import read_text  # only where a file is wanted
+
+    lines = [*enumerate(read_text(path).splitlines(), 1)]
     lines = [(i, line) for i, line in lines if line.strip() and not line.startswith("#")]
     if not lines:
         raise UsageError(f"{path} is empty; give a CSV file with a header")

@@ -40,7 +40,7 @@ def data_set(
         MissingTool: xarray is not installed.
     """
     variables = {
-        column.name: ("time", own, {"units": column.unit, "long_name": column.meaning})
+        column.name: ("time", own, column.facts)
         for column, own in zip(columns, values.T, strict=True)
     }
     coordinates = {"time": ("time", time, {"units": "s"})}

@@ -2,7 +2,7 @@
 
 import re
 
-MOST = 600  # characters of one message
+LONGEST_SENTENCE = 600  # characters of one message
 # Control characters, escapes of terminals among them, and those that turn the writing direction
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
@@ -20,7 +20,7 @@ def visible(text: str, *, lines: bool = False) -> str:
 def sentence(text: str) -> str:
     """Return a foreign message as one line of bounded length."""
     told = visible(" ".join(text.split()))
-    return told if len(told) <= MOST else f"{told[: MOST - 4]} ..."
+    return told if len(told) <= LONGEST_SENTENCE else f"{told[: LONGEST_SENTENCE - 4]} ..."
 
 
 def csv_cell(text: str) -> str:

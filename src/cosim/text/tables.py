@@ -1,5 +1,7 @@
 """Rows as text and as HTML: what a terminal, a prompt and a notebook show."""
 
+import csv
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -92,6 +94,17 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]], *, digits: int | None = None) -> str:
+    """Return rows that have the same keys as CSV; numbers as Python writes them, or in digits."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        numbers = {k: f"{v:.{digits}g}" for k, v in row.items() if digits and isinstance(v, float)}
+        writer.writerow({**row, **numbers})
+    return text.getvalue()
 
 
 def _fitting_widths(widths: Sequence[int], room: int, least: int = 8) -> list[int]:

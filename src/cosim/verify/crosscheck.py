@@ -19,7 +19,7 @@ from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import formulations, load
 from cosim.model.values import number
-from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_scene, scene_dae
+from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_on_road, scene_dae
 from cosim.scene.scene import Scene, Settings
 from cosim.scene.variants import fitting_formulations
 from cosim.text.tables import MOST_LINES, html_table, text_table
@@ -138,7 +138,7 @@ def _all_checks(
 ) -> Iterator[Check]:
     first: tuple[Trajectory, Dae] | None = None
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
-        if not _same_file(item, first):
+        if not isinstance(item, str) or ".py:" not in item:  # forms of one file are compared
             first = None
         for scene in _members(item):
             own = scene.settings
@@ -153,7 +153,7 @@ def _all_checks(
             scene = replace(scene, settings=settings)
             try:
                 with doing(str(Road.NATIVE)):
-                    run = run_scene(scene)
+                    run = run_on_road(scene)
             except _FAILURES as error:
                 yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
                 continue
@@ -182,11 +182,6 @@ def _formulation_check(
     return Check(
         run.model, Road.NATIVE, other.model, difference, dict(run.stats), left_out=left_out
     )
-
-
-def _same_file(item: str | Scene, first: tuple[Trajectory, Dae] | None) -> bool:
-    """Tell whether this may be another form of a user's model that ran before."""
-    return first is not None and isinstance(item, str) and ".py:" in item
 
 
 def _members(item: str | Scene) -> Iterator[Scene]:

@@ -140,8 +140,7 @@ def reference(scene: Scene | Dae) -> Reference:
 def reference_key(scene: Scene) -> str:
     """Return a hash of all that a scene's trajectory depends on."""
     dae, settings = scene.configured(), scene.settings
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    equations = ca.Function("equations", symbols, [dae.ode, dae.alg, dae.outputs])
+    equations = ca.Function("equations", dae.arguments, [dae.ode, dae.alg, dae.outputs])
     values = assign(dae)
     stop = settings.stop_time
     if stop is None:

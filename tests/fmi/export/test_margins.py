@@ -8,13 +8,13 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from helpers.fmi_cases import VERSIONS
 from helpers.small_models import decay
 
 import cosim
 from casadi_models.dae import Dae, Model
 from cosim.errors import UsageError
 
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 LEAVES, RETURNS = asin(0.5), pi - asin(0.5)  # s
 
 

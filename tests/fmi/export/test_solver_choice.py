@@ -2,6 +2,7 @@
 
 import zipfile
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -32,6 +33,15 @@ def test_the_fastest_decay_is_an_eigenvalue_of_the_model():
     assert fastest_decay(relaxation(-2.0)) == 0.0  # it grows
     two = (fastest_decay(cosim.load(f"bar_on_frame/{name}")) for name in ("reduced", "two_body"))
     assert next(two) == pytest.approx(next(two), rel=1e-9)
+
+
+def test_the_fastest_decay_of_many_states_is_that_of_the_fastest_mode():
+    n = 400
+    T = ca.SX.sym("T", n)
+    flow = ca.vertcat(T[1:], 0) - 2 * T + ca.vertcat(0, T[:-1])
+    dae = cosim.from_casadi({"x": T, "ode": (n + 1) ** 2 * flow}, {"T": 1.0})
+    exact = (2 * (n + 1) * np.cos(np.pi / (2 * n + 2))) ** 2  # of a rod held cold at its ends
+    assert 0.99 * exact < fastest_decay(dae) < 1.000001 * exact  # measured 0.9997
 
 
 @pytest.mark.parametrize(("rate", "solver"), [(10.0, "dop853"), (1e6, "rosenbrock")])

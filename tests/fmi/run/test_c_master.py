@@ -6,6 +6,7 @@ import threading
 import numpy as np
 import pytest
 from helpers.ball import ball_fmu, free_fall
+from helpers.fmi_cases import INTERFACES, VERSIONS
 from helpers.hostile import hostile, hostile_binary
 from helpers.small_models import decay
 
@@ -15,9 +16,6 @@ from cosim.errors import FmuError, MissingTool, UnknownName, UsageError
 from cosim.fmi.run import c_master, opened
 from cosim.fmi.run.c_master import communication_points
 from cosim.model.inputs import InputSeries
-
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
-INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
 
 
 @pytest.fixture(scope="module")

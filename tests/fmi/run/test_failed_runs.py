@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 
 import fmpy
 import pytest
+from helpers.fmi_cases import INTERFACES, VERSIONS
 from helpers.fmu_files import set_attributes, with_description
 
 import cosim
@@ -17,9 +18,6 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.fmi.archive import DESCRIPTION
-
-INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
 pytestmark = pytest.mark.usefixtures("no_trace")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from helpers.fmi_cases import INTERFACES, VERSIONS
 from helpers.fmu_files import remove, rewritten, set_attributes, with_description
 
 import cosim
@@ -19,9 +20,6 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.fmi.archive import unpacked
-
-INTERFACES = pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
 pytestmark = pytest.mark.usefixtures("no_trace")
 

@@ -134,7 +134,7 @@ def test_functions_of_one_library_keep_their_own_number_of_output_times():
     dae, _ = oscillator()
     grids = [np.linspace(0, 1, n) for n in (3, 11, 5)]
     engines = [build(dae, grid, "dop853", Tolerance(1e-10), compiled=True) for grid in grids]
-    assert [engine.function.size2_out(0) for engine in engines] == [3, 11, 5]
+    assert [engine.functions.function.size2_out(0) for engine in engines] == [3, 11, 5]
     ends = [simulate(dae, solver="dop853", stop_time=1.0, output_interval=d)["x"][-1]
             for d in (0.5, 0.1, 0.25)]  # fmt: skip
     assert len(set(ends)) == 1

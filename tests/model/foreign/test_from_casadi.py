@@ -9,8 +9,7 @@ from casadi import MX, SX
 from fmpy.validation import validate_fmu
 
 import cosim
-from cosim.codegen.casadi_library import external
-from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 
 KINDS = pytest.mark.parametrize("kind", [SX, MX])
 END = {"stop_time": 1.0, "relative_tolerance": 1e-10}
@@ -172,56 +171,6 @@ def test_user_file_may_return_any_of_them(tmp_path, builder, name, end):
     assert final(dae) == pytest.approx(end, abs=1e-9)
 
 
-def pendulum(kind=SX, **options) -> dict:
-    """Return a pendulum of index 3, reduced by CasADi."""
-    x, y, u, v, lam, L = (kind.sym(n) for n in ("x", "y", "u", "v", "lam", "L"))
-    rates = ca.vertcat(*(kind.sym(f"d{n}") for n in "xyuv"))
-    laws = (
-        rates[0] - u,
-        rates[1] - v,
-        rates[2] - lam * x,
-        rates[3] - lam * y + 9.81,
-        x**2 + y**2 - L**2,
-    )
-    system = {"x_impl": ca.vertcat(x, y, u, v), "dx_impl": rates, "z": lam, "p": L}
-    return ca.dae_reduce_index(system | {"alg": ca.vertcat(*laws)}, options)[0]
-
-
-def period_at_amplitude(angle: float) -> float:
-    """Return the period of a pendulum of 1 m: arithmetic-geometric mean."""
-    a, b = 1.0, np.cos(angle / 2)
-    for _ in range(10):
-        a, b = (a + b) / 2, np.sqrt(a * b)
-    return 2 * np.pi / np.sqrt(9.81) / a
-
-
-def test_reduced_index_3_pendulum_swings_with_its_period(tmp_path):
-    dae = cosim.from_casadi(pendulum(), {"x": np.sin(1.0), "y": -np.cos(1.0), "L": 1.0})
-    period = period_at_amplitude(1.0)
-    run = cosim.simulate(dae, stop_time=period, relative_tolerance=1e-10)
-    assert run["x"][-1] == pytest.approx(np.sin(1.0), abs=1e-6)
-    assert run["y"][-1] == pytest.approx(-np.cos(1.0), abs=1e-6)
-    path = cosim.export_fmu(dae, tmp_path / "pendulum.fmu")
-    for interface in ("ModelExchange", "CoSimulation"):
-        fmu = cosim.simulate_fmu(
-            path, interface=interface, stop_time=period, relative_tolerance=1e-10
-        )
-        assert fmu["x"][-1] == pytest.approx(np.sin(1.0), abs=1e-6)
-
-
-def test_starts_that_nobody_gave_satisfy_the_constraints_and_follow_the_parameters():
-    dae = cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.8, "u": 0.5, "L": 1.0})
-    run = cosim.simulate(dae, stop_time=0.01)
-    assert run["v"][0] == pytest.approx(0.6 * 0.5 / 0.8, abs=1e-12)
-    longer = cosim.simulate(dae, stop_time=0.01, start={"L": 2.0})
-    assert np.hypot(longer["x"][0], longer["y"][0]) == pytest.approx(2.0, abs=1e-12)
-
-
-def test_given_starts_that_contradict_the_constraints_are_refused():
-    with pytest.raises(InitialConditionError, match=r"given starts .x, y"):
-        cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.9, "L": 1.0})
-
-
 def test_first_example_of_the_readme_makes_an_fmu_that_fmpy_validates(
     tmp_path, monkeypatch, capsys
 ):
@@ -233,135 +182,6 @@ def test_first_example_of_the_readme_makes_an_fmu_that_fmpy_validates(
     exec(code, {})
     assert " agree: " in capsys.readouterr().out
     assert validate_fmu("oscillator.fmu") == []
-
-
-# -- what is not scalar ---------------------------------------------------------------------------
-
-
-def of_mx(law) -> dict:
-    x, A = MX.sym("x", 2), MX.sym("A", 2, 2)
-    return {"x": x, "p": A, "ode": law(A, x)}
-
-
-@pytest.mark.parametrize(
-    ("law", "expected"),
-    [
-        (lambda A, x: A @ x, lambda A, x: A @ x),
-        (ca.solve, np.linalg.solve),
-        (lambda A, x: ca.solve(A.T, x), lambda A, x: np.linalg.solve(A.T, x)),
-        (lambda A, x: ca.inv(A) @ x, lambda A, x: np.linalg.solve(A, x)),
-        (lambda A, x: ca.solve(A, ca.solve(A, x)), lambda A, x: np.linalg.solve(A @ A, x)),
-        (lambda A, x: ca.det(A) * x, lambda A, x: np.linalg.det(A) * x),
-        (lambda A, x: ca.if_else(x[0] > 0, x, -x), lambda A, x: x),
-        (lambda A, x: x / ca.norm_2(x), lambda A, x: x / np.hypot(*x)),
-    ],
-)
-def test_matrix_operations_are_written_out(law, expected):
-    A, x = np.array([[2.0, 1.0], [-1.0, 3.0]]), np.array([0.3, -0.4])
-    dae = cosim.from_casadi(of_mx(law), {"x": x, "A": A})
-    f = ca.Function("f", [dae.x, dae.p], [dae.ode])
-    np.testing.assert_allclose(
-        f(x, A.ravel(order="F")).full().ravel(), expected(A, x), rtol=0, atol=1e-14
-    )
-
-
-@pytest.mark.parametrize("plugin", ["linear", "bspline"])
-def test_interpolant_is_integrated_and_exported(plugin, tmp_path):
-    place = np.linspace(0, 2, 9)
-    table = ca.interpolant("table", plugin, [place], 1 - place / 2)  # straight: no error
-    x = MX.sym("x")
-    dae = cosim.from_casadi({"x": x, "ode": table(x)}, name="table")
-    exact = 2 * (1 - np.exp(-0.5))
-    assert final(dae) == pytest.approx(exact, abs=1e-8)
-    path = cosim.export_fmu(dae, tmp_path / "table.fmu")
-    for interface in ("ModelExchange", "CoSimulation"):
-        run = cosim.simulate_fmu(path, interface=interface, **END)
-        assert run["x"][-1] == pytest.approx(exact, abs=1e-7)
-
-
-TABLE = np.array([0.0, 0.5, 1.0, 2.0])
-SHIFT = np.arange(900.0).reshape(30, 30) % 7 + 50 * np.eye(30)
-
-
-def large_system(x):
-    return ca.solve(ca.DM(SHIFT) + ca.diag(ca.repmat(x[0], 30, 1)), ca.repmat(x[1], 30, 1))[3]
-
-
-@pytest.mark.parametrize(
-    ("law", "expected"),
-    [
-        (
-            large_system,
-            lambda x: np.linalg.solve(SHIFT + np.diag(np.full(30, x[0])), np.full(30, x[1]))[3],
-        ),
-        (ca.logsumexp, lambda x: np.log(np.exp(x).sum())),
-        (lambda x: ca.low(ca.DM(TABLE), x[0]), lambda x: float(np.searchsorted(TABLE, x[0]) - 1)),
-        (lambda x: x[ca.floor(3 * x[0])], lambda x: x[int(3 * x[0])]),
-    ],
-    ids=["30 linear equations", "logsumexp", "low", "calculated place"],
-)
-def test_what_has_no_scalar_form_runs_and_is_exported_as_a_matrix_function(law, expected, tmp_path):
-    x = MX.sym("x", 3)
-    start = np.array([0.4, 0.7, 0.2])
-    y = law(x)
-    dae = cosim.from_casadi(
-        {"x": x, "ode": ca.vertcat(-x[0], -x[1], y - x[2])}, {"x": start}, {"y": y}, name="whole"
-    )
-    run = cosim.simulate(dae, **END)
-    assert run["y"][0] == pytest.approx(expected(start), rel=1e-12)
-    path = cosim.export_fmu(dae, tmp_path / "whole.fmu")
-    for interface in ("ModelExchange", "CoSimulation"):
-        fmu = cosim.simulate_fmu(path, interface=interface, **END)
-        assert fmu["x_3"][-1] == pytest.approx(run["x_3"][-1], abs=1e-6)
-        assert fmu["y"][0] == pytest.approx(expected(start), rel=1e-12)
-
-
-class Python(ca.Callback):
-    """x -> x, in Python."""
-
-    def __init__(self):
-        super().__init__()
-        self.construct("in_python", {})
-
-    def eval(self, arguments):
-        return [arguments[0]]
-
-
-def test_callback_is_refused_by_name():
-    called = Python()
-    with pytest.raises(UsageError, match=r"calls 'in_python', a callback: .* write them"):
-        cosim.from_casadi({"x": (x := MX.sym("x")), "ode": called(x)})
-
-
-def root(plugin: str) -> ca.Function:
-    y, p = SX.sym("y"), SX.sym("p")
-    return ca.rootfinder("root", plugin, {"x": y, "p": p, "g": y**2 - p})
-
-
-def test_newton_is_refused_by_name_and_fast_newton_taken():
-    x = MX.sym("x")
-    with pytest.raises(UsageError, match=r"calls 'root', of type Newton: use .*'fast_newton'"):
-        cosim.from_casadi({"x": x, "ode": root("newton")(1, x)})
-    dae = cosim.from_casadi({"x": x, "ode": -2 * root("fast_newton")(1, x)}, {"x": 4.0})
-    assert final(dae) == pytest.approx(1.0, abs=1e-7)  # x' = -2 sqrt x: x = (2 - t)^2
-
-
-def test_integrator_inside_is_refused_by_name():
-    x = MX.sym("x")
-    y = SX.sym("y")
-    inner = ca.integrator("inner", "cvodes", {"x": y, "ode": -y})
-    with pytest.raises(UsageError, match="calls 'inner', of type CvodesInterface"):
-        cosim.from_casadi({"x": x, "ode": inner(x0=x)["xf"]})
-
-
-def test_external_is_refused_by_name():
-    x, y = SX.sym("x"), MX.sym("y")
-    (function,) = external([ca.Function("outside", [x], [-x])], "test outside", ["outside"])
-    with pytest.raises(UsageError, match=r"calls 'outside', .*source is not at hand"):
-        cosim.from_casadi({"x": y, "ode": function(y)})
-
-
-# -- refusals -------------------------------------------------------------------------------------
 
 
 def refused(error, match, *arguments, **options):

@@ -13,7 +13,7 @@ from cosim.present.extremes_map import draw_map
 from cosim.present.picture_files import save
 from cosim.study.extremes.campaign import WRONG, CaseFinding, explore, family_rows, select_cases
 from cosim.study.extremes.cases import Case, Counterpart, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, Ending, judge
+from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, judge
 
 CASES = list(catalogue())
 FAMILIES = list(dict.fromkeys(case.family for case in CASES if not case.long))
@@ -121,7 +121,7 @@ def test_verb_ends_with_4_when_a_case_is_silent(monkeypatch, capsys):
 
 def test_summary_counts_every_outcome_and_names_the_worst():
     findings = [
-        CaseFinding(Case("f", name, "m/x"), Ending(outcome, error, "", 0.0))
+        CaseFinding(Case("f", name, "m/x"), CaseEnding(outcome, error, "", 0.0))
         for name, outcome, error in (
             ("a", "accurate", 1e-9),
             ("b", "accurate", 1e-7),
@@ -135,7 +135,9 @@ def test_summary_counts_every_outcome_and_names_the_worst():
 
 def test_map_tells_which_value_and_which_solver_ended_how():
     findings = [
-        CaseFinding(Case("spin", f"omega = {v}, {s}", "m/x", solver=s), Ending(o, None, "", 0.0))
+        CaseFinding(
+            Case("spin", f"omega = {v}, {s}", "m/x", solver=s), CaseEnding(o, None, "", 0.0)
+        )
         for v, s, o in (("1", "erk", "accurate"), ("2", "erk", "failed"), ("2", "idas", "silent"))
     ]
     (axis,) = draw_map(findings).get_axes()
@@ -147,7 +149,7 @@ def test_map_tells_which_value_and_which_solver_ended_how():
 
 
 def test_map_shows_each_outcome_in_its_own_colour(tmp_path):
-    findings = [CaseFinding(Case("f", o, "m/x"), Ending(o, None, "", 0.0)) for o in OUTCOMES]
+    findings = [CaseFinding(Case("f", o, "m/x"), CaseEnding(o, None, "", 0.0)) for o in OUTCOMES]
     (path,) = save([draw_map(findings)], str(tmp_path / "map.png"))
     pixels = matplotlib.image.imread(path)[..., :3].reshape(-1, 3)
     assert len(np.unique((pixels * 8).astype(int), axis=0)) > len(OUTCOMES)

@@ -141,6 +141,13 @@ def test_fmu_has_its_start_only(tmp_path):
         linearize(path, start_values={"alphaa": 1.0})
 
 
+def test_fmu_with_structured_names_has_each_variable_once(tmp_path):
+    dae = cosim.load("crank_shaft/driven")
+    path = cosim.export_fmu(dae, tmp_path / "crank.fmu", names="structured")
+    outputs = cosim.linearize(path).outputs
+    assert len(outputs) == len(set(outputs)) == len(dae.output_variables) + len(dae.states)
+
+
 def test_command_runs_no_fmu_that_is_not_trusted(tmp_path, monkeypatch):
     path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
     monkeypatch.setenv("COSIM_TRUST", "known")

@@ -12,7 +12,7 @@ from cosim.errors import InitialConditionError, SolverError, UnknownName, UsageE
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign
 from cosim.study.sensitivity.sensitivity import sensitivity
-from cosim.study.sensitivity.variational import Target, start_slopes, variational
+from cosim.study.sensitivity.variational import SensitivityTarget, start_slopes, variational
 
 SHORT = {"stop_time": 1.0, "output_interval": 0.1}
 
@@ -57,7 +57,7 @@ def test_derivatives_of_an_oscillator_are_the_closed_form(algebraic, solver):
 @pytest.mark.parametrize("name", ["w", "rF", "lambda", "phi", "delta", "phi_dot"])
 def test_calculated_starts_of_the_bicycle_are_differentiated(name):
     dae = cosim.load("bicycle/independent")
-    target = Target.of(dae, name)
+    target = SensitivityTarget.of(dae, name)
     found = start_slopes(dae, assign(dae, {"delta": 0.1, "phi": 0.2}), [target])[:, 0] / target.size
     value = {"delta": 0.1, "phi": 0.2}.get(name, target.variable.start)
     step = 1e-5 * target.size

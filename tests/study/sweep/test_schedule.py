@@ -35,17 +35,26 @@ def test_every_run_is_given_out_once_in_growing_chunks():
     assert max(count for _, count in chunks) > 32
 
 
-def test_a_run_that_kills_is_alone_after_one_death_and_given_up_after_two_more():
+def test_a_run_that_crashes_is_alone_after_one_death_and_given_up_after_the_second():
     schedule = Schedule([(0, 8)], 1, 8, 1)
     assert schedule.take() == (0, 8)
     assert schedule.died((0, 8), 5) is None
+    while (chunk := schedule.take(wait=False)) != (5, 1):
+        schedule.done(chunk, 1, 1.0)
+    assert schedule.died((5, 1), 5) == 5
+
+
+def test_a_run_whose_process_was_killed_is_given_up_after_two_deaths_alone():
+    schedule = Schedule([(0, 8)], 1, 8, 1)
+    assert schedule.take() == (0, 8)
+    assert schedule.died((0, 8), 5, killed=True) is None
     again = []
     while (chunk := schedule.take(wait=False)) is not None:
         again.append(chunk)
     assert sorted(again) == [(0, 4), (4, 1), (5, 1), (6, 2)]
-    assert schedule.died((5, 1), 5) is None
+    assert schedule.died((5, 1), 5, killed=True) is None
     assert schedule.take() == (5, 1)
-    assert schedule.died((5, 1), 5) == 5
+    assert schedule.died((5, 1), 5, killed=True) == 5
 
 
 def test_without_a_hint_a_chunk_that_dies_twice_is_halved_until_the_run_is_found():

@@ -1,1 +1,1 @@
-"""The verbs, a file each: `add_parser(verbs)` says what it takes, `run(args)` does it."""
+"""The verbs, a file each: `add_options(parser)` says what it takes, `run(args)` does it."""

@@ -1,42 +1,17 @@
 """`cosim animate MODEL|SCENE.toml|FILE.fmu|RESULT.csv -o FILE`: runs in three dimensions."""
 
-from __future__ import annotations
-
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
-from cosim.cli.options import (
-    add_picture,
-    add_solver,
-    add_timeout,
-    add_trust,
-    common,
-    run_options,
-    value_options,
-)
-
-if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+from cosim.cli.options import Parser, add_output_file, add_picture, add_single_run
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "animate",
-        parents=[common(), run_options(), value_options()],
-        help="runs in three dimensions, to a file",
-    )
+    add_single_run(parser)
     parser.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
-    add_solver(parser)
-    add_timeout(parser)
-    add_trust(parser)
-    parser.add_argument(
-        "-o",
-        "--output-file",
-        required=True,
-        metavar="FILE",
-        help=".html, .glb, .mp4, .gif; or a picture: .png, .svg, .pdf",
+    add_output_file(
+        parser, "FILE", ".html, .glb, .mp4, .gif; or a picture: .png, .svg, .pdf", required=True
     )
     parser.add_argument(
         "--compare", metavar="A,B", help="more runs as ghosts: fmu-me, fmu-cs, solver, formulation"
@@ -61,13 +36,13 @@ def add_parser(verbs: Verbs) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show runs in three dimensions."""
-    from cosim.cli.arguments import names_in, start_numbers
-    from cosim.cli.runs import number_in, runs_of, size_of
+    from cosim.cli.arguments import names_in, numbers_in, start_numbers
+    from cosim.cli.runs import runs_of, size_of
     from cosim.model.catalogue import load
     from cosim.present.playback.animate import animate, animation_format, guessed_model
 
     animation_format(args.output_file)  # refuses before anything has been computed
-    at = None if args.poses is None else [number_in("--at", text) for text in names_in(args.poses)]
+    at = None if args.poses is None else numbers_in("--at", args.poses)
     size = size_of(args)
     tables = [name for name in args.sources if name.endswith(".csv")]
     if args.shown_model is None and tables:

@@ -1,23 +1,14 @@
 """`cosim cache --info|--clear`: what is kept between runs."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
-from typing import TYPE_CHECKING
 
-from cosim.cli.options import common
-
-if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+from cosim.cli.options import Parser
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "cache", parents=[common()], help="what is kept between runs: how much, or away with it"
-    )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--info", action="store_true", help="where it is and how large; the default")
     what.add_argument("--clear", action="store_true", help="remove all of it")

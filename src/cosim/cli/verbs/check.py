@@ -7,18 +7,14 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import add_trust, common, seconds
+from cosim.cli.options import Parser, add_trust, seconds
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.fmi.check.finding import Finding
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "check", parents=[common()], help="what is wrong with an FMU; its code runs with --run only"
-    )
     parser.add_argument("file", metavar="FILE.fmu")
     parser.add_argument("--run", dest="trials", action="store_true", help="run its code, too")
     parser.add_argument("--timeout", type=seconds, metavar="S", help="of --run, s; 120")

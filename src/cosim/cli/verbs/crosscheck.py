@@ -6,21 +6,17 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import add_timeout, add_trust, common, run_options
+from cosim.cli.options import Parser, add_run, add_timeout, add_trust
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+    pass
 
 _WORTH = "the file runs here as it did there, which does not make it right"
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "crosscheck",
-        parents=[common(), run_options()],
-        help="the same run on every road, and the differences",
-    )
+    add_run(parser)
     parser.add_argument("models", metavar="MODEL|SCENE.toml", nargs="*", help="all by default")
     parser.add_argument("--bound", type=float, metavar="B", help="in nominal values; 1e-6")
     add_timeout(parser)

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cosim.cli.options import add_output_file, common
+from cosim.cli.options import Parser, add_figure, add_output_file
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.study.extremes.campaign import CaseFinding
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "extremes", parents=[common()], help="every model at its limits, and how each case ends"
-    )
     parser.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
     parser.add_argument("--long", action="store_true", help="with hours of simulated time")
     parser.add_argument(
         "--timeout", type=float, default=120.0, metavar="S", help="for one case, s; 120"
     )
     add_output_file(parser, "FILE", "every case, as CSV")
-    parser.add_argument("--figure", metavar="FILE", help="the map as PNG, SVG or PDF")
+    add_figure(parser, "the map as PNG, SVG or PDF")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -35,10 +29,6 @@ def run(args: argparse.Namespace) -> int:
     from cosim.host.progress import doing
     from cosim.study.extremes.campaign import WRONG, explore, select_cases
 
-    if args.figure:
-        from cosim.present.picture_files import picture_format
-
-        picture_format(args.figure)  # refuses before anything has been computed
     cases = select_cases(args.models, long=args.long)
     findings: list[CaseFinding] = []
 
@@ -69,21 +59,14 @@ def _tell(finding: CaseFinding, count: str, *, every: bool) -> None:
 def _deliver_findings(args: argparse.Namespace, findings: Sequence[CaseFinding]) -> None:
     from cosim.cli.tables import show_table, write_text
     from cosim.study.extremes.campaign import family_rows
+    from cosim.text.tables import csv_text
 
     rows = [finding.row() for finding in findings]
     if args.output_file:
-        write_text(args.output_file, _findings_csv(rows))
+        write_text(args.output_file, csv_text(rows))
     if args.figure:
         from cosim.present.extremes_map import draw_map
         from cosim.present.picture_files import save
 
         save([draw_map(findings)], args.figure)
     show_table(rows if args.json else family_rows(findings), as_json=args.json)
-
-
-def _findings_csv(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

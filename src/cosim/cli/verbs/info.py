@@ -1,22 +1,13 @@
 """`cosim info MODEL|SCENE.toml|FILE.fmu`: variables with their numbers, size of the equations."""
 
-from __future__ import annotations
-
 import argparse
 import json
-from typing import TYPE_CHECKING
 
-from cosim.cli.options import add_timeout, common
-
-if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+from cosim.cli.options import Parser, add_timeout
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "info", parents=[common()], help="variables and equations of a model, a scene, an FMU"
-    )
     parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     add_timeout(parser)
 

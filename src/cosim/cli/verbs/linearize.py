@@ -7,21 +7,14 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_numbers, add_output_file, add_trust, common
+from cosim.cli.options import Parser, add_figure, add_numbers, add_output_file, add_trust
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.study.linearize.linearization import Linearization
-    from cosim.study.linearize.sweep import EigenvalueSweep
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "linearize",
-        parents=[common()],
-        help="A, B, C, D and eigenvalues at a start, an equilibrium, a time, or along a parameter",
-    )
     parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     parser.add_argument(
         "--at", default="start", metavar="start|equilibrium|T1,T2", help="start by default; s"
@@ -35,21 +28,17 @@ def add_parser(verbs: Verbs) -> None:
     )
     add_trust(parser)
     add_output_file(parser, "FILE", "the matrices, or the eigenvalues of a sweep, as CSV")
-    parser.add_argument("--figure", metavar="FILE", help="of a sweep: PNG, SVG or PDF")
+    add_figure(parser, "of a sweep: PNG, SVG or PDF")
 
 
 def run(args: argparse.Namespace) -> int:
     """Linearize a model or an FMU."""
-    from cosim.cli.arguments import names_in, scene_from, start_numbers
+    from cosim.cli.arguments import names_in, numbers_in, scene_from, start_numbers
     from cosim.errors import UsageError
     from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
 
-    if args.figure:
-        from cosim.present.picture_files import picture_format
-
-        if not args.sweep:
-            raise UsageError("--figure draws the eigenvalues of a --sweep; give one")
-        picture_format(args.figure)  # refuses before anything has been computed
+    if args.figure and not args.sweep:
+        raise UsageError("--figure draws the eigenvalues of a --sweep; give one")
     model: Any = args.model
     if args.model.endswith(".fmu"):
         from cosim.fmi.trust import require_trust
@@ -62,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         model, start, outputs = scene.dae, dict(scene.values), scene.outputs or None
     points: list[Any] = [args.at]
     if args.at not in (START, EQUILIBRIUM):
-        points = [*_listed_numbers("--at", args.at.split(","))]
+        points = [*numbers_in("--at", args.at)]
     if args.sweep:
         if len(points) > 1:
             raise UsageError("--sweep takes one point: --at start, --at equilibrium or one time")
@@ -83,19 +72,21 @@ def run(args: argparse.Namespace) -> int:
 def _sweep(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: Any) -> int:
     import numpy as np
 
+    from cosim.cli.arguments import number_in
     from cosim.cli.tables import show_table, write_text
     from cosim.errors import UsageError
     from cosim.study.linearize.sweep import linearize_sweep
+    from cosim.text.tables import csv_text
 
     name, equals, span = args.sweep.partition("=")
     parts = span.split(":")
     if not equals or len(parts) != 3 or not parts[2].isdigit():
         raise UsageError(f"--sweep {args.sweep}: write NAME=FROM:TO:HOW_MANY")
-    first, last = _listed_numbers("--sweep", parts[:2])
+    first, last = (number_in("--sweep", part) for part in parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
     found = linearize_sweep(model, name, values, at=at, start_values=start, outputs=outputs)
     if args.output_file:
-        write_text(args.output_file, _sweep_csv(found))
+        write_text(args.output_file, csv_text(found.rows(), digits=17))
     if args.figure:
         from cosim.present.eigenvalue_figure import draw_eigenvalues
         from cosim.present.picture_files import save
@@ -133,18 +124,3 @@ def _as_json(linear: Linearization) -> dict[str, Any]:
     for kind in ("A", "B", "C", "D", "x", "u", "y"):
         facts[kind] = getattr(linear, kind).tolist()
     return facts | {"modes": [mode.row() for mode in linear.modes]}
-
-
-def _sweep_csv(found: EigenvalueSweep) -> str:
-    rows = found.rows()
-    lines = [",".join(rows[0]), *(",".join(f"{v:.17g}" for v in row.values()) for row in rows)]
-    return "\n".join(lines) + "\n"
-
-
-def _listed_numbers(option: str, words: list[str]) -> list[float]:
-    from cosim.errors import UsageError
-
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        raise UsageError(f"{option} {','.join(words)}: write numbers") from None

@@ -1,20 +1,13 @@
 """`cosim list`: every model and formulation, and the shipped scenes."""
 
-from __future__ import annotations
-
 import argparse
 import json
-from typing import TYPE_CHECKING
 
-from cosim.cli.options import common
-
-if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+from cosim.cli.options import Parser
 
 
-def add_parser(verbs: Verbs) -> None:
-    """Declare the verb."""
-    verbs.add_parser("list", parents=[common()], help="every model and formulation")
+def add_options(parser: Parser) -> None:
+    """Take no option of its own."""
 
 
 def run(args: argparse.Namespace) -> int:

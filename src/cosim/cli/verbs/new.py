@@ -6,10 +6,10 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import common
+from cosim.cli.options import Parser
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+    pass
 
 TEXT = '''"""A damped pendulum: replace it by your system.
 
@@ -44,9 +44,8 @@ def build():
 '''
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser("new", parents=[common()], help="a model file to start from")
     parser.add_argument("file", metavar="FILE.py|-", help="- for standard output")
 
 

@@ -7,35 +7,20 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import (
-    add_output_file,
-    add_picture,
-    add_solver,
-    add_timeout,
-    add_trust,
-    common,
-    run_options,
-    value_options,
-)
+from cosim.cli.options import Parser, add_output_file, add_picture, add_single_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from cosim.cli.options import Verbs
     from cosim.trajectory import Trajectory
 
 PANELS = 24  # on a page
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "plot",
-        parents=[common(), run_options(), value_options()],
-        help="runs as curves, to a window or a file",
-    )
+    add_single_run(parser)
     parser.add_argument("sources", metavar="MODEL|SCENE.toml|FILE.fmu|RESULT.csv", nargs="+")
-    add_solver(parser)
     parser.add_argument(
         "--compare",
         metavar="A,B",
@@ -46,8 +31,6 @@ def add_parser(verbs: Verbs) -> None:
         "--model", dest="shown_model", metavar="MODEL", help="from which a result takes its units"
     )
     add_picture(parser, "")
-    add_timeout(parser)
-    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:

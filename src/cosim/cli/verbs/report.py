@@ -6,35 +6,19 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cosim.cli.options import (
-    add_solver,
-    add_timeout,
-    add_trust,
-    common,
-    run_options,
-    value_options,
-)
+from cosim.cli.options import Parser, add_output_file, add_single_run
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+    pass
 
 _CHECK_COLUMNS = ("model", "road", "against", "worst", "difference", "bound", "verdict")
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "report",
-        parents=[common(), run_options(), value_options()],
-        help="everything about one run on one page",
-    )
+    add_single_run(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
-    add_solver(parser)
-    add_timeout(parser)
-    add_trust(parser)
-    parser.add_argument(
-        "-o", "--output-file", required=True, metavar="FILE.html", help="one HTML file"
-    )
+    add_output_file(parser, "FILE.html", "one HTML file", required=True)
     parser.add_argument(
         "--no-crosscheck",
         dest="crosscheck",

@@ -1,21 +1,12 @@
 """`cosim scene NAME`: a shipped scene, to read or to start from."""
 
-from __future__ import annotations
-
 import argparse
-from typing import TYPE_CHECKING
 
-from cosim.cli.options import add_output_file, common
-
-if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
+from cosim.cli.options import Parser, add_output_file
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "scene", parents=[common()], help="a shipped scene as a file, to start from"
-    )
     parser.add_argument("name", metavar="NAME")
     add_output_file(parser, "FILE.toml", "standard output by default")
 

@@ -7,22 +7,18 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, common, run_options, value_options
+from cosim.cli.options import Parser, add_figure, add_output_file, add_run, add_values
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.study.sensitivity.result import Sensitivity
 
 ROWS_PER_OUTPUT = 12  # rows of an output
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "sensitivity",
-        parents=[common(), run_options(), value_options()],
-        help="derivatives of a run by parameters and start values, checked by a second method",
-    )
+    add_run(parser)
+    add_values(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
     parser.add_argument(
         "--with-respect-to",
@@ -37,7 +33,7 @@ def add_parser(verbs: Verbs) -> None:
     )
     parser.add_argument("--no-check", action="store_true", help="without a second method")
     add_output_file(parser, "FILE", "every derivative over time, as CSV")
-    parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
+    add_figure(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,10 +46,6 @@ def run(args: argparse.Namespace) -> int:
         sensitivity,
     )
 
-    if args.figure:
-        from cosim.present.picture_files import picture_format
-
-        picture_format(args.figure)  # refuses before anything has been computed
     solver, args.solver = args.solver, None
     scene = scene_from(args)
     settings = scene.settings

@@ -7,28 +7,16 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import (
-    add_output_file,
-    add_solver,
-    add_timeout,
-    add_trust,
-    common,
-    run_options,
-    value_options,
-)
+from cosim.cli.options import Parser, add_output_file, add_single_run
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.trajectory import Trajectory
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "simulate", parents=[common(), run_options(), value_options()], help="one run, as CSV"
-    )
+    add_single_run(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
-    add_solver(parser)
     add_output_file(parser, "FILE", "CSV; standard output by default")
     parser.add_argument(
         "--units", default="si", metavar="KIND", help="si, or book: display units, and their names"
@@ -37,8 +25,6 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument(
         "--master", metavar="NAME", help="who drives an FMU: fmpy (default), or c, compiled"
     )
-    add_timeout(parser)
-    add_trust(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,10 +6,9 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import Parser, add_output_file, common, run_options
+from cosim.cli.options import Parser, add_error_control, add_output_file, add_outputs, add_run
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.study.sweep.samples import Samples
 
 _RUN_OPTIONS = (
@@ -18,31 +17,22 @@ _RUN_OPTIONS = (
 )
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "sweep",
-        parents=[common(), run_options()],
-        help="many runs: tables, grids and designs, over processes or a cluster",
-    )
+    add_run(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
     _add_samples(parser)
-    parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
+    add_outputs(parser)
     parser.add_argument(
         "--keep",
         nargs="+",
         metavar="WORD",
         default=["final"],
-        help="trajectories, statistics, final, max, min, mean, rms, 'max(phi)', 'first(phi, 0.5)'",
+        help='trajectories, statistics, final, max, min, mean, rms, "max(phi)", "first(phi, 0.5)"',
     )
     parser.add_argument("--times", metavar="T1,T2", help="output times, s, not an interval")
-    parser.add_argument("--start-time", type=float, metavar="S", help="s; 0 by default")
     parser.add_argument("--solver", metavar="NAME", help="dop853 in lanes where that is possible")
-    parser.add_argument(
-        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
-    )
-    parser.add_argument("--step-size", type=float, metavar="S", help="s; of rk4 and ode8")
-    parser.add_argument("--on-invalid", metavar="ACTION", help="warn, stop or ignore")
+    add_error_control(parser)
     parser.add_argument("--store", metavar="FOLDER", help="keeps everything, as it finishes")
     parser.add_argument("--resume", action="store_true", help="go on with a store")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per processor")
@@ -71,7 +61,7 @@ def _add_samples(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep, and show its table of runs."""
-    from cosim.cli.arguments import names_in
+    from cosim.cli.arguments import names_in, numbers_in
     from cosim.cli.tables import write_text
     from cosim.study.sweep.sweep import sweep
 
@@ -79,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         name: getattr(args, name) for name in _RUN_OPTIONS if getattr(args, name) is not None
     }
     if args.times is not None:
-        settings["times"] = [_given_number("--times", word) for word in names_in(args.times)]
+        settings["times"] = numbers_in("--times", args.times)
     result = sweep(
         args.model,
         _asked_samples(args),
@@ -129,12 +119,3 @@ def _asked_samples(args: argparse.Namespace) -> Samples | None:
     if args.resume:
         return None
     raise UsageError("nothing varies; give --samples FILE.csv, --sample KIND:N, or -p NAME=A,B")
-
-
-def _given_number(what: str, text: str) -> float:
-    from cosim.errors import ParameterError
-
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(f"{what}: '{text}' is not a number") from None

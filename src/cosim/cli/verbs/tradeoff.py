@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.cli.options import add_output_file, add_timeout, common, run_options, value_options
+from cosim.cli.options import Parser, add_figure, add_output_file, add_run, add_timeout, add_values
 
 if TYPE_CHECKING:
-    from cosim.cli.options import Verbs
     from cosim.study.tradeoff.result import Tradeoff
 
 _RUN_COLUMNS = (
@@ -19,13 +18,10 @@ _RUN_COLUMNS = (
 )
 
 
-def add_parser(verbs: Verbs) -> None:
+def add_options(parser: Parser) -> None:
     """Declare the verb."""
-    parser = verbs.add_parser(
-        "tradeoff",
-        parents=[common(), run_options(), value_options()],
-        help="error against cost, on every road",
-    )
+    add_run(parser)
+    add_values(parser)
     parser.add_argument("model", metavar="MODEL|SCENE.toml")
     parser.add_argument("--solvers", metavar="A,B", help="all, and the FMU, by default")
     parser.add_argument("--tolerances", metavar="A,B", help="from 1e-2 to 1e-12 by default")
@@ -38,7 +34,7 @@ def add_parser(verbs: Verbs) -> None:
     parser.add_argument("--resume", action="store_true", help="go on after an interruption")
     add_output_file(parser, "FILE", "CSV or JSON, with provenance")
     add_timeout(parser)
-    parser.add_argument("--figure", metavar="FILE", help="PNG, SVG or PDF")
+    add_figure(parser)
     parser.add_argument(
         "--all",
         dest="everything",
@@ -49,27 +45,23 @@ def add_parser(verbs: Verbs) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
-    from cosim.cli.arguments import scene_from
+    from cosim.cli.arguments import names_in, numbers_in, scene_from
     from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
-    from cosim.study.tradeoff.configuration import Selection, parse_list, parse_numbers
+    from cosim.study.tradeoff.configuration import Selection
     from cosim.study.tradeoff.study import tradeoff
 
     refuse_timeout(args)
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
-    if args.figure:
-        from cosim.present.picture_files import picture_format
-
-        picture_format(args.figure)
-    selection = Selection(
-        parse_list(args.solvers),
-        parse_numbers("--tolerances", args.tolerances),
-        parse_numbers("--steps", args.steps),
-        parse_list(args.roads),
-        parse_list(args.drift_controls),
-    )
+    names = ("solvers", "roads", "drift_controls")
+    chosen: dict[str, Any] = {
+        name: names_in(text) for name in names if (text := getattr(args, name))
+    }
+    for name in ("tolerances", "steps"):
+        if text := getattr(args, name):
+            chosen[name] = numbers_in(f"--{name}", text)
     scene = scene_from(args)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
@@ -82,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         study = tradeoff(
             scene,
-            selection=selection,
+            selection=Selection(**chosen),
             every_formulation=not named,
             repeats=args.repeats,
             resume=args.resume,
@@ -131,7 +123,16 @@ def _print(study: Tradeoff) -> None:
         print(f"{key}: {value}")
     for cost in COSTS:
         print(f"\nPareto front, error against {cost} ({'s' if cost == 'solver_time' else '1'})")
-        show_table([_plotted_point(study, m, cost) for m in study.front(cost)], as_json=False)
+        front = study.front(cost)
+        errors = (max(m.known_error, study.floor) for m in front)
+        points = zip(front, errors, strict=True)
+        show_table(
+            [
+                {"configuration": str(m.configuration), "error": e, cost: m.cost(cost)}
+                for m, e in points
+            ],
+            as_json=False,
+        )
     print("\nerror = constant * tolerance ** slope")
     show_table([fit.row() for fit in study.proportionality()], as_json=False)
     if study.orders:
@@ -141,11 +142,3 @@ def _print(study: Tradeoff) -> None:
         show_table([limit.row() for limit in study.stability], as_json=False)
         if not study.stability:
             print("none: no mode decays, or the motion has not become steady")
-
-
-def _plotted_point(study: Tradeoff, measurement: Any, cost: str) -> dict[str, Any]:
-    return {
-        "configuration": str(measurement.configuration),
-        "error": max(measurement.error, study.floor),
-        cost: measurement.cost(cost),
-    }

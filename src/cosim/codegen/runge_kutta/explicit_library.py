@@ -14,12 +14,11 @@ import casadi as ca
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key
 from cosim.codegen.compiler import cached_library
+from cosim.codegen.externals import sources_beside
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients, numbers, sums
 from cosim.codegen.runge_kutta.tableau import Tableau
 
 _sizing = Lock()
-
-SETTINGS = 6  # numbers of output times, breaks, columns of u; both tolerances, largest step
 
 
 class MethodText(NamedTuple):
@@ -42,6 +41,7 @@ def explicit_library(
 
     Raises:
         MissingTool: There is no compiler, or it fails.
+        UsageError: `rhs` calls a library's function whose C code is not at hand.
     """
     sizes = zip(("NX", "NZ", "NU", "NC"), (rhs.numel_in(i) for i in range(1, 5)), strict=True)
     before = "".join(f"#define {macro} {size}\n" for macro, size in sizes)
@@ -55,7 +55,9 @@ def explicit_library(
         return f"{before}{generator.dump()}\n{after}"
 
     details = before + after + ("" if project is None else project.serialize())
-    return str(cached_library(cache_key(f"explicit {name}", rhs, details.encode()), generate))
+    key = cache_key(f"explicit {name}", rhs, details.encode())
+    functions = [rhs] if project is None else [rhs, project]
+    return str(cached_library(key, generate, sources_beside(*functions)))
 
 
 def explicit_function(
@@ -66,7 +68,8 @@ def explicit_function(
     Args:
         path: Of the library.
         points: Number of output times; p = (c, points, breaks, columns, relative and absolute
-            tolerance, largest step, output times, positions of the breaks).
+            tolerance, largest step, nominal values of the states, output times, positions of the
+            breaks).
         breaks: Number of output times at which a step ends and a fresh one begins.
         columns: Of u: 1, or one per output time that holds on the way there.
     """

@@ -109,7 +109,7 @@ def lane_outputs(dae: Dae, lanes: int, *, limits_only: bool = False) -> ctypes.C
         MissingTool: There is no compiler, or it fails.
     """
     shown = ca.SX(0, 1) if limits_only else dae.outputs
-    rows = ca.vertcat(ca.SX(0, 1), shown, *(margin for margin, _ in dae.limits))
+    rows = ca.vertcat(ca.SX(0, 1), shown, dae.margins)
     (every,), symbols, values = ca.extract_parametric([rows], dae.p)
     c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
     cse = {"cse": True}
@@ -138,8 +138,7 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
     known |= dict(rows)
     wanted = ca.vertcat(ca.SX(0, 1), *(known[name] for name in outputs))
-    margins = ca.vertcat(ca.SX(0, 1), *(margin for margin, _ in dae.limits))
-    observed = ca.vertcat(wanted, margins)
+    observed = ca.vertcat(wanted, dae.margins)
     sparsity = ca.jacobian_sparsity(observed, dae.x)
     _, columns = sparsity.get_triplet()
     needed = sorted(set(columns))

@@ -5,7 +5,9 @@ What is printed stands behind fmu/solvers/lanes.h. Every operation works on each
 
 import casadi as ca
 
+from casadi_models.dae import Dae
 from cosim.errors import UsageError
+from cosim.memo import kept_per_thread
 
 _LANE_FORMS = {
     ca.OP_ASSIGN: "{0}",
@@ -46,6 +48,15 @@ _LANE_FORMS |= {
     getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})" for name in _TWO_BY_TWO
 }
 _LANE_FORMS[ca.OP_CONSTPOW] = _LANE_FORMS[ca.OP_POW]
+
+
+@kept_per_thread(16)
+def fits_lanes(dae: Dae) -> bool:
+    """Tell whether lanes have every operation of a model: calls of functions they do not."""
+    laws = [dae.ode, dae.outputs, dae.margins]
+    function = ca.Function("laws", dae.arguments, [ca.vertcat(*laws)])
+    codes = {function.instruction_id(i) for i in range(function.n_instructions())}
+    return codes <= {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_LANE_FORMS}
 
 
 def vector_text(function: ca.Function, name: str) -> str:

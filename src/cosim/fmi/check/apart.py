@@ -3,18 +3,19 @@
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from cosim.errors import FmuError
+from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
 from cosim.fmi.check.trials.table import OPTIONAL, TRIALS
+from cosim.fmi.run.c_master import co_simulation_library
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import own_folder, run_confined
@@ -45,12 +46,15 @@ class TrialResults:
     skipped: tuple[str, ...]
 
 
-def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialResults:
+def try_apart(
+    path: str | os.PathLike[str], *, timeout: float = 120.0, trials: Sequence[Trial] = TRIALS
+) -> TrialResults:
     """Run the trials of an FMU in a child process with the limits of `Limits.chosen`.
 
     Args:
         path: The FMU. Its binary runs with the rights of this user.
         timeout: Wall time, s, after which the child is ended.
+        trials: Which ones, of `TRIALS`.
 
     Raises:
         FmuError, SecurityError: It cannot be run here at all, see `simulate_fmu`.
@@ -69,7 +73,7 @@ def try_apart(path: str | os.PathLike[str], *, timeout: float = 120.0) -> TrialR
         for kind in kinds:
             choose_interface(files, bench.fmpy, kind, path)
         end, told = monotonic() + timeout, _Told()
-        tasks = [(trial.__name__, kind) for kind in kinds for trial in TRIALS]
+        tasks = [(trial.__name__, kind) for kind in kinds for trial in trials]
         while tasks and (left := end - monotonic()) > 0:
             (folder / _ANSWER).unlink(missing_ok=True)
             code = _run_trials(folder, files, str(path), tasks, left, timeout)
@@ -88,7 +92,10 @@ def _run_trials(
     folder: Path, files: Path, name: str, tasks: list[_TrialTask], left: float, timeout: float
 ) -> int | None:
     """Run trials; return the exit code, None after what is left of the time."""
-    words = [str(folder / _ANSWER), str(files), name, str(timeout), json.dumps(tasks)]
+    loop = ""
+    with suppress(MissingTool):
+        loop = str(co_simulation_library())
+    words = [str(folder / _ANSWER), str(files), name, str(timeout), loop, json.dumps(tasks)]
     code, _ = run_confined(__name__, words, folder, left)
     return code
 
@@ -173,15 +180,16 @@ def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, 
             failed.add(kind)
 
 
-def _main(answer: Path, files: Path, name: str, timeout: float, tasks: list[_TrialTask]) -> None:
+def _main(answer: Path, bench: Bench, tasks: list[_TrialTask]) -> None:
     be_confined()
     with answer.open("w", encoding="utf-8") as stream:
-        for line in _outcome_lines(Bench(files, name, timeout), tasks):
+        for line in _outcome_lines(bench, tasks):
             stream.write(json.dumps(line) + "\n")
             stream.flush()
     leave()
 
 
 if __name__ == "__main__":
-    _words = sys.argv[1:]
-    _main(Path(_words[0]), Path(_words[1]), _words[2], float(_words[3]), json.loads(_words[4]))
+    _answer, _files, _name, _timeout, _loop, _tasks = sys.argv[1:]
+    _bench = Bench(Path(_files), _name, float(_timeout), Path(_loop) if _loop else None)
+    _main(Path(_answer), _bench, json.loads(_tasks))

@@ -105,11 +105,13 @@ def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Find
                 told += "it reads it elsewhere, or is another's"
                 whole = f"{name} was compiled for another GUID or instantiation token"
                 yield rules.TOKEN_ELSEWHERE.at(name, told, whole)
-            for rule, told in _library(content, target, described):
+            for rule, told in _library_faults(content, target, described):
                 yield rule.at(name, told)
 
 
-def _library(content: bytes, target: Target, described: Description) -> Iterator[tuple[Rule, str]]:
+def _library_faults(
+    content: bytes, target: Target, described: Description
+) -> Iterator[tuple[Rule, str]]:
     version = described.version
     try:
         libraries = read_libraries(content)

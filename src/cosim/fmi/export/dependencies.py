@@ -24,7 +24,7 @@ class Dependencies:
     initial: Pattern
 
 
-def dependencies(dae: Dae) -> Dependencies:
+def structural_dependencies(dae: Dae) -> Dependencies:
     """Return the dependencies, algebraic unknowns being solved for."""
     known = [dae.t, dae.x, dae.u, dae.p]
     direct = _stack([pattern(e, *known) for e in (dae.ode, SX(0, 1), dae.outputs)], dae.algebraics)

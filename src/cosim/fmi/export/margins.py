@@ -30,6 +30,6 @@ def with_margins(dae: Dae) -> Dae:
     )
     return replace(
         dae,
-        outputs=ca.densify(ca.vertcat(dae.outputs, *(margin for margin, _ in dae.limits))),
+        outputs=ca.densify(ca.vertcat(dae.outputs, dae.margins)),
         output_variables=(*dae.output_variables, *variables),
     )

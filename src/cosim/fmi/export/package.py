@@ -13,12 +13,13 @@ from types import MappingProxyType
 
 from casadi_models.dae import Dae
 from cosim.codegen.c_sources import cache_folder, license_texts, runtime_sources, solver_sources
+from cosim.codegen.compiler import refuse_unlinked
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.dependencies import dependencies
+from cosim.fmi.export.dependencies import structural_dependencies
 from cosim.fmi.export.description.build_description import build_description
 from cosim.fmi.export.description.fmi2_xml import FMI2
 from cosim.fmi.export.description.fmi3_xml import FMI3
@@ -30,6 +31,7 @@ from cosim.fmi.export.identifier import model_identifier
 from cosim.fmi.export.margins import with_margins
 from cosim.fmi.export.solver_choice import solver_for, uses_dop853
 from cosim.fmi.export.sources.c_files import equations_c, model_header, variable_table
+from cosim.fmi.export.sources.equations import embedded_sources
 from cosim.fmi.export.tunable import tunable_parameters
 from cosim.fmi.export.variables import fmu_variables
 from cosim.fmi.platforms import NATIVE, targets
@@ -90,7 +92,8 @@ def export_fmu(
         ExportError: The name is no C name, or the file cannot be written.
         UnknownName: The model has no such output, or FMI no such version, platform or solver.
         UsageError: The solver cannot solve for algebraic unknowns; a parameter cannot be tunable;
-            FMI 2.0 has no adjoint derivatives; the model has no limits that `valid` could tell of;
+            FMI 2.0 has no adjoint derivatives; the model has no limits that `valid` could tell of,
+            or calls a library whose C code is not at hand;
             or an argument is of a type that is of no use.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
@@ -169,10 +172,13 @@ def source_files(
         variables = structured(variables)
     others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
+    embedded = embedded_sources(dae)
     code = {
         "model.c": variable_table(dae, variables).encode(),
         "equations.c": equations_c(dae, name, fmi, solver).encode(),
+        **{file: text.encode() for file, text in embedded.items()},
     }
+    refuse_unlinked(code["equations.c"].decode(), embedded)
     if uses_dop853(dae, solver):
         code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}
         code["dop853_coefficients.h"] = dop853_coefficients().encode()
@@ -181,7 +187,7 @@ def source_files(
     told = {ABOUT[key]: text for key, text in about.items()}
     indicators = len(dae.limits) if valid else 0
     draft = Identity(name, "", tool, compiled, tolerance, adjoint, told, indicators)
-    depends = dependencies(dae)
+    depends = structural_dependencies(dae)
     unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
     digest = hashlib.sha256()
     for part in (unsigned, *code.values(), *runtime.values()):

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 from cosim.errors import FmuError, SecurityError, UnknownName
 from cosim.fmi.aliases import flat_names
 from cosim.fmi.archive import DESCRIPTION
+from cosim.fmi.run.patient import ADVICE, LIMIT
 from cosim.host.temporary import loads_no_library
 from cosim.text.escaping import sentence
 
@@ -112,7 +113,8 @@ def instantiated(
 
     def explained(error: Exception) -> FmuError:
         told = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
-        reasons = dict.fromkeys(map(sentence, (told, *log[-_MESSAGES:])))
+        advice = (ADVICE,) if LIMIT in told else ()
+        reasons = dict.fromkeys(map(sentence, (told, *log[-_MESSAGES:], *advice)))
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
     with chdir("."):  # fmpy stays in the library's folder where it cannot load it

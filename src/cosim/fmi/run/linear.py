@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import FmuError, UnknownName, UsageError
+from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.initialization import enter_continuous_time, initialize
 from cosim.fmi.run.instance import (
@@ -16,10 +16,9 @@ from cosim.fmi.run.instance import (
     choose_interface,
     instantiated,
     is_number,
-    may_be_set,
     read_description,
 )
-from cosim.model.values import listed, number
+from cosim.fmi.run.request import given_numbers, recorded
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,22 +72,12 @@ def fmu_linear(
         if second and not abilities.providesDirectionalDerivative:
             raise FmuError(f"{path} has no directional derivatives; linearize the model itself")
         variables = by_name(description)
-        values = {n: number(str(path), n, v) for n, v in (start_values or {}).items()}
-        settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
-        for name in values:
-            if name not in variables:
-                raise UnknownName.among(str(path), "start value", name, settable)
-            if name not in settable:
-                raise UsageError(f"{path}: {name} cannot be set; it is calculated, or no number")
+        values = given_numbers(path, variables, start_values or {})
         rates = [item.variable for item in description.derivatives]
         states = [rate.derivative for rate in rates]
-        inputs = [v for v in variables.values() if v.causality == "input" and is_number(v)]
-        shown = [v for v in variables.values() if v.causality == "output" and is_number(v)]
-        if outputs is not None:
-            for name in listed(f"{path}: outputs", outputs):
-                if name not in variables:
-                    raise UnknownName.among(str(path), "output", name, variables)
-            shown = [variables[name] for name in outputs]
+        every = description.modelVariables
+        inputs = [v for v in every if v.causality == "input" and is_number(v)]
+        shown = [variables[name] for name in recorded(path, variables, outputs)]
         with instantiated(folder, description, "ModelExchange", path) as (instance, explained):
             try:
                 initialize(instance, description, values, startTime=time)

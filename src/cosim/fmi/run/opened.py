@@ -15,7 +15,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.c_master import drive
+from cosim.fmi.run.c_master import CompiledMaster
 from cosim.fmi.run.fmpy_master import rows_of, simulated
 from cosim.fmi.run.instance import (
     by_name,
@@ -28,12 +28,14 @@ from cosim.fmi.run.request import (
     column_of,
     given_numbers,
     numbers_of_run,
+    own_numbers,
     recorded,
     span_of,
     tolerance_of,
 )
 from cosim.fmi.trust import is_made_here
 from cosim.model.time_grid import time_grid
+from cosim.model.values import listed
 from cosim.trajectory import Column, Trajectory
 
 FMPY, C = MASTERS = ("fmpy", "c")
@@ -63,17 +65,20 @@ class OpenedFmu:
             self._open.close()
             raise
         self.variables = by_name(self.description)
-        self._columns: dict[tuple[str, ...], tuple[Column, ...]] = {}
+        self._own_numbers = own_numbers(self.variables)
+        self._columns: dict[tuple[str, ...] | None, tuple[Column, ...]] = {}
         self.reset_is_enough = True  # before another run; a new instance is made where it is not
         self._live = ExitStack()
         self._instance: tuple[Any, Explained] | None = None
+        self._master: CompiledMaster | None = None
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return what a run records."""
-        names = tuple(recorded(self.path, self.variables, outputs))
-        if names not in self._columns:
-            self._columns[names] = tuple(column_of(self.variables[name]) for name in names)
-        return self._columns[names]
+        asked = outputs if outputs is None else listed(f"{self.path}: outputs", outputs)
+        if asked not in self._columns:
+            names = recorded(self.path, self.variables, asked)
+            self._columns[asked] = tuple(column_of(self.variables[name]) for name in names)
+        return self._columns[asked]
 
     def settable(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return start values, or refuse them; see `simulate_fmu`."""
@@ -101,7 +106,8 @@ class OpenedFmu:
         began = perf_counter()
         span = span_of(self.path, self.description, start_time, stop_time, output_interval)
         values = self.settable(start)
-        names = recorded(self.path, self.variables, outputs)
+        columns = self.columns(outputs)
+        names = [column.name for column in columns]
         tolerance = tolerance_of(self.path, relative_tolerance)
         instance, explained = self._ready()
         ready, stats = perf_counter(), dict[str, Any]()
@@ -117,8 +123,7 @@ class OpenedFmu:
         stats["solver"] = f"{master} {self.kind}"
         stats["solve_time"] = perf_counter() - (began if master == FMPY else ready)
         stats["wall_time"] = perf_counter() - began
-        columns = self.columns(names)
-        numbers = numbers_of_run(self.variables, values)
+        numbers = numbers_of_run(self.variables, self._own_numbers, values)
         return Trajectory(self.description.modelName, time, columns, rows, stats, numbers=numbers)
 
     def _through_fmpy(
@@ -156,8 +161,10 @@ class OpenedFmu:
         wanted: Sequence[Any],
     ) -> tuple[Vector, Vector, dict[str, Any]]:
         try:
+            if self._master is None:
+                self._master = CompiledMaster(instance, self.description, self.kind)
             numbers = span.start, span.stop, span.interval
-            found = drive(instance, self.description, self.kind, numbers, tolerance, values, wanted)
+            found = self._master.run(numbers, tolerance, values, wanted)
         except MissingTool:
             raise
         except Exception as error:
@@ -191,7 +198,7 @@ class OpenedFmu:
 
     def _drop(self) -> None:
         self._live.close()
-        self._instance = None
+        self._instance = self._master = None
 
 
 class _Open(local):

@@ -78,13 +78,17 @@ def given_numbers(
     """Return start values by name, or refuse them."""
     if not isinstance(start, Mapping):
         raise UsageError.of_type(f"{path}: start", start, "values by name, e.g. {'phi': 0.1}")
-    settable = [v.name for v in variables.values() if may_be_set(v) and is_number(v)]
     for name in start:
         if name not in variables:
+            settable = [v.name for v in variables.values() if _is_settable(v)]
             raise UnknownName.among(str(path), "start value", name, settable)
-        if variables[name].name not in settable:
+        if not _is_settable(variables[name]):
             raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
     return {variables[name].name: number(str(path), name, value) for name, value in start.items()}
+
+
+def _is_settable(variable: Any) -> bool:
+    return may_be_set(variable) and is_number(variable)
 
 
 def recorded(
@@ -142,12 +146,19 @@ def column_of(variable: Any) -> Column:
     )
 
 
-def numbers_of_run(variables: Mapping[str, Any], given: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters and inputs that an FMU is run with: what is given, else its own."""
+def own_numbers(variables: Mapping[str, Any]) -> dict[str, float]:
+    """Return the parameters and inputs that an FMU has where nobody gives others, by name."""
     kinds = ("parameter", "input")
     found = {n: v.start for n, v in variables.items() if v.causality in kinds and is_number(v)}
-    own = {name: float(start) for name, start in found.items() if _is_float(start)}
-    return own | {name: value for name, value in given.items() if name in found}
+    return {name: float(start) for name, start in found.items() if _is_float(start)}
+
+
+def numbers_of_run(
+    variables: Mapping[str, Any], own: Mapping[str, float], given: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the parameters and inputs that an FMU is run with: what is given, else its own."""
+    kinds = ("parameter", "input")
+    return {**own, **{n: x for n, x in given.items() if variables[n].causality in kinds}}
 
 
 def _is_float(text: Any) -> bool:

@@ -21,6 +21,7 @@ from cosim.fmi.run.request import (
     column_of,
     given_numbers,
     numbers_of_run,
+    own_numbers,
     recorded,
     refuse_series,
     span_of,
@@ -133,5 +134,5 @@ def simulate_fmu(
     if calls is not None:
         stats["rhs_calls"] = calls[0]
     columns = tuple(column_of(variables[name]) for name in names)
-    numbers = numbers_of_run(variables, values)
+    numbers = numbers_of_run(variables, own_numbers(variables), values)
     return Trajectory(description.modelName, time, columns, rows, stats, numbers=numbers)

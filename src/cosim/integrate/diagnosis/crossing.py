@@ -45,12 +45,15 @@ def crossings(
     Args:
         dae: The model.
         time: Output times, s, (n,).
-        states, algebraics, u: There, n columns each.
+        states, algebraics, u: There, n columns each; one of u where inputs are constant.
         p: Parameters.
         rank: Last limit of `watching_rank` there, (n,).
     """
-    law, n = _law(dae), len(time)
-    for k in _suspects(time, rank):
+    n, suspects = len(time), _suspects(time, rank)
+    if not suspects:
+        return []
+    law, u = _law(dae), np.broadcast_to(u, (len(u), n))
+    for k in suspects:
         # along the motion, and along what it was before and after, lest the branch has changed
         parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
         found = []
@@ -88,12 +91,17 @@ def _law(dae: Dae) -> ca.Function:
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:
     """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
-    falls, length = -np.diff(rank), np.diff(time)
+    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
+    steep = rank[1:-2] * length[:-2] <= SUSPECTED * length[1:-1] * falls[:-2]
+    steep &= falls[2:] < 0
+    if not steep.any():  # as in most runs
+        return []
+    k = 1 + np.flatnonzero(steep)
     with np.errstate(divide="ignore", invalid="ignore"):  # at a time that stands twice
-        before, after = falls[:-2] / length[:-2], -falls[2:] / length[2:]
-        reach = rank[1:-2] / before + rank[2:-1] / after
-    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[1:-1])
-    return [int(k) for k in 1 + np.flatnonzero(touched)]
+        before, after = falls[k - 1] / length[k - 1], -falls[k + 1] / length[k + 1]
+        reach = rank[k] / before + rank[k + 1] / after
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[k])
+    return [int(i) for i in k[touched]]
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:

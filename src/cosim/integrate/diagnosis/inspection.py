@@ -34,7 +34,7 @@ def inspect_start(dae: Dae) -> Inspection:
         z = algebraic_values(dae, 0.0, x, values)
     except InitialConditionError:  # `simulate` says why
         return Inspection((None,) * n, (None,) * len(dae.limits))
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    function = ca.Function("inspect", symbols, [ca.vertcat(ca.SX(0, 1), *expressions)])
+    column = ca.vertcat(ca.SX(0, 1), *expressions)
+    function = ca.Function("inspect", dae.arguments, [column])
     found = np.array(function(0.0, x, z, values.u, values.p)).ravel().tolist()
     return Inspection(tuple(found[:n]), tuple(found[n:]))

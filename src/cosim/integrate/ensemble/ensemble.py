@@ -128,11 +128,7 @@ class Ensemble:
         """Return an `xarray.Dataset` over run and time; what was given are coordinates of run."""
         xarray = optional_module("xarray", "data")
         variables: dict[str, Any] = {
-            column.name: (
-                ("run", "time"),
-                self.values[:, :, i],
-                {"units": column.unit, "long_name": column.meaning},
-            )
+            column.name: (("run", "time"), self.values[:, :, i], column.facts)
             for i, column in enumerate(self.columns)
         }
         variables["status"] = ("run", np.array([str(state) for state in self.states]))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.ensemble.ensemble import Ensemble
@@ -167,7 +168,7 @@ def _times(start_time: float, times: ArrayLike) -> tuple[Vector, int]:
 
 def _fits(dae: Dae, inputs: InputSeries | None, step_size: float | None, grid: Vector) -> bool:
     """Tell whether lanes can run this."""
-    explicit = not dae.algebraics and bool(dae.states)
+    explicit = not dae.algebraics and bool(dae.states) and fits_lanes(dae)
     return explicit and inputs is None and step_size is None and len(grid) > 1 and has_compiler()
 
 

@@ -17,9 +17,10 @@ from cosim.codegen.casadi_patches import (
     watched,
 )
 from cosim.codegen.compiler import cached_library
+from cosim.codegen.externals import add_integrator, sources_beside
 from cosim.codegen.functions import CALL, inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import explicit_function
-from cosim.integrate.engine import Engine, Problem, reported
+from cosim.integrate.engine import Engine, Functions, Problem, reported
 from cosim.integrate.families.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
@@ -35,7 +36,9 @@ class _OwnOfCasadi(AdaptiveSolver):
         """Build the engine for a problem."""
         if problem.compiled:
             return self._generated(problem)
-        options = COMMON | tolerances(self) | _grouped(problem)
+        options = COMMON | tolerances(self)
+        if not problem.piecewise:  # steps may pass output times
+            options["control_group_size"] = [len(problem.grid)]
         return plugin_engine(problem, self.name, options, _CASADI_COUNTERS)
 
     def _generated(self, problem: Problem) -> Engine:
@@ -60,7 +63,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         def generate() -> str:
             run = ca.integrator("stepper", self.name, system, 0.0, [0.0, 1.0], options)
             generator = ca.CodeGenerator("code", {"with_header": False})
-            generator.add(run)
+            add_integrator(generator, run)
             first = c.numel() + 2
             code = run_time_tolerances(
                 str(generator.dump()), f"arg[2][{first}]", f"arg[2][{first + 1}]"
@@ -69,19 +72,18 @@ class _OwnOfCasadi(AdaptiveSolver):
             return f"{head}#define SETTINGS {_SETTINGS}\n{self.finished(code)}"
 
         key = cache_key(
-            f"generated-9 {self.name}", original, repr(sorted(options.items())).encode()
+            f"generated-10 {self.name}", original, repr(sorted(options.items())).encode()
         )
-        path = str(cached_library(key, generate))
+        path = str(cached_library(key, generate, sources_beside(original)))
         points = len(grid)
         run, library = explicit_function(path, points, 0, points if problem.piecewise else 1)
         p = MX.sym("p", dae.p.numel())
         settings = (points, 1 if problem.piecewise else points)
         numbers = (start, length, *self.tolerance.pair, *settings)
         extended = ca.vertcat(constants(p), *numbers, ca.DM(_unit_grid(grid)))
-        parameters = ca.Function("parameters", [p], [extended])
-        return Engine(
-            run, parameters, problem.piecewise, reported(library, start, length), True, library
-        )
+        made = Functions(run, ca.Function("parameters", [p], [extended]))
+        counts = reported(library, start, length)
+        return Engine(lambda: made, points, problem.piecewise, counts, True, library)
 
     @staticmethod
     def finished(code: str) -> str:
@@ -108,11 +110,6 @@ class Rosenbrock(_OwnOfCasadi):
     name = "rosenbrock"
     solves_dae = True
     uses_jacobian = True
-
-
-def _grouped(problem: Problem) -> dict[str, Any]:
-    """Let steps pass output times where inputs do not change there."""
-    return {} if problem.piecewise else {"control_group_size": [len(problem.grid)]}
 
 
 def _unit_grid(grid: Vector) -> Vector:

@@ -1,6 +1,7 @@
 """Explicit methods in C around generated equations: the engine of all, and `dop853`."""
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function
-from cosim.codegen.projection import projection_step
 from cosim.codegen.runge_kutta.explicit_library import (
     MethodText,
     dop853_method,
@@ -19,7 +19,8 @@ from cosim.codegen.runge_kutta.explicit_library import (
     explicit_library,
     work_space,
 )
-from cosim.integrate.engine import Engine, Problem, reported
+from cosim.codegen.runge_kutta.projection import projection_step
+from cosim.integrate.engine import Engine, Functions, Problem, reported
 from cosim.integrate.run.call import call_on_arrays
 from cosim.integrate.solver import AdaptiveSolver
 
@@ -33,6 +34,7 @@ class Dop853(AdaptiveSolver):
     solves_dae = True
     compiled_only = True
     projects = True
+    counts_in_nominal = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
@@ -66,19 +68,25 @@ def explicit_engine(
     projection = projection_step(dae, c.numel()) if problem.project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
     path = explicit_library(rhs, name, method, projection)
-    grid, breaks = problem.grid, ca.DM(0, 1)
+    grid, breaks = problem.grid, np.empty(0)
     kept: NDArray[np.intp] | None = None
     if inputs is not None and settings[0]:  # where error control would stumble over kinks
         grid, breaks, kept = _with_samples(grid, inputs.time)
     columns = len(grid) if problem.piecewise else 1
-    run, library = explicit_function(path, len(grid), breaks.numel(), columns)
-    p = MX.sym("p", dae.p.numel())
-    numbers = (len(grid), breaks.numel(), columns, *settings)
-    extended = ca.vertcat(constants(p), *numbers, ca.DM(grid), breaks)
-    parameters = ca.Function("parameters", [p], [extended])
-    counts = reported(library, 0.0, 1.0)
-    direct = DirectCall(library, parameters)
-    return Engine(run, parameters, problem.piecewise, counts, True, library, kept, direct=direct)
+    library = ctypes.CDLL(path)
+    nominal = problem.nominal or (1.0,) * len(dae.states)
+    numbers = (len(grid), len(breaks), columns, *settings, *nominal)
+    known = np.concatenate((numbers, grid, breaks))
+
+    def make() -> Functions:
+        run, _ = explicit_function(path, len(grid), len(breaks), columns)
+        p = MX.sym("p", dae.p.numel())
+        extended = ca.vertcat(constants(p), ca.DM(known))
+        return Functions(run, ca.Function("parameters", [p], [extended]))
+
+    counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known)
+    every = problem.piecewise
+    return Engine(make, len(grid), every, counts, True, library, kept, direct=direct)
 
 
 class DirectCall:
@@ -86,33 +94,43 @@ class DirectCall:
 
     Args:
         library: Of `explicit_library`.
-        parameters: `p -> p` of its function `run`.
+        constants: `p -> c` of its right-hand side.
+        known: What stands behind c in the parameters of its function `run`.
     """
 
-    def __init__(self, library: ctypes.CDLL, parameters: ca.Function) -> None:
-        self._run, self._parameters = library.run, parameters
+    def __init__(self, library: ctypes.CDLL, constants: ca.Function, known: Vector) -> None:
+        self._run, self._constants = library.run, constants
+        self._passed: Callable[[], int] = library.cosim_passed
+        library.cosim_passed.restype = ctypes.c_longlong
         self._work = work_space(library)
         self._p: bytes | None = None
-        self._extended = np.empty(parameters.numel_out(0))
+        self._c = np.empty(constants.numel_out(0))
+        self._extended = np.concatenate((self._c, known))
 
     def __call__(
         self, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
-    ) -> bool:
-        """Fill states and algebraic unknowns, (n, nx) and (n, nz); tell whether it succeeded."""
+    ) -> tuple[bool, int]:
+        """Fill states and algebraic unknowns, (n, nx) and (n, nz).
+
+        Returns:
+            Whether it succeeded, and how many of the times it reached.
+        """
         if p.tobytes() != self._p:  # CasADi is asked for what follows from them once
-            call_on_arrays(self._parameters, [p], [self._extended])
+            call_on_arrays(self._constants, [p], [self._c])
+            self._extended[: len(self._c)] = self._c
             self._p = p.tobytes()
         arguments, results, integers, doubles = self._work
-        held = [np.ascontiguousarray(part, dtype=float) for part in (x0, z0, self._extended, u)]
+        held = [*map(np.ascontiguousarray, (x0, z0, self._extended, u))]
         for place, array in enumerate(held):
             arguments[place] = array.ctypes.data if array.size else None
         for place, array in enumerate((states, algebraics)):
             results[place] = array.ctypes.data if array.size else None
-        return not self._run(arguments, results, integers, doubles, 0)
+        failed = self._run(arguments, results, integers, doubles, 0)
+        return not failed, self._passed() if failed else len(states)
 
 
-def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, ca.DM, NDArray[np.intp]]:
+def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
     """Return a grid with the samples within it, the positions of these, and those of its own."""
     within = samples[(samples > grid[0]) & (samples < grid[-1])]
     every = np.union1d(grid, within)
-    return every, ca.DM(np.searchsorted(every, within).astype(float)), np.searchsorted(every, grid)
+    return every, np.searchsorted(every, within).astype(float), np.searchsorted(every, grid)

@@ -7,10 +7,11 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.nominal import Nominal, scaled
+from cosim.integrate.nominal import Nominal, measured
 from cosim.integrate.run.call import INTERRUPTED, Reached, call
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import engine_of
+from cosim.memo import kept_per_thread
 from cosim.model.values import Values
 
 
@@ -67,8 +68,15 @@ def _after(first: Reached, second: Reached) -> Reached:
 def _run(
     problem: Problem, solver: Solver, start: Start, nominal: Nominal
 ) -> tuple[Engine, Reached]:
-    engine = engine_of(replace(problem, dae=scaled(problem.dae, nominal)), solver)
-    return engine, _scaled_call(engine, problem, start, nominal)
+    engine, sizes = _counting_engine(problem, solver, nominal)
+    return engine, _scaled_call(engine, problem, start, sizes)
+
+
+@kept_per_thread(32)
+def _counting_engine(problem: Problem, solver: Solver, nominal: Nominal) -> tuple[Engine, Nominal]:
+    """Return the engine that counts in nominal values, and what its unknowns are divided by."""
+    counted, sizes = measured(problem, solver, nominal)
+    return engine_of(counted, solver), sizes
 
 
 def _scaled_call(engine: Engine, problem: Problem, start: Start, nominal: Nominal) -> Reached:
@@ -76,18 +84,17 @@ def _scaled_call(engine: Engine, problem: Problem, start: Start, nominal: Nomina
     x, z = nominal.columns
     numbers = (start.x / x.ravel(), start.z / z.ravel(), *_constants(start))
     reached = call(engine, *numbers)
-    if engine.restart is not None and not _started(reached):
+    started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
+    if engine.restart is not None and not started:
         rates = _rates(problem, start) / x.ravel()
         reached = _after(reached, call(engine.restart(rates), *numbers))
+    if nominal.in_si:
+        return reached
     return replace(reached, states=reached.states * x, algebraics=reached.algebraics * z)
 
 
 def _constants(start: Start) -> tuple[Vector, Vector]:
     return start.values.p, start.values.u
-
-
-def _started(reached: Reached) -> bool:
-    return reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
 
 
 def _rates(problem: Problem, start: Start) -> Vector:

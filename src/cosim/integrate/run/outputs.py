@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from casadi import MX
 from numpy.typing import ArrayLike, NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
+from cosim.codegen.functions import CALL, symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.runge_kutta.lane_library import Watched, lane_outputs, processor_lanes
 from cosim.errors import UsageError
-from cosim.integrate.run.call import call_on_arrays
+from cosim.integrate.run.call import call_on_arrays, finite_rows
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import no_such_output
 from cosim.trajectory import Column
@@ -85,7 +85,7 @@ def observe(
         sizes = len(places), len(dae.algebraics), len(dae.limits)
         table, unknowns, none = (np.empty((0, size)) for size in sizes)
         return Observed(table, unknowns, 0, (0,) * len(dae.limits), none)
-    computed = any(place >= nx for place in places)
+    computed = max(places, default=0) >= nx
     if not (computed or limits or dae.algebraics):
         return _states_alone(solved, places)
     several = compiled and n >= _WORTHWHILE
@@ -96,10 +96,9 @@ def observe(
 
 def _states_alone(solved: Solved, places: tuple[int, ...]) -> Observed:
     """Return what `observe` does where there is nothing to evaluate."""
-    n = len(solved.time)
-    lost = _first(~np.isfinite(solved.states).all(axis=0))
-    table = np.ascontiguousarray(solved.states[places, :].T)
-    return Observed(table, np.empty((n, 0)), lost, (), np.empty((n, 0)))
+    rows = solved.states.T  # as solvers write them
+    table, none = rows.take(_as_array(places), axis=1), np.empty((len(rows), 0))
+    return Observed(table, none, finite_rows(rows), (), none)
 
 
 def _one_by_one(
@@ -144,7 +143,7 @@ def _in_lanes(
     n = len(solved.time)
     table, first = np.empty((n, len(places))), np.empty(1 + len(dae.limits), dtype=np.int64)
     given = [solved.time, solved.states.T, solved.u.T, solved.p]
-    held = [np.ascontiguousarray(part, dtype=float) for part in given]
+    held = [*map(np.ascontiguousarray, given)]
     found = np.empty((n, len(dae.limits) if margins else 0))
     recorded = _as_array(places)
     library.lanes_outputs(
@@ -213,14 +212,12 @@ def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
 @kept_per_thread(16)
 def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
     """Return `observe(t, x, z, u, p) -> rows` for n times, a column each."""
-    names = ["t", "x", "z", "u", "p"]
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    margins = (margin for margin, _ in dae.limits)
-    outputs = ca.Function("outputs", symbols, [ca.vertcat(dae.outputs, *margins)], {"cse": True})
-    t, x, z, u, p = (MX.sym(n, s.numel()) for n, s in zip(names, symbols, strict=True))
+    shown = ca.vertcat(dae.outputs, dae.margins)
+    outputs = ca.Function("outputs", dae.arguments, [shown], {"cse": True})
+    t, x, z, u, p = symbols_like(dae)
     solved = algebraic_function(dae)(t, x, z, u, p)
     rows = ca.densify(ca.vertcat(solved, outputs(t, x, solved, u, p)))  # cse makes zeros sparse
-    function = ca.Function("observe", [t, x, z, u, p], [rows], names, ["rows"])
+    function = ca.Function("observe", [t, x, z, u, p], [rows], CALL, ["rows"])
     if n == 1:
         return function
     if compiled:

@@ -48,36 +48,80 @@ class Solution:
 def solve(
     problem: Problem, solver: Solver, values: Values, on_invalid: str, places: tuple[int, ...]
 ) -> Solution:
-    """Integrate, and evaluate what a run records: `places` among `all_columns`.
+    """Settle where a run begins, integrate, and evaluate what it records.
+
+    Args:
+        problem: What is integrated.
+        solver: By what.
+        values: Its numbers.
+        on_invalid: See `simulate`.
+        places: What is recorded, among `all_columns`.
 
     Raises:
         CosimError: See `simulate`.
     """
-    dae, grid = problem.dae, problem.grid
-    x0 = start_values(dae, values)
-    u = input_values(dae, grid, values, problem.inputs)
-    z0 = algebraic_values(dae, grid[0], x0, replace(values, u=u[:, 0]))
-    counts, solve_time = Counts(), None
-    reason, note, found = "", "", list[Breach]()
-    if len(grid) > 1 and dae.states:
-        start = Start(x0, z0, replace(values, u=u[:, 0]))
-        reached, note = integrated_by_pieces(problem, solver, start)
-        counts, solve_time = reached.counts, reached.solve_time
-        states, guesses, reason = reached.states, reached.algebraics, reached.reason
-        if isinstance(solver, FixedStep) and not reason and on_invalid != "ignore":
-            found, reason = _step_check(problem, solver, states, start)
-    else:
-        states, guesses = (np.tile(start[:, None], len(grid)) for start in (x0, z0))
-    n = states.shape[1]
+    u = input_values(problem.dae, problem.grid, values, problem.inputs)
+    start = _settled(problem, values, u)
+    motion = _moved(problem, solver, start, looking=on_invalid != "ignore")
+    return _recorded(problem, motion, u, places, on_invalid)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """States and algebraic unknowns, (nx, n) and (nz, n), and how they came about; see `Solution`.
+
+    Those of the latter are guesses, which the equations decide on.
+    """
+
+    start: Start
+    states: Vector
+    guesses: Vector
+    counts: Counts
+    solve_time: float | None
+    reason: str = ""
+    note: str = ""
+    invalid: tuple[Breach, ...] = ()
+
+
+def _settled(problem: Problem, values: Values, u: Vector) -> Start:
+    """Return where a run begins, with its inputs there."""
+    dae = problem.dae
+    x0, first = start_values(dae, values), Values(values.x, values.p, u[:, 0])
+    return Start(x0, algebraic_values(dae, float(problem.grid[0]), x0, first), first)
+
+
+def _moved(problem: Problem, solver: Solver, start: Start, *, looking: bool) -> _Motion:
+    """Integrate from the start; a model without states, or one time, stays there."""
+    n = len(problem.grid)
+    if n == 1 or not problem.dae.states:
+        states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
+        return _Motion(start, states, guesses, Counts(), None)
+    found, note = integrated_by_pieces(problem, solver, start)
+    reason, invalid = found.reason, list[Breach]()
+    if looking and isinstance(solver, FixedStep) and not reason:
+        invalid, reason = _step_check(problem, solver, found.states, start)
+    taken = found.counts, found.solve_time, reason, note, tuple(invalid)
+    return _Motion(start, found.states, found.algebraics, *taken)
+
+
+def _recorded(
+    problem: Problem, motion: _Motion, u: Vector, places: tuple[int, ...], on_invalid: str
+) -> Solution:
+    """Evaluate what is recorded, up to where it has no number or, if asked, is invalid."""
+    dae, grid, reason = problem.dae, problem.grid, motion.reason
+    n = motion.states.shape[1]
     limits = on_invalid != "ignore"
     watched = watching_rank(dae) if limits and not problem.project else dae
     ranked = watched is not dae
-    solved = Solved(grid[:n], states, guesses, u[:, :n], values.p)
-    compiled = problem.compiled
-    seen = observe(watched, solved, places, limits=limits, margins=ranked, compiled=compiled)
+    solved = Solved(grid[:n], motion.states, motion.guesses, u[:, :n], motion.start.values.p)
+    seen = observe(
+        watched, solved, places, limits=limits, margins=ranked, compiled=problem.compiled
+    )
+    seen.table.setflags(write=False)  # nobody has to copy it
     if seen.lost < n:
         n, name = seen.lost, _not_finite(dae, solved, seen, places)
         reason = reason or f"{name} is not finite at {grid[n]:g} s"
+    found = list(motion.invalid)
     if limits:
         found += breaches(dae, grid[:n], seen.left[: len(dae.limits)])
         if ranked:
@@ -85,8 +129,11 @@ def solve(
         found.sort()
         if found and on_invalid == "stop":
             n, reason = found[0]
-    last = (states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
-    return Solution(grid, seen.table[:n], last, counts, solve_time, reason, tuple(found), note)
+    last = (motion.states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
+    return Solution(
+        grid, seen.table[:n], last, motion.counts, motion.solve_time, reason, tuple(found),
+        motion.note,
+    )  # fmt: skip
 
 
 def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:
@@ -101,9 +148,8 @@ def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...
 
 def _crossings(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
     """Return where constraints lose rank before the time at position n."""
-    u = np.broadcast_to(solved.u, (len(solved.u), len(solved.time)))[:, :n]
-    unknowns, rank = seen.unknowns[:n].T, seen.margins[:n, -1]
-    return crossings(dae, solved.time[:n], solved.states[:, :n], unknowns, u, solved.p, rank)
+    time, states, unknowns = solved.time[:n], solved.states[:, :n], seen.unknowns[:n].T
+    return crossings(dae, time, states, unknowns, solved.u, solved.p, seen.margins[:n, -1])
 
 
 def _step_check(

@@ -15,7 +15,9 @@ import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import NotKept, has_compiler, only_kept
+from cosim.codegen.externals import sources_beside
 from cosim.codegen.functions import is_large
+from cosim.errors import UsageError
 from cosim.integrate.solver import Solver
 from cosim.memo import kept_per_thread
 
@@ -66,10 +68,16 @@ def settled(dae: Dae, solver: Solver) -> Choice | None:
     """
     if not has_compiler():
         return Choice(False)
-    return Choice(True) if _operations(dae) <= SMALL or solver.compiled_only else None
+    if solver.compiled_only:
+        return Choice(True)
+    if reason := _without_code(dae):
+        return Choice(False, f"interpreted: {reason}")
+    return Choice(True) if _operations(dae) <= SMALL else None
 
 
-def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object]) -> Choice:
+def worthwhile(
+    dae: Dae, solver: Solver, points: int, build: Callable[[], object], runs: int = 1
+) -> Choice:
     """Decide for a run with a solver.
 
     Args:
@@ -78,6 +86,7 @@ def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object
         points: Number of output times.
         build: Makes what a compiled run needs; where the cache holds all of it, there is no
             question.
+        runs: How many are wanted at least.
 
     Raises:
         MissingTool: $CC names a compiler that is not there.
@@ -89,7 +98,7 @@ def worthwhile(dae: Dae, solver: Solver, points: int, build: Callable[[], object
     jacobian = _jacobian_size(dae) if solver.uses_jacobian else 0.0
     code = operations * (1 + (_LOOP if is_large(dae) else jacobian))
     compiling = COMPILING * code
-    once = INTERPRETING * operations * calls * (1 + jacobian / _CALLS_PER_JACOBIAN)
+    once = runs * INTERPRETING * operations * calls * (1 + jacobian / _CALLS_PER_JACOBIAN)
     spent = _spent(dae)
     if spent.seconds + once > compiling:
         return Choice(True)
@@ -109,9 +118,18 @@ def _spent(dae: Dae) -> Spent:
 
 
 @kept_per_thread(64)
+def _without_code(dae: Dae) -> str:
+    """Say which library the model calls whose C code is not at hand; empty where there is none."""
+    try:
+        sources_beside(ca.Function("laws", dae.arguments, [dae.ode, dae.alg, dae.outputs]))
+    except UsageError as error:
+        return str(error)
+    return ""
+
+
+@kept_per_thread(64)
 def _operations(dae: Dae) -> int:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return int(ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions())
+    return int(ca.Function("laws", dae.arguments, [dae.ode, dae.alg]).n_instructions())
 
 
 @kept_per_thread(64)

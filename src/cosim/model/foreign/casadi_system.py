@@ -10,7 +10,7 @@ import casadi as ca
 from casadi import DM, MX, SX
 
 from cosim.errors import UnknownName, UsageError
-from cosim.model.foreign.named_symbols import Symbol, named_symbols
+from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols
 from cosim.model.foreign.scalar_graph import refuse_calls, scalar_graph
 
 SYMBOLS = ("t", "x", "z", "u", "p")
@@ -58,6 +58,7 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
     for extra, kind in (("x_impl", "x"), ("dx_impl", "z")):
         if extra in given:
             symbols[kind] += named_symbols(who, extra, given[extra])
+    symbols = dict(zip(symbols, named_apart([*symbols.values()]), strict=True))
     laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "I") if key in given}
     if "x_impl" in given:
         laws["ode"] = ca.vertcat(

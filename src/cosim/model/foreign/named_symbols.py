@@ -1,6 +1,7 @@
 """Scalar variables of vector and matrix symbols: `y` has `y_1` ... `y_n`, `A` has `A_1_2`."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -63,6 +64,31 @@ def named_symbols(who: str, kind: str, value: Any) -> tuple[Symbol, ...]:
     if isinstance(value, SX):
         return tuple(_of_sx(who, kind, value))
     raise UsageError(f"{who}: {kind} is {value!r}; give symbols, SX.sym or MX.sym")
+
+
+def named_apart(groups: Sequence[tuple[Symbol, ...]]) -> list[tuple[Symbol, ...]]:
+    """Return groups of symbols with the scalars of a vector apart where names would be alike.
+
+    `d_0`, `d_1` in one group are the vector d with entries `d_1`, `d_2`; a `d_2` in another one is
+    what an index reduction leaves of it. CasADi's own names tell them apart.
+    """
+    every = Counter(entry for group in groups for symbol in group for entry in symbol.entries)
+    return [
+        tuple(
+            part
+            for symbol in group
+            for part in (
+                _scalars(symbol) if any(every[e] > 1 for e in symbol.entries) else [symbol]
+            )
+        )
+        for group in groups
+    ]
+
+
+def _scalars(symbol: Symbol) -> list[Symbol]:
+    if not isinstance(symbol.symbol, SX) or 1 not in symbol.shape:
+        return [symbol]
+    return [Symbol(s.name(), (1, 1), s) for s in ca.vertsplit(ca.vec(symbol.symbol))]
 
 
 def _of_mx(who: str, kind: str, value: MX) -> Iterator[Symbol]:

@@ -40,12 +40,12 @@ _WHOLE = (
     ca.OP_SETNONZEROS_PARAM,
     ca.OP_ADDNONZEROS_PARAM,
 )
+_OF_A_LIBRARY = ("External", "GenericExternal")
+_REPEATED = ("Map", "OmpMap", "ThreadMap")
 _INSTEAD = {
     "CallbackInternal": "Python has no equations; write them with CasADi operations",
     "Newton": "use rootfinder 'fast_newton', or declare its unknowns as z and its residual as alg",
     "KinsolInterface": "declare its unknowns as z and its residual as alg",
-    "GenericExternal": "its source is not at hand; give the Function that it was generated from",
-    "External": "its source is not at hand; give the Function that it was generated from",
 }
 
 
@@ -74,43 +74,119 @@ def scalar_graph(
     flat = ca.Function("f", list(symbols), list(expressions))
     refuse_calls(who, flat)
     scalars = [SX.sym(symbol.name(), symbol.shape[0], symbol.shape[1]) for symbol in symbols]
-    results = _scalar_values(who, flat, list(symbols), list(expressions), scalars)
+    results = _scalar_values(who, list(symbols), list(expressions), scalars)
     return ca.Function("f", scalars, results)
 
 
 def refuse_calls(who: str, function: ca.Function) -> None:
-    """Refuse a function that calls what cannot be generated as C code.
+    """Refuse a function that calls what cannot be generated as C code, or not be linearized.
 
     Raises:
         UsageError: Names the first of these, and what to do.
     """
     for called in function.find_functions():
         kind = called.class_name()
-        if kind not in _GENERATED:
+        if kind in _OF_A_LIBRARY:
+            _refuse_without_derivatives(who, called)
+        elif kind not in _GENERATED:
             what = "a callback" if kind == "CallbackInternal" else f"of type {kind}"
             told = _INSTEAD.get(kind, "CasADi generates no C code for it; write it as equations")
             raise UsageError(f"{who} calls '{called.name()}', {what}: {told}")
 
 
+def _refuse_without_derivatives(who: str, function: ca.Function) -> None:
+    try:
+        function.forward(1)
+    except RuntimeError as error:
+        raise UsageError(
+            f"{who} calls '{function.name()}', an external function without derivatives: generate "
+            "them into its C code (CodeGenerator.add of its jacobian() or forward(1)), or pass "
+            "{'enable_fd': True} to casadi.external"
+        ) from error
+
+
 def _scalar_values(
-    who: str, flat: ca.Function, symbols: list[MX], expressions: list[MX], scalars: list[SX]
+    who: str, symbols: list[MX], expressions: list[MX], scalars: list[SX]
 ) -> list[SX]:
     """Evaluate with scalars, nodes that are no scalar operations one after the other."""
-    nodes = [
-        flat.instruction_MX(i)
-        for i in range(flat.n_instructions())
-        if flat.instruction_id(i) in _WHOLE
-    ]
-    places = [MX.sym(f"node_{i}", node.sparsity()) for i, node in enumerate(nodes)]
+    flat = ca.Function("f", symbols, expressions)
+    places: list[MX] = []  # what stands for the results of nodes that are known
+    results: list[MX] = []
     known: list[SX] = []
-    for i, node in enumerate(nodes):
+    for i in range(flat.n_instructions()):
+        if not _is_apart(flat, i):
+            continue
+        node = flat.instruction_MX(i)
         parts = [node.dep(k) for k in range(node.n_dep())]
-        parts = ca.graph_substitute(parts, nodes[:i], places[:i]) if i else parts
-        operands = _inlined_call(who, [*symbols, *places[:i]], parts, [*scalars, *known])
-        known.append(_node_value(f"node_{i}", node, operands))
-    if nodes:
-        expressions = ca.graph_substitute(expressions, nodes, places)
+        parts = ca.graph_substitute(parts, results, places) if results else parts
+        operands = _inlined_call(who, [*symbols, *places], parts, [*scalars, *known])
+        if node.has_output():
+            known += _call_values(who, node.which_function(), operands)
+            found = [node.get_output(k) for k in range(node.n_out())]
+        else:
+            known.append(_node_value(f"node_{len(known)}", node, operands))
+            found = [node]
+        places += [MX.sym(f"node_{i}_{k}", r.sparsity()) for k, r in enumerate(found)]
+        results += found
+    if results:
+        expressions = ca.graph_substitute(expressions, results, places)
     return _inlined_call(who, [*symbols, *places], expressions, [*scalars, *known])
+
+
+def _is_apart(flat: ca.Function, i: int) -> bool:
+    """Tell whether CasADi's own expansion has no form for an instruction, or another meaning."""
+    operation = flat.instruction_id(i)
+    if operation == ca.OP_CALL:
+        return _holds_apart(flat.instruction_MX(i).which_function())
+    return operation in _WHOLE
+
+
+def _holds_apart(function: ca.Function) -> bool:
+    if function.class_name() == "Switch":
+        return True
+    if function.class_name() == "MXFunction":
+        return any(_is_apart(function, i) for i in range(function.n_instructions()))
+    return any(_holds_apart(called) for called in function.find_functions(1))
+
+
+def _call_values(who: str, function: ca.Function, operands: list[SX]) -> list[SX]:
+    """Return the results of a call in which something stands apart."""
+    operands = [ca.project(o, function.sparsity_in(k)) for k, o in enumerate(operands)]
+    kind = function.class_name()
+    if kind == "Switch":
+        return _selected(who, function, operands)
+    if kind == "MXFunction" and (inside := _inside(function)):
+        return _scalar_values(who, *inside, operands)
+    if kind in _REPEATED:
+        one, times = function.info()["f"], function.info()["n"]
+        shares = [ca.horzsplit(o, one.size2_in(k)) for k, o in enumerate(operands)]
+        calls = [_call_values(who, one, [s[i] for s in shares]) for i in range(times)]
+        return [ca.horzcat(*column) for column in zip(*calls, strict=True)]
+    inputs = function.mx_in()  # called by its C code
+    whole = ca.Function("whole", inputs, function.call(inputs), {"never_inline": True})
+    values: list[SX] = whole.call(operands)
+    return values
+
+
+def _inside(function: ca.Function) -> tuple[list[MX], list[MX]] | None:
+    """Return symbols and expressions of a function; None where its author wants it called."""
+    symbols = function.mx_in()
+    try:
+        return symbols, function.call(symbols, True, False)
+    except RuntimeError:  # always_inline contradicts its option never_inline
+        return None
+
+
+def _selected(who: str, switch: ca.Function, operands: list[SX]) -> list[SX]:
+    """Return the case of a `Switch`; as where CasADi runs it, its index is cut towards zero."""
+    index, arguments = ca.densify(operands[0]), operands[1:]
+    *cases, results = [
+        _call_values(who, case, arguments) for case in (*switch.info()["f"], switch.info()["f_def"])
+    ]
+    for i, case in reversed([*enumerate(cases)]):
+        inside = ca.logic_and(index >= i, index < i + 1) if i else ca.fabs(index) < 1
+        results = [ca.if_else(inside, *pair) for pair in zip(case, results, strict=True)]
+    return [ca.project(r, switch.sparsity_out(k)) for k, r in enumerate(results)]
 
 
 def _node_value(name: str, node: MX, operands: list[SX]) -> SX:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae import Dae, Invariant, StartRule, StartThrough, Variable
+from casadi_models.dae import Dae, Invariant, StartThrough, Variable
 from cosim.errors import UsageError
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.reduction.freeze import frozen_at_start
@@ -54,13 +54,16 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     kept_y = [i for i, v in enumerate(frozen.output_variables) if v.name in wanted]
     observed = ca.vertcat(SX(0, 1), *(frozen.outputs[i] for i in kept_y))
     states, unknowns, equations = closure(frozen, wanted, observed)
-    rules = _kept_rules(frozen, states)
+    rules = [rule for rule in frozen.start_rules if set(rule.states) <= set(states)]
     needed = ca.vertcat(
         frozen.ode[states], frozen.alg[equations], observed, *(rule.expression for rule in rules)
     )
     inputs = used(needed, frozen.u)
     parameters = used(needed, frozen.p)
-    ode, alg, shared = _shared(frozen.ode[states], frozen.alg[equations], observed)
+    ode, alg, shared = (
+        ca.densify(ca.reshape(column, -1, 1))
+        for column in ca.cse([frozen.ode[states], frozen.alg[equations], observed])
+    )
     small = replace(
         frozen,
         x=_chosen_rows(frozen.x, states),
@@ -75,7 +78,9 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         inputs=_pick(frozen.inputs, inputs),
         parameters=_pick(frozen.parameters, parameters),
         output_variables=_pick(frozen.output_variables, kept_y),
-        start_rules=tuple(_renumbered(rule, states) for rule in rules),
+        start_rules=tuple(
+            replace(rule, states=tuple(map(states.index, rule.states))) for rule in rules
+        ),
         start_outputs=(),
         inertias=_kept_inertias(frozen, parameters),
         observed=tuple(outputs),
@@ -87,7 +92,8 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         and replace(frozen.closing, residual=frozen.closing.residual[equations]),
     )
     ways = tuple(_kept_ways(small, frozen, states))
-    small = replace(small, limits=_kept_limits(small), start_outputs=ways)
+    limits = tuple(limit for limit in small.limits if _computable(small, limit[0]))
+    small = replace(small, limits=limits, start_outputs=ways)
     return replace(small, report=tuple(reduction_report(dae, small, freeze)))
 
 
@@ -102,14 +108,6 @@ def _checked(dae: Dae, outputs: Sequence[str]) -> frozenset[str]:
     return frozenset(outputs)
 
 
-def _kept_rules(dae: Dae, states: Sequence[int]) -> list[StartRule]:
-    return [rule for rule in dae.start_rules if set(rule.states) <= set(states)]
-
-
-def _renumbered(rule: StartRule, states: Sequence[int]) -> StartRule:
-    return replace(rule, states=tuple(states.index(i) for i in rule.states))
-
-
 def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX], ...]:
     kept = _chosen_rows(dae.p, parameters)
     names = {symbol.name() for symbol in ca.vertsplit(kept)}
@@ -117,13 +115,6 @@ def _kept_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX],
         (body, matrix)
         for body, matrix in dae.inertias
         if all(symbol.name() in names for symbol in ca.symvar(matrix))
-    )
-
-
-def _kept_limits(small: Dae) -> tuple[tuple[SX, str], ...]:
-    """Return the limits that can still be evaluated: they keep no variable alive."""
-    return tuple(
-        (margin, meaning) for margin, meaning in small.limits if _computable(small, margin)
     )
 
 
@@ -149,10 +140,6 @@ def _kept_invariants(
         needed = {*invariant.states, *used(everything, dae.x)}
         if needed <= set(states) and set(used(everything, dae.p)) <= set(parameters):
             yield replace(invariant, states=tuple(states.index(i) for i in invariant.states))
-
-
-def _shared(*columns: SX) -> list[SX]:
-    return [ca.densify(ca.reshape(column, -1, 1)) for column in ca.cse(list(columns))]
 
 
 def _chosen_rows(column: SX, rows: Sequence[int]) -> SX:

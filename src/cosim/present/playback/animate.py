@@ -154,7 +154,8 @@ def drawing_of(
         return run.drawing
     if model is None:
         model = next((n for n in casadi_models.CATALOG if n.replace("/", "_") == run.model), None)
-        model = model or (run.model if run.model in _models() else None)
+        if any(run.model in (entry, entry.partition("/")[0]) for entry in casadi_models.CATALOG):
+            model = model or run.model
     if model is None:
         raise UsageError(
             f"{run.model}: nobody knows what this model looks like; name one that does, "
@@ -204,7 +205,3 @@ def still_times(run: Trajectory, at: Sequence[float] | None) -> list[float]:
     if at is not None:
         return [float(time) for time in at]
     return [float(run.time[0])] if len(run) else []
-
-
-def _models() -> set[str]:
-    return {name for entry in casadi_models.CATALOG for name in (entry, entry.partition("/")[0])}

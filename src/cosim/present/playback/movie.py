@@ -1,9 +1,7 @@
 """Moving pictures: GIF through Pillow, MP4 through ffmpeg."""
 
-import tempfile
 from collections.abc import Sequence
 from math import isclose
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -11,6 +9,7 @@ import numpy as np
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
 from cosim.host.optional_packages import optional_module
+from cosim.host.temporary import temporary_folder
 from cosim.present.playback.playback import Playback
 from cosim.present.playback.render import Stage, canvas
 
@@ -51,8 +50,8 @@ def movie(
         settings["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
         even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
         writer = FFMpegWriter(fps=per_second, codec="h264", extra_args=even)  # type: ignore[arg-type]
-    with tempfile.TemporaryDirectory() as folder, matplotlib.rc_context(settings):
-        place = Path(folder) / f"movie.{kind}"
+    with temporary_folder() as folder, matplotlib.rc_context(settings):
+        place = folder / f"movie.{kind}"
         with writer.saving(figure, str(place), dpi):
             for frame in range(len(runs[0].time)):
                 stage.draw(axis, [frame])

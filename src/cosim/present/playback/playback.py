@@ -11,7 +11,7 @@ from casadi import SX
 
 from casadi_models.dae import Drawing
 from casadi_models.dae.drawing import World
-from casadi_models.units import UNITS
+from casadi_models.units import convert
 from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.present.playback import turning
@@ -54,8 +54,7 @@ class Load:
 
     def shown(self, magnitude: float) -> str:
         """Write a magnitude in the display unit."""
-        factor = UNITS[self.unit].factor / UNITS[self.display_unit].factor
-        return f"{magnitude * factor:.3g} {self.display_unit}"
+        return f"{convert(magnitude, self.unit, self.display_unit):.3g} {self.display_unit}"
 
 
 @dataclass(frozen=True)
@@ -316,8 +315,4 @@ def _prop(shape: Any, bodies: Sequence[str], known: _Known) -> Prop:
 
 def _labelled_curve(run: Trajectory, name: str, times: Vector) -> tuple[str, str, Vector]:
     column = run.column(name)
-    shown = column.display_unit or column.unit
-    factor = 1.0
-    if column.unit in UNITS and shown in UNITS:
-        factor = UNITS[column.unit].factor / UNITS[shown].factor
-    return name, shown, factor * np.interp(times, run.time, run[name])
+    return name, column.shown_unit, column.shown(np.interp(times, run.time, run[name]))

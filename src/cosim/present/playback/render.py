@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from cosim.arrays import Vector
@@ -262,4 +263,4 @@ def _add(
 
 
 def _parts_of(colour: str) -> Vector:
-    return np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    return np.array(to_rgb(colour))

@@ -37,13 +37,6 @@ def continuous(quaternions: Vector) -> Vector:
     return result
 
 
-def angles_between(quaternions: Vector) -> Vector:
-    """Return the angles between successive rotations, rad, one row less."""
-    cosines = np.abs((quaternions[1:] * quaternions[:-1]).sum(axis=-1))
-    result: Vector = 2 * np.arccos(np.clip(cosines, 0.0, 1.0))
-    return result
-
-
 def to_matrices(quaternions: Vector) -> Vector:
     """Return rotation matrices, (..., 3, 3), of unit quaternions, (..., 4)."""
     w, x, y, z = np.moveaxis(quaternions, -1, 0)

@@ -11,6 +11,7 @@ import platform
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -18,10 +19,14 @@ from time import perf_counter
 import numpy as np
 
 from casadi_models.dae import Dae
+from cosim.arrays import Vector
 from cosim.codegen.cache import content_of, keep
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import CacheError, CosimError
+from cosim.integrate.engine import Problem
 from cosim.integrate.run.outputs import all_columns
+from cosim.integrate.run.worthwhile import worthwhile
+from cosim.integrate.solvers import chosen_solver, engine_of
 from cosim.scene.roads import Road
 from cosim.scene.scene import Scene
 from cosim.study.tradeoff.configuration import Configuration, Selection
@@ -77,20 +82,25 @@ def measured_front(dae: Dae, *, compiled: bool) -> Front:
     Raises:
         CosimError: The model cannot be run; see `reference`.
     """
-    scene = Scene(dae.full_name, _recording_all(dae))
+    every = tuple(column.name for column in all_columns(dae))
+    scene = Scene(dae.full_name, replace(dae, observed=every))
     key = _front_key(scene, compiled)
     entry = f"fronts/{key}"
     return _read_front(entry) or _measured_front(scene, compiled, entry)
+
+
+def pays_compiling(dae: Dae, grid: Vector) -> bool:
+    """Tell whether to compile a model's equations for all the runs of a front over these times."""
+    solver, problem = chosen_solver(dae), Problem(dae, grid.tobytes(), None, True)
+    runs = len(FRONT_TOLERANCES) * len(solvers(dae, compiled=True))
+    build = partial(engine_of, problem, solver)
+    return worthwhile(dae, solver, len(grid), build, runs).compiled
 
 
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
     """Return the solvers that are measured: of different kinds, so that each can check another."""
     own = ("idas", "rosenbrock") if dae.algebraics else ("cvodes", "erk")
     return (*own, "dop853") if compiled else own
-
-
-def _recording_all(dae: Dae) -> Dae:
-    return replace(dae, observed=tuple(column.name for column in all_columns(dae)))
 
 
 def _front_key(scene: Scene, compiled: bool) -> str:

@@ -20,7 +20,7 @@ from cosim.host.inside import Conversation, look_where_the_parent_does
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
 from cosim.study.extremes.cases import Case, Counterpart, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, Ending, Runner, judge
+from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, judge
 from cosim.text.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
@@ -34,7 +34,7 @@ class CaseFinding:
     """A case and how it ended."""
 
     case: Case
-    verdict: Ending
+    verdict: CaseEnding
 
     def row(self) -> dict[str, Any]:
         """Return the finding as plain values, for tables, CSV and JSON."""
@@ -153,20 +153,20 @@ class _CaseWorker:
         self._runner = runner
         self._process = self._start()
 
-    def judge(self, case: Case, timeout: float) -> Ending:
+    def judge(self, case: Case, timeout: float) -> CaseEnding:
         began = perf_counter()
         guard = threading.Timer(timeout, self._process.kill)
         guard.start()
         try:
-            return Ending(*json.loads(self._process.ask(json.dumps(asdict(case)).encode())))
+            return CaseEnding(*json.loads(self._process.ask(json.dumps(asdict(case)).encode())))
         except (OSError, EOFError):
             seconds, code = perf_counter() - began, self._process.end()
             self._process = self._start()
         finally:
             guard.cancel()
         if seconds >= timeout:
-            return Ending("hang", None, f"killed after {timeout:g} s", seconds)
-        return Ending("crash", None, f"the process ended with code {code}", seconds)
+            return CaseEnding("hang", None, f"killed after {timeout:g} s", seconds)
+        return CaseEnding("crash", None, f"the process ended with code {code}", seconds)
 
     def close(self) -> None:
         self._process.end()

@@ -12,13 +12,13 @@ from cosim.arrays import Vector
 from cosim.errors import CosimError, InitialConditionError, SolverError, UnknownName, UsageError
 from cosim.integrate.simulate import simulate
 from cosim.model.catalogue import load
-from cosim.study.extremes.cases import Case
+from cosim.study.extremes.cases import Case, Counterpart
 from cosim.trajectory import Trajectory
 
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
 
 
-class Ending(NamedTuple):
+class CaseEnding(NamedTuple):
     """How a case ended.
 
     Attributes:
@@ -36,28 +36,32 @@ class Ending(NamedTuple):
 
 def run_case(case: Case) -> Trajectory:
     """Run a case as a user would."""
+    return _run(case, case, step_size=case.step_size)
+
+
+def _run(case: Case, how: Case | Counterpart, **more: Any) -> Trajectory:
     return simulate(
-        _model_of(case.model),
+        _model_of(how.model),
         stop_time=case.stop_time,
         output_interval=case.stop_time / case.points,
-        solver=case.solver,
-        relative_tolerance=case.relative_tolerance,
-        step_size=case.step_size,
+        solver=how.solver,
+        relative_tolerance=how.relative_tolerance,
         start=case.values,
+        **more,
     )
 
 
 Runner = Callable[[Case], Trajectory]
 
 
-def judge(case: Case, runner: Runner = run_case) -> Ending:
+def judge(case: Case, runner: Runner = run_case) -> CaseEnding:
     """Run a case and judge it."""
     began = perf_counter()
     try:
         outcome, error, reason = _judge(case, runner)
     except Exception as defect:  # an error that is none of `CosimError` counts as a crash
         outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
-    return Ending(outcome, error, reason, perf_counter() - began)
+    return CaseEnding(outcome, error, reason, perf_counter() - began)
 
 
 def _judge(case: Case, runner: Runner) -> tuple[str, float | None, str]:
@@ -137,8 +141,8 @@ def _power(case: Case, run: Trajectory) -> float:
 def _against_reference(case: Case, run: Trajectory) -> float:
     """The largest relative difference from the reference, over the variables of both."""
     true = _first_success(case)
-    without = ("xP", "yP") if "bicycle/book" in (run.model, true.model) else ()
-    names = [name for name in run.names if name in true.names and name not in without]
+    own = {name for model in (run.model, true.model) for name in _model_of(model).own_meanings}
+    names = [name for name in run.names if name in true.names and name not in own]
     return max(_relative(run[n], true[n], run.column(n).nominal) for n in names)
 
 
@@ -146,15 +150,7 @@ def _first_success(case: Case) -> Trajectory:
     reason = "the case names no reference"
     for other in case.references:
         try:
-            return simulate(
-                _model_of(other.model),
-                stop_time=case.stop_time,
-                output_interval=case.stop_time / case.points,
-                solver=other.solver,
-                relative_tolerance=other.relative_tolerance,
-                start=case.values,
-                on_invalid="ignore",
-            )
+            return _run(case, other, on_invalid="ignore")
         except SolverError as failure:
             reason = str(failure)
     raise SolverError(f"no reference: {reason}")

@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.files import write_atomically
+from cosim.text.tables import csv_text
 
 NOTHING = 1e-12  # of the largest entry, in nominal values: what is smaller couples nothing
 
@@ -112,10 +113,7 @@ class Linearization:
         Raises:
             ExportError: The file cannot be written.
         """
-        rows = self.rows()
-        lines = [",".join(rows[0])] if rows else []
-        lines += [",".join(_cell(value) for value in row.values()) for row in rows]
-        write_atomically(target, ("\n".join(lines) + "\n").encode())
+        write_atomically(target, csv_text(self.rows(), digits=17).encode())
 
     def __str__(self) -> str:
         return f"{self.model} at {self.point}: {len(self.states)} states, {self.steadiness}"
@@ -163,7 +161,3 @@ def modes(linear: Linearization, groups: tuple[tuple[int, ...], ...]) -> tuple[M
         names = tuple(linear.states[i] for i in group)
         found += [Mode(complex(value), names) for value in np.linalg.eigvals(block)]
     return tuple(sorted(found, key=lambda mode: (-mode.value.real, -mode.value.imag)))
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.17g}" if isinstance(value, float) else str(value)

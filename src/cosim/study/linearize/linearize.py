@@ -207,7 +207,7 @@ def _jacobians(dae: Dae, names: tuple[str, ...]) -> ca.Function:
     blocks = [ca.jacobian(rows, by) for rows in (both, dae.alg) for by in (xu, dae.z)]
     return ca.Function(
         "jacobians",
-        [dae.t, dae.x, dae.z, dae.u, dae.p],
+        dae.arguments,
         [dae.ode, chosen, *map(ca.densify, blocks)],
         {"cse": True},
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.study.sensitivity.variational import Target
+from cosim.study.sensitivity.variational import SensitivityTarget
 
 STEP = 1e-4  # of the target's size
 # Derivative = sum of weight * run(value + shift * step) / step; each cancels the error h^2 (and
@@ -17,7 +17,7 @@ ASIDE = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
 Runs = Callable[[Sequence[tuple[str, float]]], Vector]
 
 
-def differences(runs: Runs, targets: Sequence[Target], at: Sequence[float]) -> Vector:
+def differences(runs: Runs, targets: Sequence[SensitivityTarget], at: Sequence[float]) -> Vector:
     """Return derivatives of fourth order in the step, (n, ny, targets).
 
     Args:

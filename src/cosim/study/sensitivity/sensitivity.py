@@ -20,7 +20,7 @@ from cosim.model.values import assign, checked, listed, number, plain_values
 from cosim.study.sensitivity.differences import differences
 from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.study.sensitivity.variational import (
-    Target,
+    SensitivityTarget,
     derivative,
     direction,
     start_slopes,
@@ -100,7 +100,7 @@ def sensitivity(
         {name: value for name, value in start_values.items() if name in known},
         {"solver": solver, "inputs": felt, **times},
     )
-    targets = [own for name in by if (own := Target.of(small, name)) is not None]
+    targets = [own for name in by if (own := SensitivityTarget.of(small, name)) is not None]
     plain, found = task.forward(targets, relative_tolerance)
     columns = tuple(
         Column(t.variable.name, t.variable.unit, None, t.size, t.variable.meaning) for t in whole
@@ -130,13 +130,13 @@ def _reduced(dae: Dae, names: tuple[str, ...]) -> Dae:
     return reduce(dae, names)
 
 
-def _target(dae: Dae, name: str, inputs: InputSeries | None) -> Target:
+def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarget:
     """Return what is differentiated by.
 
     Raises:
         UnknownName, InitialConditionError, UsageError: It cannot be.
     """
-    found = Target.of(dae, name)
+    found = SensitivityTarget.of(dae, name)
     if found is None:
         known = [v.name for v in (*dae.parameters, *dae.states, *dae.inputs)]
         raise UnknownName.of_model(dae.full_name, "parameter, state or input", name, known)
@@ -158,7 +158,9 @@ class _Task:
     start: Mapping[str, float]
     options: Mapping[str, Any]
 
-    def forward(self, targets: Sequence[Target], tolerance: float) -> tuple[Trajectory, Vector]:
+    def forward(
+        self, targets: Sequence[SensitivityTarget], tolerance: float
+    ) -> tuple[Trajectory, Vector]:
         """Return the outputs and their derivatives, (n, ny, targets)."""
         if not targets:
             options = {**self.options, "relative_tolerance": tolerance}

@@ -24,7 +24,7 @@ from cosim.model.values import Values
 
 
 @dataclass(frozen=True)
-class Target:
+class SensitivityTarget:
     """What is differentiated by: a parameter, a constant input, or the start of a state.
 
     Attributes:
@@ -40,7 +40,7 @@ class Target:
     size: float
 
     @classmethod
-    def of(cls, dae: Dae, name: str) -> "Target | None":
+    def of(cls, dae: Dae, name: str) -> "SensitivityTarget | None":
         """Return the target of that name; None where the DAE has no such variable."""
         kinds = {"parameter": dae.parameters, "input": dae.inputs, "state": dae.states}
         for kind, variables in kinds.items():
@@ -97,7 +97,7 @@ def variational(dae: Dae) -> Dae:
     )
 
 
-def start_slopes(dae: Dae, values: Values, targets: Sequence[Target]) -> Vector:
+def start_slopes(dae: Dae, values: Values, targets: Sequence[SensitivityTarget]) -> Vector:
     """Return the derivatives of the start of every state, calculated ones included, (nx, k).
 
     They are multiplied by the size of their target.

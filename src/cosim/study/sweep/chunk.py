@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Vector
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.keep import Keep
 from cosim.study.sweep.statistics import node_of, sketch_of
-from cosim.study.sweep.store import STATES, ChunkRecord, Store
+from cosim.study.sweep.store import STATES, ChunkRecord, Store, Watch
 from cosim.study.sweep.subjects.opening import opened_subject
 from cosim.study.sweep.subjects.subject import Rows, Subject
 from cosim.trajectory import Trajectory
@@ -136,8 +135,3 @@ def _record(job: Job, first: int, ensemble: Ensemble, watch: Watch) -> ChunkReco
 def _unpickled(content: bytes) -> Callable[[Trajectory], Mapping[str, float]]:
     function: Callable[[Trajectory], Mapping[str, float]] = pickle.loads(content)
     return function
-
-
-def good_of(record: ChunkRecord) -> Truths:
-    """Tell which runs of a record are complete, (runs,)."""
-    return np.asarray(record.states == STATES.index(RunState.COMPLETE), dtype=bool)

@@ -6,7 +6,7 @@ from time import monotonic
 from cosim.study.sweep.chunk import Summary
 
 
-class Progress:
+class SweepProgress:
     """Counts runs; `total` of them, `done` of which are kept from before."""
 
     def __init__(self, total: int, done: int, shown: bool | None) -> None:

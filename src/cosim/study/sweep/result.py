@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +18,7 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.samples import Samples
 from cosim.study.sweep.statistics import Node, Sketch, added, merged, merged_branches, quantile
@@ -215,7 +215,7 @@ class SweepResult:
         for name, column in self.numbers.items():
             told = {"long_name": self.meanings[name]} if name in self.meanings else {}
             variables[name] = ("run", column, told)
-        about = {c.name: {"units": c.unit, "long_name": c.meaning} for c in self.columns}
+        about = {column.name: column.facts for column in self.columns}
         if self.statistics is not None:
             for name, facts in about.items():
                 for kind in ("mean", "variance", "minimum", "maximum"):
@@ -238,8 +238,8 @@ class SweepResult:
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write everything as one netCDF file; it is whole or not there."""
-        with tempfile.TemporaryDirectory() as folder:
-            made = Path(folder) / "sweep.nc"
+        with temporary_folder() as folder:
+            made = folder / "sweep.nc"
             self.to_xarray().to_netcdf(made)
             write_atomically(path, made.read_bytes())
 
@@ -247,12 +247,17 @@ class SweepResult:
         """Write everything as a zarr folder, which replaces what is there when it is whole."""
         optional_module("zarr", "sweep")
         target = Path(path)
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as folder:
-            made = Path(folder) / "made"
+        with temporary_folder(target.parent) as folder:
+            made, old = folder / "made", folder / "old"
             self.to_xarray().to_zarr(made, consolidated=False, zarr_format=2)
-            if target.exists():
-                target.rename(Path(folder) / "old")
-            made.rename(target)
+            try:
+                if target.exists():
+                    target.rename(old)
+                made.rename(target)
+            except BaseException:  # Ctrl-C, too, leaves one of them
+                if old.exists() and not target.exists():
+                    old.rename(target)
+                raise
 
     def indices(self, number: str, *, method: str = "sobol") -> dict[str, Vector]:
         """Return sensitivity indices of a number by name; see `cosim.study.sweep.indices`."""

@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.files import write_atomically
+from cosim.files import read_text, write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
 from cosim.trajectory import repr_17
@@ -88,13 +89,11 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
     """Read a CSV file: names in the first line, then one row of numbers per run, SI units.
 
     Raises:
-        ParameterError: It cannot be read, or something is no number.
+        UsageError: It cannot be read.
+        ParameterError: Something is no number.
     """
-    try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as stream:
-            names, *rows = [row for row in csv.reader(stream) if row] or [[]]
-    except OSError as error:
-        raise ParameterError(f"{path} cannot be read: {error.strerror or error}") from error
+    text = io.StringIO(read_text(path, "the samples "), newline="")
+    names, *rows = [row for row in csv.reader(text) if row] or [[]]
     names = [name.strip() for name in names]
     for number, row in enumerate(rows, start=2):
         if len(row) != len(names):

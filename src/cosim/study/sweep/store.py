@@ -4,7 +4,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +17,10 @@ from cosim.arrays import Vector
 from cosim.errors import ExportError, UsageError
 from cosim.files import write_atomically
 from cosim.integrate.ensemble.ensemble import RunState
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import Samples, read_samples
 from cosim.study.sweep.statistics import Node, Sketch
 
+Watch = Callable[[int], None]  # is told which run begins
 STATES = tuple(RunState)  # a state is stored as its position here
 _CHUNK = re.compile(r"(\d+)-(\d+)\.npz")
 _NODE = ("count", "mean", "squares", "low", "high")

@@ -3,7 +3,6 @@
 import os
 import pickle
 import platform
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from cosim.errors import Interrupted, ParameterError, UsageError
 from cosim.host.optional_packages import optional_module
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.ensemble.simulate_many import processors
 from cosim.integrate.solver import Solver
 from cosim.study.sweep.chunk import Job
@@ -24,7 +24,7 @@ from cosim.study.sweep.engines.cluster import connected, run_cluster
 from cosim.study.sweep.engines.processes import run_here, run_processes
 from cosim.study.sweep.engines.schedule import Schedule, gaps
 from cosim.study.sweep.keep import keep_from
-from cosim.study.sweep.progress import Progress
+from cosim.study.sweep.progress import SweepProgress
 from cosim.study.sweep.result import SweepResult, collect
 from cosim.study.sweep.samples import Samples, as_samples, digest_of
 from cosim.study.sweep.store import Store
@@ -125,11 +125,7 @@ def sweep(
     crew = _Crew.of(workers, scheduler, client)
     with ExitStack() as stack:
         temporary = store is None
-        folder = (
-            stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-sweep-"))
-            if store is None
-            else os.fspath(store)
-        )
+        folder = stack.enter_context(temporary_folder()) if store is None else os.fspath(store)
         kept_here = Store(Path(folder).resolve() / "sweep" if temporary else Path(folder).resolve())
         manifest = {
             "format": _STORE_FORMAT,
@@ -164,7 +160,7 @@ def sweep(
         schedule = Schedule(
             gaps(len(chosen), finished), max(1, crew.processes), chunk, _LANE_CHUNK if lean else 1
         )
-        tell = Progress(len(chosen), sum(count for _, count in finished), progress)
+        tell = SweepProgress(len(chosen), sum(count for _, count in finished), progress)
         meanings = {r.name: r.meaning for r in kept.reductions}
         gather = partial(
             collect, kept_here, thing.name, chosen, columns, meanings, temporary=temporary
@@ -205,7 +201,7 @@ class _Crew:
             raise UsageError("sweep: a scheduler has workers of its own; leave workers out")
         return cls(processors() if workers is None else workers, scheduler, client)
 
-    def compute(self, job: Job, samples: Samples, schedule: Schedule, tell: Progress) -> None:
+    def compute(self, job: Job, samples: Samples, schedule: Schedule, tell: SweepProgress) -> None:
         if self.client is not None:
             run_cluster(job, samples, schedule, tell, self.client)
         elif self.scheduler is not None:

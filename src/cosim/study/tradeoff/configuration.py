@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from casadi_models.dae import Dae
-from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName
 from cosim.integrate.drift_control import DRIFT_CONTROLS, controllable
 from cosim.integrate.solver import Tolerance
 from cosim.integrate.solvers import SOLVERS
@@ -185,23 +185,6 @@ class Selection:
                 continue
             for step in _dividing(COMMUNICATION, span, interval):
                 yield Configuration(dae.full_name, reduced, road, inside, tolerance, step)
-
-
-def parse_list(text: str | None) -> tuple[str, ...]:
-    """Split what a user wrote as `A,B`."""
-    return tuple(text.split(",")) if text else ()
-
-
-def parse_numbers(option: str, text: str | None) -> tuple[float, ...]:
-    """Read numbers that a user wrote as `A,B`.
-
-    Raises:
-        UsageError: One of them is no number.
-    """
-    try:
-        return tuple(float(word) for word in parse_list(text))
-    except ValueError:
-        raise UsageError(f"{option} {text}: write numbers with commas between them") from None
 
 
 def _dividing(factors: tuple[float, ...], span: float, interval: float) -> list[float]:

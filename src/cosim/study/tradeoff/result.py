@@ -1,7 +1,5 @@
 """The outcome of a trade-off study: measurements, Pareto fronts, and where all of it comes from."""
 
-import csv
-import io
 import json
 import os
 import platform
@@ -20,7 +18,7 @@ from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.convergence import Order
 from cosim.study.tradeoff.measurement import COSTS, Measurement
 from cosim.study.tradeoff.stability import StabilityLimit
-from cosim.text.tables import MOST_LINES, html_table, text_table
+from cosim.text.tables import MOST_LINES, csv_text, html_table, text_table
 from cosim.verify.reference import Reference
 
 
@@ -147,14 +145,8 @@ class Tradeoff:
 
     def to_csv(self) -> str:
         """Return the rows as CSV; lines that begin with # say where they come from."""
-        text = io.StringIO(newline="")
-        for key, value in self.provenance.items():
-            text.write(f"# {key}: {value}\n")
-        rows = self.rows()
-        writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        return text.getvalue()
+        origin = "".join(f"# {key}: {value}\n" for key, value in self.provenance.items())
+        return origin + csv_text(self.rows())
 
     def to_json(self) -> str:
         """Return everything as JSON, the errors of every output included."""

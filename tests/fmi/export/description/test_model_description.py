@@ -5,6 +5,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from helpers.fmi_cases import VERSIONS
 from helpers.small_models import decay
 
 import cosim
@@ -13,8 +14,6 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.check.parsed import Description, parse
 from cosim.fmi.export.package import source_files
 from cosim.fmi.export.tunable import fixed_parameters, tunable_parameters
-
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 
 
 def described(dae: Dae, fmi: int = 2) -> Description:

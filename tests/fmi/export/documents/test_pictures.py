@@ -60,5 +60,6 @@ def test_a_picture_is_drawn_once(monkeypatch, tmp_path):
         monkeypatch.setattr(module, draw.__name__, counted(draw))
     first = pictures(dae, 2)
     assert drawn == ["diagram", "icon"]
-    assert pictures(dae, 2) == first
+    assert pictures(dae, 2) == first  # of the same model, nothing is even looked up
+    assert pictures(cosim.load(BAR), 2) == first  # of another one, the cache has them
     assert drawn == ["diagram", "icon"]

@@ -9,12 +9,12 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.util import create_cmake_project
+from helpers.fmi_cases import VERSIONS
 from helpers.harness import HEADERS, compiler
 from helpers.small_models import decay
 
 import cosim
 
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
 

@@ -41,11 +41,13 @@ class Bench:
         folder: Where it lies.
         name: What its user calls it.
         timeout: Wall time for all trials, s.
+        loop: Library that makes many steps, see `summed_steps`; None where there is no compiler.
     """
 
     folder: Path
     name: str
     timeout: float = 120.0
+    loop: Path | None = None
 
     @property
     def second(self) -> bool:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +38,7 @@ def reset(bench: Bench, kind: str) -> Iterator[Finding]:
         first = few_numbers(session)
         session.instance.reset()
         again = few_numbers(session)
-    if first.tobytes() != again.tobytes():
-        yield RESET.at(kind, f"a run after reset differs: {_differing(bench, first, again)}")
+    yield from _same(RESET, session, first, again, "a run after reset differs")
 
 
 def instances(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -50,9 +50,7 @@ def instances(bench: Bench, kind: str) -> Iterator[Finding]:
     with bench.session(kind) as one, bench.session(kind) as other:
         other.start()
         beside = few_numbers(one, other)
-    if alone.tobytes() != beside.tobytes():
-        where = _differing(bench, alone, beside)
-        yield INSTANCES.at(kind, f"a second instance changes the first: {where}")
+    yield from _same(INSTANCES, one, alone, beside, "a second instance changes the first")
 
 
 def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -64,23 +62,21 @@ def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
         instance, time = session.instance, session.time
         state = instance.getFMUState()
         first = few_numbers(session, started=True)
-        instance.setFMUState(state)
-        session.time = time
-        again = few_numbers(session, started=True)
-        if first.tobytes() != again.tobytes():
-            told = f"a run from a stored state differs: {_differing(bench, first, again)}"
-            yield ROLLBACK.at(kind, told)
+
+        def from_state(stored: Any) -> Vector:
+            instance.setFMUState(stored)
+            session.time = time
+            return few_numbers(session, started=True)
+
+        told = "a run from a stored state differs"
+        yield from _same(ROLLBACK, session, first, from_state(state), told)
         if bench.offers(kind, "canSerializeFMUstate", "canSerializeFMUState"):
             instance.setFMUState(state)
             session.time = time
             copy = instance.deserializeFMUState(instance.serializeFMUState(state))
             few_numbers(session, started=True)
-            instance.setFMUState(copy)
-            session.time = time
-            again = few_numbers(session, started=True)
-            if first.tobytes() != again.tobytes():
-                where = _differing(bench, first, again)
-                yield ROLLBACK.at(kind, f"a run from a state made of its bytes differs: {where}")
+            told = "a run from a state made of its bytes differs"
+            yield from _same(ROLLBACK, session, first, from_state(copy), told)
             instance.freeFMUState(copy)
         instance.freeFMUState(state)
 
@@ -123,6 +119,11 @@ def _near_slopes(session: Session, other: Session | None) -> Iterator[Vector]:
 
 def _move(session: Session, at: Vector) -> None:
     session.put_states(at + 1e-3 * np.maximum(np.abs(at), 1.0))
+
+
+def _same(rule: Rule, session: Session, one: Vector, other: Vector, told: str) -> Iterator[Finding]:
+    if one.tobytes() != other.tobytes():
+        yield rule.at(session.kind, f"{told}: {_differing(session.bench, one, other)}")
 
 
 def _differing(bench: Bench, one: Vector, other: Vector) -> str:

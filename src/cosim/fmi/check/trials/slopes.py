@@ -30,7 +30,8 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
     need_model_exchange(kind)
     if not tells_slopes(bench, kind):
         raise Skipped("it offers no directional derivatives")
-    unknowns = [rate for _, rate in bench.states()] + _continuous(bench)
+    unknowns = [rate for _, rate in bench.states()]
+    unknowns += [output for output in bench.outputs() if output.variability == "continuous"]
     knowns = [known for known in knowns_of(bench) if known.surely]
     with bench.session(kind) as session:
         session.start()
@@ -71,7 +72,3 @@ def _differences(
         bend = np.abs(high - 2 * middle + low) / size
     moved_unknowns(session, unknowns, known, states, value)
     return found[0], found[1], bend
-
-
-def _continuous(bench: Bench) -> list[Described]:
-    return [output for output in bench.outputs() if output.variability == "continuous"]

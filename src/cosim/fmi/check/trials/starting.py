@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
-from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, some
+from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Skipped, some
 from cosim.fmi.check.trials.repeating import few_numbers
 
 NO_START = Rule("start", WRONG, "show it, and compute on with it", "mend its equations")
@@ -90,29 +90,26 @@ def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
 
 def callbacks(bench: Bench, kind: str) -> Iterator[Finding]:
     """It runs the same without the callbacks that importers need not pass."""
-    with bench.session(kind) as session:
-        wanted = few_numbers(session)
-    with bench.session(kind) as session:
-        yield from _without(session, CALLBACKS, wanted.tobytes(), logger=bench.second)
+    yield from _without(bench, kind, CALLBACKS, logger=bench.second)
 
 
 def logger(bench: Bench, kind: str) -> Iterator[Finding]:
     """It runs the same without a logger."""
     if not bench.second:
         raise Skipped("it is among the callbacks of FMI 3.0 that may be missing")
+    yield from _without(bench, kind, LOGGER, logger=False)
+
+
+def _without(bench: Bench, kind: str, rule: Rule, *, logger: bool) -> Iterator[Finding]:
+    missing = "missing callbacks" if logger or rule is CALLBACKS else "a missing logger"
     with bench.session(kind) as session:
         wanted = few_numbers(session)
     with bench.session(kind) as session:
-        yield from _without(session, LOGGER, wanted.tobytes(), logger=False)
-
-
-def _without(session: Session, rule: Rule, wanted: bytes, *, logger: bool) -> Iterator[Finding]:
-    missing = "missing callbacks" if logger or rule is CALLBACKS else "a missing logger"
-    try:
-        session.instantiate_bare(logger=logger)
-        got = few_numbers(session).tobytes()
-    except Exception as error:
-        yield rule.at(session.kind, f"with {missing} it fails: {error}")
-        return
-    if got != wanted:
-        yield rule.at(session.kind, f"with {missing} it gives other numbers")
+        try:
+            session.instantiate_bare(logger=logger)
+            got = few_numbers(session)
+        except Exception as error:
+            yield rule.at(kind, f"with {missing} it fails: {error}")
+            return
+    if got.tobytes() != wanted.tobytes():
+        yield rule.at(kind, f"with {missing} it gives other numbers")

@@ -7,6 +7,7 @@ import numpy as np
 
 from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
 from cosim.fmi.check.trials.bench import Bench, Note, Session, Skipped
+from cosim.fmi.check.trials.summed_steps import Progress, summed_steps
 
 SUMS = Rule(
     "steps",
@@ -28,7 +29,7 @@ BEYOND = Rule(
     "do not learn that they went too far, for example beyond the data of a table",
     "end with an error beyond a stop time that was given, as the FMI has it",
 )
-MOST_STEPS = 1_000_000
+MOST_MADE = 1_000_000
 SIZE = 1 / 60  # s
 _SHARE = 1 / 12  # of all time is for the steps
 _FEW_STEPS = 10
@@ -37,16 +38,14 @@ _FEW_STEPS = 10
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
-    end, done = monotonic() + _SHARE * bench.timeout, 0
-    outputs = bench.outputs()
+    end, made = monotonic() + _SHARE * bench.timeout, Progress()
     stop = bench.experiment("stopTime")
     with bench.session(kind) as session:
         session.start()
         try:
-            for time in session.steps(SIZE, MOST_STEPS):
-                done += 1
-                if not np.isfinite(session.values(outputs)).all():
-                    yield NOT_FINITE.at(kind, f"not finite at {time:.6g} s")
+            for made in summed_steps(session, SIZE, MOST_MADE, bench.loop):
+                if not made.finite:
+                    yield NOT_FINITE.at(kind, f"not finite at {made.time:.6g} s")
                     return
                 if monotonic() > end:
                     break
@@ -57,9 +56,9 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 told = f"a step of 1/60 s fails at {session.time:.6g} s: {error}"
                 yield (FAILING if own else SUMS).at(kind, told)
                 return
-            yield Note(f"{done} steps of 1/60 s, beyond its stop time; then: {error}")
+            yield Note(f"{made.done} steps of 1/60 s, beyond its stop time; then: {error}")
             return
-        yield Note(f"{done} steps of 1/60 s, to {session.time:.6g} s")
+        yield Note(f"{made.done} steps of 1/60 s, to {session.time:.6g} s")
 
 
 def stop(bench: Bench, kind: str) -> Iterator[Finding]:

@@ -2,9 +2,8 @@
 
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.aliases import TOOL
 from cosim.fmi.export.description.model_description import BOOLEAN, REAL, Dialect, Identity
-from cosim.fmi.export.description.structure import Structure
+from cosim.fmi.export.description.structure import StructureTags
 
 
 def _root(identity: Identity) -> dict[str, str]:
@@ -54,39 +53,13 @@ def _variable(kind: str, general: dict[str, str], facts: dict[str, str]) -> ET.E
     return element
 
 
-def _alias(name: str, meaning: str) -> ET.Element:
-    """Return an annotation: a second variable of the same reference would be an output twice."""
-    annotations = ET.Element("Annotations")
-    tool = ET.SubElement(annotations, "Tool", name=TOOL)
-    ET.SubElement(tool, "Alias", name=name, description=meaning)
-    return annotations
-
-
-def _structure(structure: Structure) -> ET.Element:
-    """Return the unknowns by index, which is the value reference plus one."""
-    element = ET.Element("ModelStructure")
-    sections = {
-        "Outputs": structure.outputs,
-        "Derivatives": structure.derivatives,
-        "InitialUnknowns": structure.initial_unknowns,
-    }
-    for tag, unknowns in sections.items():
-        if unknowns:
-            section = ET.SubElement(element, tag)
-            for unknown in unknowns:
-                needs = " ".join(str(reference + 1) for reference in unknown.dependencies)
-                index = str(unknown.reference + 1)
-                ET.SubElement(section, "Unknown", index=index, dependencies=needs)
-    return element
-
-
 FMI2 = Dialect(
     _root,
     _interfaces,
     _quantity,
     _variable,
-    _alias,
-    _structure,
+    ("Tool", "name"),
+    StructureTags(("Outputs", "Derivatives", "InitialUnknowns"), "Unknown", "index", first=1),
     fixed_are_knowns=False,
     numbers_types_apart=True,
 )

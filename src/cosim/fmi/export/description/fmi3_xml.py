@@ -2,9 +2,8 @@
 
 from xml.etree import ElementTree as ET
 
-from cosim.fmi.aliases import TOOL
 from cosim.fmi.export.description.model_description import BOOLEAN, REAL, Dialect, Identity
-from cosim.fmi.export.description.structure import Structure
+from cosim.fmi.export.description.structure import StructureTags
 
 
 def _root(identity: Identity) -> dict[str, str]:
@@ -41,38 +40,19 @@ def _variable(kind: str, general: dict[str, str], facts: dict[str, str]) -> ET.E
     return ET.Element({REAL: "Float64", BOOLEAN: "Boolean"}[kind], general | facts)
 
 
-def _alias(name: str, meaning: str) -> ET.Element:
-    """Return an annotation: FMPy up to 0.3.32 wants an `Alias` of an output among the unknowns."""
-    annotations = ET.Element("Annotations")
-    annotation = ET.SubElement(annotations, "Annotation", type=TOOL)
-    ET.SubElement(annotation, "Alias", name=name, description=meaning)
-    return annotations
-
-
-def _structure(structure: Structure) -> ET.Element:
-    element = ET.Element("ModelStructure")
-    sections = {
-        "Output": structure.outputs,
-        "ContinuousStateDerivative": structure.derivatives,
-        "InitialUnknown": structure.initial_unknowns,
-        "EventIndicator": structure.indicators,
-    }
-    for tag, unknowns in sections.items():
-        for unknown in unknowns:
-            needs = " ".join(map(str, unknown.dependencies))
-            reference = str(unknown.reference)
-            ET.SubElement(element, tag, valueReference=reference, dependencies=needs)
-    return element
-
-
 # The table of `dependencies` (2.4.8) counts all parameters as knowns.
 FMI3 = Dialect(
     _root,
     _interfaces,
     _quantity,
     _variable,
-    _alias,
-    _structure,
+    ("Annotation", "type"),
+    StructureTags(
+        ("Output", "ContinuousStateDerivative", "InitialUnknown", "EventIndicator"),
+        unknown=None,
+        reference="valueReference",
+        first=0,
+    ),
     fixed_are_knowns=True,
     numbers_types_apart=False,
 )

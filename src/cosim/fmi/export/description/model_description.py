@@ -7,9 +7,10 @@ from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Dae, Start
 from casadi_models.units import UNITS, Unit
+from cosim.fmi.aliases import TOOL
 from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.description.quantities import QUANTITIES
-from cosim.fmi.export.description.structure import Structure, model_structure
+from cosim.fmi.export.description.structure import StructureTags, model_structure
 from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
 
 REAL, BOOLEAN = "real", "boolean"  # types of variables
@@ -53,8 +54,8 @@ class Dialect:
         interfaces: Elements of model exchange and co-simulation.
         quantity: Element of a declared type, likewise.
         variable: Element of a variable, from its type, its attributes and those of its type.
-        alias: What an element of a variable holds to give it a second name.
-        structure: Element of the model structure.
+        annotation: Tag of an annotation, and its attribute that says whose it is.
+        structure: How the model structure is written.
         fixed_are_knowns: Whether unknowns depend on fixed parameters, too.
         numbers_types_apart: Whether the value references of each type begin at 0.
     """
@@ -63,8 +64,8 @@ class Dialect:
     interfaces: Callable[[Identity], list[ET.Element]]
     quantity: Callable[[dict[str, str], dict[str, str]], ET.Element]
     variable: Callable[[str, dict[str, str], dict[str, str]], ET.Element]
-    alias: Callable[[str, str], ET.Element]
-    structure: Callable[[Structure], ET.Element]
+    annotation: tuple[str, str]
+    structure: StructureTags
     fixed_are_knowns: bool
     numbers_types_apart: bool
 
@@ -97,7 +98,7 @@ def model_description(
     structure = model_structure(
         variables, depends, identity.indicators, fixed_are_knowns=dialect.fixed_are_knowns
     )
-    root.append(dialect.structure(structure))
+    root.append(dialect.structure.element(structure))
     return to_bytes(root)
 
 
@@ -118,8 +119,21 @@ def _element(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Elem
         general["valueReference"] = "0" if dialect.numbers_types_apart else str(reference)
     element = dialect.variable(kind, general, facts)
     if variable.alias:
-        element.append(dialect.alias(variable.alias, variable.meaning))
+        element.append(_alias(variable.alias, variable.meaning, dialect))
     return element
+
+
+def _alias(name: str, meaning: str, dialect: Dialect) -> ET.Element:
+    """Return an annotation with a variable's second name.
+
+    In FMI 2.0 a second variable of the same reference would be an output twice; in FMI 3.0, FMPy up
+    to 0.3.32 wants an `Alias` of an output among the unknowns.
+    """
+    annotations = ET.Element("Annotations")
+    tag, owner = dialect.annotation
+    annotation = ET.SubElement(annotations, tag, {owner: TOOL})
+    ET.SubElement(annotation, "Alias", name=name, description=meaning)
+    return annotations
 
 
 def _attributes(reference: int, variable: FmuVariable) -> tuple[dict[str, str], dict[str, str]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Start
 from cosim.fmi.export.dependencies import Dependencies
@@ -25,6 +26,36 @@ class Structure:
     derivatives: tuple[DependentVariable, ...]
     initial_unknowns: tuple[DependentVariable, ...]
     indicators: tuple[DependentVariable, ...] = ()
+
+
+@dataclass(frozen=True)
+class StructureTags:
+    """How a version of FMI writes the model structure.
+
+    Attributes:
+        sections: Tags for outputs, derivatives, initial unknowns and, if it has them, indicators.
+        unknown: Tag of each within its section; None where those of a section have its tag.
+        reference: Attribute that says which variable it is.
+        first: What the first variable is called there.
+    """
+
+    sections: tuple[str, ...]
+    unknown: str | None
+    reference: str
+    first: int
+
+    def element(self, structure: Structure) -> ET.Element:
+        """Return the model structure; sections without a member are left out."""
+        whole = ET.Element("ModelStructure")
+        found = (structure.outputs, structure.derivatives, structure.initial_unknowns)
+        for tag, unknowns in zip(self.sections, (*found, structure.indicators), strict=False):
+            apart = self.unknown is not None and unknowns
+            parent = ET.SubElement(whole, tag) if apart else whole
+            for unknown in unknowns:
+                needs = " ".join(str(self.first + other) for other in unknown.dependencies)
+                own = {self.reference: str(self.first + unknown.reference), "dependencies": needs}
+                ET.SubElement(parent, self.unknown or tag, own)
+        return whole
 
 
 def model_structure(

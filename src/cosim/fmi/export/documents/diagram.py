@@ -11,6 +11,7 @@ import numpy as np
 
 from casadi_models.dae.drawing import World
 from cosim.arrays import Vector as Array
+from cosim.fmi.export.documents.labels import Labels
 from cosim.fmi.export.documents.pose import Pose, Solid
 
 DIAGRAM_SIZE = (640, 480)  # of the diagram, pixels
@@ -125,7 +126,7 @@ def pointers(pose: Pose, view: View, size: float) -> Iterator[Pointer]:
         ends = view.seen(np.array([at, at + length * size * direction]))[:, :2]
         return Pointer(ends[0], ends[1], *rest)  # type: ignore[arg-type]
 
-    for _, origin, rotation in pose.frames:
+    for _, origin, rotation in _triads(pose):
         for i, colour in enumerate(_AXES):
             yield pointer(origin, rotation[:, i], _FRAME, colour, str(i + 1))
     for sign in pose.signs:
@@ -133,6 +134,22 @@ def pointers(pose: Pose, view: View, size: float) -> Iterator[Pointer]:
         length = 1.35 * _ARROW if turn else _ARROW
         colour = _TURN if turn else _LOAD
         yield pointer(sign.at, sign.direction, length, colour, ", ".join(sign.names), turn)
+
+
+def _triads(pose: Pose) -> Iterator[tuple[str, Array, Array]]:
+    """Yield the frames, those that coincide as one, with the names of all of them."""
+    left = list(pose.frames)
+    while left:
+        _, origin, rotation = left[0]
+        here = [_coincide(frame, left[0]) for frame in left]
+        names = [name for (name, _, _), same in zip(left, here, strict=True) if same]
+        yield ", ".join(names), origin, rotation
+        left = [frame for frame, same in zip(left, here, strict=True) if not same]
+
+
+def _coincide(one: tuple[str, Array, Array], other: tuple[str, Array, Array]) -> bool:
+    near = np.allclose(one[1], other[1], atol=1e-6)
+    return near and np.allclose(one[2], other[2], atol=1e-3)
 
 
 def diagram(pose: Pose, world: World) -> bytes:
@@ -148,11 +165,11 @@ def diagram(pose: Pose, world: World) -> bytes:
         sheet.patch(patch)
     for arrow in arrows:
         sheet.arrow(arrow.start, arrow.end, arrow.colour, arrow.double)
-    for name, origin, _ in pose.frames:
-        sheet.text(view.seen(origin)[0, :2], name, _INK)
-    for arrow in arrows:
-        sheet.text(arrow.end, arrow.text, arrow.colour)
     sheet.corner(view, world.axes)
+    for arrow in sorted(arrows, key=lambda arrow: -len(arrow.text)):  # axes have most freedom left
+        sheet.text(arrow.end, arrow.text, arrow.colour)
+    for name, origin, _ in _triads(pose):
+        sheet.text(view.seen(origin)[0, :2], name, _INK)
     return sheet.png(DIAGRAM_SIZE)
 
 
@@ -179,7 +196,7 @@ class _Sheet:
         self.middle = (low + high) / 2
         room = np.maximum(high - low, 1e-9)
         self.scale = float(((1 - 2 * margin) * self.size / room).min())
-        self.taken: list[tuple[float, float, float, float]] = []
+        self.labels = Labels((float(self.size[0]), float(self.size[1])), 6 * _FINER)
 
     def place(self, points: Array) -> list[tuple[float, float]]:
         """Return pixels, (x, y) each, y downward."""
@@ -200,6 +217,7 @@ class _Sheet:
         """Draw an arrow; a turn has two heads."""
         (x0, y0), (x1, y1) = self.place(np.array([start, end]))
         self.pen.line([(x0, y0), (x1, y1)], fill=colour, width=2 * _FINER)
+        self.labels.line((x0, y0), (x1, y1))
         along = np.array([x1 - x0, y1 - y0])
         length = float(np.linalg.norm(along))
         if length < 4 * _FINER:  # towards the eye
@@ -217,19 +235,16 @@ class _Sheet:
             self.pen.polygon([tuple(tip), *map(tuple, wings)], fill=colour)
 
     def text(self, at: Array, text: str, colour: str) -> None:
-        """Write beside a point, moved down as far as other texts need."""
-        x, y = self.place(at)[0]
-        width = float(self.pen.textlength(text, font=self.font))
-        x = min(max(x + 4 * _FINER, 0.0), float(self.size[0]) - width)
-        y = min(max(y - 8 * _FINER, 0.0), float(self.size[1]) - 16 * _FINER)
-        height = 15 * _FINER
-        while any(
-            x < r and x + width > a and y < b and y + height > t for a, t, r, b in self.taken
-        ):
-            y += height / 3
-        self.taken.append((x, y, x + width, y + height))
+        """Write beside a point, where room is."""
+        left, top, right, bottom = self.pen.textbbox((0, 0), text, font=self.font)
+        place = self.labels.place(self.place(at)[0], right - left, bottom - top)
         self.pen.text(
-            (x, y), text, fill=colour, font=self.font, stroke_width=_FINER, stroke_fill="white"
+            (place[0] - left, place[1] - top),
+            text,
+            fill=colour,
+            font=self.font,
+            stroke_width=_FINER,
+            stroke_fill="white",
         )
 
     def corner(self, view: View, names: Sequence[str]) -> None:

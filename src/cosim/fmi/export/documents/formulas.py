@@ -6,12 +6,14 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae
+from cosim.memo import kept_per_thread
 
 LONGEST_FORMULA = 120  # letters of an expression that is written out
 
 
-def formulas(dae: Dae) -> Iterator[tuple[str, str]]:
-    """Yield left and right sides: of calculated starts, dx/dt, algebraic equations, outputs.
+@kept_per_thread(8)
+def formulas(dae: Dae) -> tuple[tuple[str, str], ...]:
+    """Return left and right sides: of calculated starts, dx/dt, algebraic equations, outputs.
 
     Examples:
         >>> import cosim
@@ -19,6 +21,10 @@ def formulas(dae: Dae) -> Iterator[tuple[str, str]]:
         >>> dict(formulas(cosim.load("crank_shaft/driven")))["der(phi)"]
         'omega'
     """
+    return tuple(_formulas(dae))
+
+
+def _formulas(dae: Dae) -> Iterator[tuple[str, str]]:
     parameters = frozenset(parameter.name for parameter in dae.parameters)
     for rule in dae.start_rules:
         names = ", ".join(dae.states[i].name for i in rule.states)

@@ -11,6 +11,7 @@ from cosim.codegen.cache import content_of, keep
 from cosim.errors import CacheError
 from cosim.fmi.export.documents.diagram import diagram, icon
 from cosim.fmi.export.documents.pose import Pose, start_pose
+from cosim.memo import kept_per_thread
 
 DIAGRAM = "documentation/diagram.png"
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
@@ -24,6 +25,11 @@ def pictures(dae: Dae, fmi: int) -> dict[str, bytes]:
         dae: The model; it is seen at its start values.
         fmi: Version of FMI; each has a place of its own for the icon.
     """
+    return dict(_pictures(dae, fmi))
+
+
+@kept_per_thread(8)
+def _pictures(dae: Dae, fmi: int) -> dict[str, bytes]:
     pose = start_pose(dae)
     if pose is None:
         return {}

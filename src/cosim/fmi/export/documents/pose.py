@@ -10,7 +10,7 @@ from casadi import SX
 from casadi_models.dae import Dae
 from casadi_models.dae.drawing import Body, Shape
 from cosim.arrays import Vector as Array
-from cosim.codegen.initialization import algebraic_function, start_function
+from cosim.codegen.initialization import usual_start
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,9 @@ def start_pose(dae: Dae) -> Pose | None:
 
 
 def _start_values(dae: Dae) -> dict[str, float]:
-    p, u, guess = (
-        [float(variable.start or 0.0) for variable in group]
-        for group in (dae.parameters, dae.inputs, dae.algebraics)
-    )
     values = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.inputs)}
     try:
-        x, _ = start_function(dae)(list(dae.x_start), p)
-        z = algebraic_function(dae)(0.0, x, guess, u, p)
+        x, z, u, p = usual_start(dae)
         outputs = ca.Function("y", dae.arguments, [dae.outputs])(0.0, x, z, u, p)
     except RuntimeError:  # no solution; whoever runs the FMU is told why
         return values

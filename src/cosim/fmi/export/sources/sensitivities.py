@@ -31,7 +31,7 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
         dae: The model.
         in_a_loop: See `jacobian_function`, which then calls the same derivative of the laws.
     """
-    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    call = dae.arguments
     known = [dae.x, dae.u, dae.p, dae.t]
     seeds = [SX.sym("seed", symbol.numel()) for symbol in known]
     seed_z = SX.sym("seed_z", dae.z.numel())
@@ -70,7 +70,7 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
         in_a_loop: Whether it is a loop over directional derivatives instead of formulas; where
             these are too long when None.
     """
-    call, known = [dae.t, dae.x, dae.z, dae.u, dae.p], ca.vertcat(dae.x, dae.u)
+    call, known = dae.arguments, ca.vertcat(dae.x, dae.u)
     arguments = [argument_like(symbol) for symbol in call]
     if is_large(dae) if in_a_loop is None else in_a_loop:
         laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
@@ -95,8 +95,8 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
 def _along_laws(dae: Dae) -> ca.Function:
     """Return the derivative of dx/dt and the algebraic equations along (x, u, z, p, t)."""
     laws, unknowns = (dae.ode, dae.alg), (dae.x, dae.u, dae.z, dae.p, dae.t)
-    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    return derivative_along("along_laws", call, ca.vertcat(*laws), ca.vertcat(*unknowns))
+    columns = ca.vertcat(*laws), ca.vertcat(*unknowns)
+    return derivative_along("along_laws", dae.arguments, *columns)
 
 
 def adjoint_function(dae: Dae) -> ca.Function:
@@ -104,7 +104,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
 
     Its results are the gradients of the seeded sum with respect to x, u, p, t.
     """
-    call = [dae.t, dae.x, dae.z, dae.u, dae.p]
+    call = dae.arguments
     seeds = [SX.sym("seed", symbol.numel()) for symbol in (dae.ode, dae.z, dae.outputs)]
     weight = SX.sym("weight", dae.z.numel())
     explicit, seed = ca.vertcat(dae.ode, dae.outputs), ca.vertcat(seeds[0], seeds[2])

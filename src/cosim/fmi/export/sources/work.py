@@ -7,6 +7,7 @@ every machine. What needs more ends with Discard where it has come to; the impor
 import casadi as ca
 
 from casadi_models.dae import Dae
+from cosim.memo import kept_per_thread
 
 # Operations of one call. With subnormal numbers one takes 10 ns, in generated solvers, where
 # most of them are of the linear algebra, 1 ns.
@@ -21,6 +22,7 @@ _CHEAP = (
 FAILED_ATTEMPTS = 6  # of integration_step.c, each with all of its steps
 
 
+@kept_per_thread(16)
 def most_trials(dae: Dae) -> int:
     """Return how many steps of dop853.h a call may try, each of up to 16 right-hand sides."""
     return _within(_OF_DOP853 / (16 * _right_hand_side(dae)), 500, 20_000)
@@ -42,8 +44,7 @@ def _right_hand_side(dae: Dae) -> float:
 
 
 def _operations(dae: Dae, *expressions: ca.SX) -> float:
-    symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    function = ca.Function("counted", symbols, [*expressions], {"cse": True})
+    function = ca.Function("counted", dae.arguments, [*expressions], {"cse": True})
     kinds = (function.instruction_id(k) for k in range(function.n_instructions()))
     return float(sum(1 if kind in _CHEAP else _DEAR for kind in kinds))
 

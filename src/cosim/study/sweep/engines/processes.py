@@ -15,6 +15,7 @@ from cosim.study.sweep.store import Store
 
 WORKER = "cosim.study.sweep.engines.worker"
 _MOST_FAILED_STARTS = 5  # of processes, one after the other
+_KILLED = (-9, -15)  # exit codes of POSIX after SIGKILL, for want of memory too, and SIGTERM
 
 TellSummary = Callable[[Summary], None]
 
@@ -56,8 +57,18 @@ def run_processes(
             worker.end()
 
 
-def after_death(job: Job, schedule: Schedule, chunk: Range, cause: str) -> Summary | None:
-    """Decide what becomes of a chunk whose process died; return what is settled by that."""
+def after_death(
+    job: Job, schedule: Schedule, chunk: Range, cause: str, *, killed: bool = False
+) -> Summary | None:
+    """Decide what becomes of a chunk whose process died; return what is settled by that.
+
+    Args:
+        job: What all chunks have in common.
+        schedule: Of the chunks.
+        chunk: The one.
+        cause: Of the death, in words.
+        killed: Whether somebody ended the process.
+    """
     store = Store(job.store)
     if store.has(*chunk):  # it died afterwards
         summary = summary_of(store.read(*chunk))
@@ -66,7 +77,7 @@ def after_death(job: Job, schedule: Schedule, chunk: Range, cause: str) -> Summa
     began, at = store.last_begun(*chunk)
     if not began and schedule.given_up(chunk) < _MOST_FAILED_STARTS:
         return None
-    run = schedule.died(chunk, at)
+    run = schedule.died(chunk, at, killed=killed)
     if run is None:
         return None
     return lost(job, run, f"every process that computes it ends ({cause})")
@@ -123,7 +134,8 @@ class _Worker(Thread):
             process, self._process = self._process, None
             code = None if process is None else process.end()
             if not self._ended:
-                told = after_death(self._job, self._schedule, chunk, f"exit code {code}")
+                cause, killed = f"exit code {code}", code in _KILLED
+                told = after_death(self._job, self._schedule, chunk, cause, killed=killed)
                 if told is not None:
                     self._news.put(told)
             return

@@ -94,12 +94,16 @@ class Schedule:
                 self._size = 1 << self._size.bit_length() - 1
             self._news.notify_all()
 
-    def died(self, chunk: Range, at: int | None) -> int | None:
+    def died(self, chunk: Range, at: int | None, *, killed: bool = False) -> int | None:
         """Note that a process died with a chunk; return the run that is given up, if one is.
+
+        A run at which two processes died is; where they were killed from outside, it has to be
+        alone for both.
 
         Args:
             chunk: What it computed.
             at: The run that it had begun, where that is known: it goes on alone.
+            killed: Whether somebody ended the process, for which the run need not be to blame.
         """
         first, count = chunk
         with self._news:
@@ -115,6 +119,8 @@ class Schedule:
                 self._again.append(chunk)
             elif at is not None and first <= at < first + count:
                 end = first + count
+                if not killed:
+                    self._deaths[at, 1] = 1
                 self._again.extend([(at, 1), *aligned(first, at), *aligned(at + 1, end)])
             elif deaths > 1:
                 halves = [(first, count // 2), (first + count // 2, count // 2)]

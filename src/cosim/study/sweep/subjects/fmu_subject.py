@@ -12,8 +12,8 @@ from cosim.arrays import Vector
 from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
+from cosim.study.sweep.store import Watch
 from cosim.study.sweep.subjects.subject import Rows
 from cosim.trajectory import Column
 

@@ -17,8 +17,8 @@ from cosim.model.start_outputs import overriding
 from cosim.model.values import assign, listed, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
-from cosim.study.sweep.engines.watch import Watch
 from cosim.study.sweep.samples import digest_of
+from cosim.study.sweep.store import Watch
 from cosim.study.sweep.subjects.subject import Rows
 from cosim.trajectory import Column
 
@@ -36,9 +36,7 @@ class ModelSubject:
         self._dae, self._values, self._settings, self._inputs = dae, values, settings, inputs
         self.name = dae.full_name
         rules = [rule.expression for rule in dae.start_rules]
-        function = ca.Function(
-            "model", [dae.t, dae.x, dae.z, dae.u, dae.p], [dae.ode, dae.alg, dae.outputs]
-        )
+        function = ca.Function("model", dae.arguments, [dae.ode, dae.alg, dae.outputs])
         starts = ca.Function("starts", [dae.x, dae.p], rules)
         numbers = [v.start for v in dae.variables]
         said = repr((dae.full_name, numbers, dae.x_start, sorted(values.items()), inputs))

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from cosim.arrays import Vector
 from cosim.integrate.ensemble.ensemble import Ensemble
-from cosim.study.sweep.engines.watch import Watch
+from cosim.study.sweep.store import Watch
 from cosim.trajectory import Column
 
 

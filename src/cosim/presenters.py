@@ -1,0 +1,22 @@
+"""What shows a result and lies above it: named by the package, loaded when it is called.
+
+`cosim/__init__` comes before every other module of the package, so that the names are there.
+"""
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+_PRESENTERS: dict[str, str] = {}
+
+
+def present_by(**places: str) -> None:
+    """Name the functions that methods of results stand for, as `MODULE:FUNCTION`."""
+    _PRESENTERS.update(places)
+
+
+def presenter(method: str) -> Callable[..., Any]:
+    """Return the function that a method of a result stands for."""
+    module, _, function = _PRESENTERS[method].partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), function)
+    return found

@@ -1,0 +1,52 @@
+"""What a solver that nobody named does at tight tolerances."""
+
+import pytest
+
+import cosim
+from cosim.integrate.tightened import tightened
+from cosim.solvers import Cvodes, Idas, Rosenbrock
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """Return x'' = -x, whose energy drifts in BDF methods."""
+    model = cosim.Model("swing", stop_time=20.0, output_interval=20.0)
+    x = model.state("x", "1", 1.0, "place")
+    v = model.state("v", "1/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.output("amplitude", "1", x**2 + v**2, "square of the amplitude")
+    return model.freeze()
+
+
+def test_tolerances_of_1e_8_and_more_stay():
+    for solver in (Cvodes(), Idas(relative_tolerance=1e-3), Rosenbrock(relative_tolerance=1e-12)):
+        assert tightened(solver) == solver
+    given = Cvodes(relative_tolerance=1e-10, absolute_tolerance=1e-6)
+    assert tightened(given) == given
+
+
+@pytest.mark.parametrize("solver", [Cvodes, Idas])
+def test_tighter_ones_grow_tighter_as_far_as_the_solvers_reach(solver):
+    asked = [1e-8 * 0.5**i for i in range(18)]
+    inner = [tightened(solver(relative_tolerance=a)).relative_tolerance for a in asked]
+    assert inner == sorted(inner, reverse=True)
+    assert all(a / 30.001 <= i <= a for a, i in zip(asked, inner, strict=True))
+    assert tightened(solver(relative_tolerance=1e-10)).relative_tolerance == 1e-10 / 30
+    assert tightened(solver(relative_tolerance=1e-12)).relative_tolerance == 1e-12
+
+
+def test_run_says_it_and_is_as_good_as_asked(swing):
+    run = cosim.simulate(swing, relative_tolerance=1e-10)
+    assert run.stats["relative_tolerance"] == 1e-10
+    assert "cvodes at rtol 3.33333e-12" in run.stats["note"]
+    named = cosim.simulate(swing, relative_tolerance=1e-10, solver="cvodes")
+    assert "note" not in named.stats
+    errors = [abs(r["amplitude"][-1] - 1) for r in (run, named)]
+    assert errors[0] < 1e-8 < errors[1]  # measured 1.5e-9 and 3.4e-8
+
+
+def test_defaults_are_what_they_were(swing):
+    default, named = cosim.simulate(swing), cosim.simulate(swing, solver="cvodes")
+    assert default.values.tobytes() == named.values.tobytes()
+    assert "note" not in default.stats
