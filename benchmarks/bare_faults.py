@@ -9,6 +9,7 @@ and numbers that its own functions take.
 
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -65,6 +66,7 @@ def main() -> None:
         counts: dict[str, Counter[str]] = {tool: Counter() for tool in (*FILES, OURS)}
         for number, row in enumerate(chosen):
             for tool, ends in counts.items():
+                print(f"{row.name}, {tool}", file=sys.stderr)
                 ends.update(_ends(tool, row, folder / f"{number}{tool[0]}", write))
     print(f"| of {len(chosen)} |", " | ".join(counts), "|")
     print("|---|" + "---|" * len(counts))
@@ -134,24 +136,41 @@ def _ended(call: list[str], good: bool, place: Path) -> list[str]:
     temporary = place / "temporary"
     temporary.mkdir()
     before = _files(place)
-    process = subprocess.Popen(
-        call, cwd=place, env={**os.environ, "TMPDIR": str(temporary)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
-    )  # fmt: skip
-    try:
-        _, told = process.communicate(timeout=LIMIT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
-        return ["hang", *[LEFT] * (_files(place) != before)]
+    with tempfile.TemporaryFile("w+") as errors:  # a pipe would stay open while a child holds it
+        process = subprocess.Popen(
+            call, cwd=place, env={**os.environ, "TMPDIR": str(temporary)},
+            stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+        )  # fmt: skip
+        try:
+            code = process.wait(LIMIT)
+        except subprocess.TimeoutExpired:
+            code = None
+        left = (_ended_group(process) and code is not None) or _files(place) != before
+        errors.seek(0)
+        told = errors.read()
+    return [_kind_of_end(code, told, good), *[LEFT] * left]
+
+
+def _kind_of_end(code: int | None, told: str, good: bool) -> str:
+    if code is None:
+        return "hang"
     if "Traceback" in told:
-        how = "traceback"
-    elif process.returncode == 0:
-        how = "runs, as it should" if good else "silent"
-    else:
-        how = "one sentence" if told.strip() and process.returncode > 0 else "crash or exit"
-    return [how, *[LEFT] * (_files(place) != before)]
+        return "traceback"
+    if code == 0:
+        return "runs, as it should" if good else "silent"
+    return "one sentence" if told.strip() and code > 0 else "crash or exit"
+
+
+def _ended_group(process: "subprocess.Popen[bytes]") -> bool:
+    """End a process and its children; tell whether there were any."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    finally:
+        process.wait()
+    return True
 
 
 def _files(place: Path) -> set[Path]:

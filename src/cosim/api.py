@@ -12,7 +12,7 @@ from cosim.arrays import Vector
 from cosim.errors import UsageError
 from cosim.integrate import simulate as native
 from cosim.integrate.run.asked_times import AskedTimes, again
-from cosim.integrate.run.outputs import wanted_names, watching
+from cosim.integrate.run.outputs import recording
 from cosim.integrate.run.stopping import run_until
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import SOLVERS
@@ -20,7 +20,7 @@ from cosim.memo import kept_per_thread
 from cosim.model.catalogue import load
 from cosim.model.driving import driven
 from cosim.model.quantities import quantity
-from cosim.model.values import A_DAE, assign, listed, plain_values
+from cosim.model.values import A_DAE, assign, plain_values
 from cosim.scene import roads
 from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
 from cosim.scene.roads import Road
@@ -155,9 +155,7 @@ def _promised(
 ) -> Trajectory:
     """Run with what an accuracy or a budget chooses."""
     assign(dae, run["start_values"])
-    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
-    dae = watching(dae, wanted or ())
-    names = wanted_names(dae, wanted)
+    dae, names = recording(dae, outputs)
     grid = times.grid()
     compiled = options.get("compiled")
     compiled = pays_compiling(dae, grid) if compiled is None else compiled
@@ -175,13 +173,12 @@ def _until(
     run: dict[str, Any],
 ) -> Trajectory:
     """Run until a condition becomes true."""
-    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
-    dae = watching(dae, wanted or ())
+    dae, names = recording(dae, outputs)
 
     def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
         return native.simulate(watched, output_interval=grid, outputs=names, **run)
 
-    return run_until(dae, condition, solve, times.grid(), wanted_names(dae, wanted))
+    return run_until(dae, condition, solve, times.grid(), names)
 
 
 def _together(dae: Dae, given: Any, constants: Mapping[str, float]) -> Any:

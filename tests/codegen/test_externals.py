@@ -113,7 +113,7 @@ def test_library_without_c_code_runs_interpreted_and_is_not_exported(generated, 
     judge(run)
     assert not run.stats["compiled"]
     told = r"external function 'law': its C code is not at hand.*; put law\.c beside"
-    assert run.stats["note"].startswith("interpreted: external function 'law'")
+    assert "interpreted: external function 'law'" in run.stats["note"]
     for call in (
         lambda: cosim.simulate(dae, compiled=True),
         lambda: cosim.simulate(dae, solver="dop853"),

@@ -57,7 +57,7 @@ def ends_well(request, tmp_path, monkeypatch, capfd, counts):
 
     def run(row: Row) -> dict[str, str]:
         own = tmp_path / str(next(numbers))
-        place, temporary = own / "here", own / "temporary"
+        place, temporary = own / "he r\u00e9", own / "temp r\u00e9"  # as users name their folders
         place.mkdir(parents=True)
         temporary.mkdir()
         monkeypatch.chdir(place)

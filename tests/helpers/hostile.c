@@ -10,11 +10,20 @@
 #include <unistd.h>
 static char bad_function[80], bad_action[80];
 static double bad_number;
+/* The path of a URI, whose spaces and letters beyond ASCII are percent-encoded. */
+static void decode(const char *uri, char *path, size_t size) {
+    for (unsigned byte; *uri && size > 1; uri++, size--) {
+        if (*uri == '%' && sscanf(uri + 1, "%2x", &byte) == 1) *path++ = (char)byte, uri += 2;
+        else *path++ = *uri;
+    }
+    *path = 0;
+}
 void choose_fault(const char *place) {
-    char path[4096];
-    const char *folder = strstr(place ? place : "", "/");
-    while (folder && folder[1] == '/') folder++;
-    snprintf(path, sizeof path, "%s/fault.txt", folder ? folder : "");
+    char folder[4000], path[4096];
+    const char *begin = strstr(place ? place : "", "/");
+    while (begin && begin[1] == '/') begin++;
+    decode(begin ? begin : "", folder, sizeof folder);
+    snprintf(path, sizeof path, "%s/fault.txt", folder);
     FILE *file = fopen(path, "r");
     if (!file) return;
     if (fscanf(file, "%79s %79s %lf", bad_function, bad_action, &bad_number) < 2)

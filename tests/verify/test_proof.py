@@ -83,6 +83,10 @@ def test_model_exchange_takes_as_many_steps_as_it_needs(tmp_path, monkeypatch):
     run = simulate_fmu(path, output_interval=2.0, **options)
     assert run.time.tolist() == [0.0, 2.0]
     assert run["x"][-1] == pytest.approx(math.cos(600.0), abs=1e-4)
+    assert "more than 500 steps between two outputs" in run.stats["note"]
+    finer = simulate_fmu(path, output_interval=0.02, **options)
+    assert "note" not in finer.stats
+    assert run["x"][-1] == pytest.approx(finer["x"][-1], abs=1e-5)  # measured 7e-7
     monkeypatch.setattr(patient, "MOST_STEPS", 500)
     with pytest.raises(FmuError, match=r"mxstep.*looser relative tolerance, or co-simulation"):
         simulate_fmu(path, output_interval=2.0, **options)

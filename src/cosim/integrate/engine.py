@@ -60,7 +60,7 @@ class Problem:
         return replace(self, times=self.grid[:n].tobytes())
 
 
-class RunFunctions(NamedTuple):
+class EngineFunctions(NamedTuple):
     """What CasADi calls of an engine.
 
     Attributes:
@@ -97,7 +97,7 @@ class Engine:
             prints nothing, and leaves alone what it does not reach.
     """
 
-    make: Callable[[], RunFunctions]
+    make: Callable[[], EngineFunctions]
     points: int
     repeat_u: bool
     counts: Callable[[], Counts]
@@ -109,7 +109,7 @@ class Engine:
     direct: DirectRun | None = None
 
     @cached_property
-    def functions(self) -> RunFunctions:
+    def functions(self) -> EngineFunctions:
         """What CasADi calls."""
         return self.make()
 

@@ -11,7 +11,7 @@ from cosim.codegen.compiler import where_compilers_are
 from cosim.errors import UsageError
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
-from cosim.integrate.run.outputs import all_columns, recorded_columns, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, recorded_columns, recording
 from cosim.integrate.run.worthwhile import Choice, settled
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import NUMBERS, chosen_solver
@@ -108,8 +108,7 @@ def _kept_plan(
 
 
 def _plan(dae: Dae, asked: Asked) -> Plan:
-    dae = watching(dae, asked.outputs or ())
-    names = wanted_names(dae, asked.outputs)
+    dae, names = recording(dae, asked.outputs)
     grid = asked.times.grid(dae)
     compiled = asked.compiled
     if not isinstance(compiled, bool | None):

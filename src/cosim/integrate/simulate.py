@@ -1,7 +1,8 @@
 """Road one: a DAE through CasADi's integrators, CVODES and IDAS first, to a `Trajectory`."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Any, TypedDict, TypeVar, Unpack
 
@@ -12,11 +13,13 @@ from cosim.arrays import Vector
 from cosim.codegen.compiler import time_compiling
 from cosim.errors import CompilerExhausted, Interrupted, SolverError, UnknownName, UsageError
 from cosim.host.progress import doing
+from cosim.integrate.diagnosis.crossing import times_between
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.plan import Asked, Plan, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.run_stats import RunStats
@@ -106,6 +109,7 @@ def simulate(
     refuse_unknown(shorthand, Shorthand.__optional_keys__)
     if not isinstance(on_invalid, str) or on_invalid not in ON_INVALID:
         raise UnknownName.among("simulate", "answer to an invalid state", on_invalid, ON_INVALID)
+    given = dae
     dae, project = controlled(dae, drift_control)
     values = assign(dae, one_of(dae, start_values, shorthand.get("start")))
     asked = Asked(
@@ -118,6 +122,23 @@ def simulate(
         project,
     )
     own = plan(dae, asked)
+    if on_invalid != "ignore" and not (project or isinstance(own.solver, FixedStep)):
+        closer = times_between(own.problem.dae, own.problem.grid)
+        if closer is not None:
+            whole = partial(
+                simulate,
+                given,
+                output_interval=closer,
+                solver=solver,
+                start_values=start_values,
+                inputs=inputs,
+                outputs=outputs,
+                compiled=compiled,
+                on_invalid=on_invalid,
+                drift_control=drift_control,
+                **shorthand,
+            )
+            return _at(own.problem.grid, whole)
     before = time_compiling()
     with doing(own.problem.dae.full_name):
         computed = _computed(own, values, on_invalid, insisting=bool(compiled))
@@ -128,6 +149,21 @@ def simulate(
     if computed.first.reason:
         raise _failure(own, values, computed, run)
     return run
+
+
+def _at(times: Vector, run: Callable[[], Trajectory]) -> Trajectory:
+    """Return a run at some of its output times, and so what it leaves where it fails."""
+
+    def some(whole: Trajectory) -> Trajectory:
+        kept = np.isin(whole.time, times)
+        return replace(whole, time=whole.time[kept], values=whole.values[kept])
+
+    try:
+        return some(run())
+    except (SolverError, Interrupted) as error:
+        if isinstance(error.partial, Trajectory):
+            error.partial = some(error.partial)
+        raise
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ import pytest
 from helpers.small_models import decay, table
 
 import cosim
-from cosim.errors import ExportError, MissingTool, ParameterError, UnknownName
+from cosim.errors import ExportError, MissingTool, ParameterError, UnknownName, UsageError
 from cosim.fmi.check.check import check_fmu
+from cosim.fmi.export.sources import c_files
 
 OLD = b"what was here before"
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -119,6 +120,21 @@ def test_two_models_of_one_identifier_run_in_one_process(tmp_path):
     for rate, path in zip((1.0, 2.0, 1.0, 2.0), paths * 2, strict=True):
         run = cosim.simulate_fmu(path, relative_tolerance=1e-10)
         assert run["x"][-1] == pytest.approx(np.exp(-rate), rel=1e-9)  # measured 1e-11
+
+
+def test_model_may_be_called_model(tmp_path):
+    """Though that is how the names of its functions begin inside."""
+    path = cosim.export_fmu(decay("model"), tmp_path / "model.fmu")
+    assert cosim.simulate_fmu(path)["x"][-1] == pytest.approx(np.exp(-0.5), rel=1e-6)
+
+
+def test_generated_code_of_another_form_is_refused(target, monkeypatch):
+    """Of another CasADi, whose functions would not be found and headed."""
+    code = "static int f0(const double** arg) { return 0; }\n"
+    monkeypatch.setattr(c_files, "equations_code", lambda *_: code)
+    with pytest.raises(UsageError, match="names generated functions in another way; use casadi"):
+        cosim.export_fmu(decay(), target)
+    assert_untouched(target)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

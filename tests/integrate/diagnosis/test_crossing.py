@@ -7,7 +7,7 @@ import pytest
 
 import cosim
 from cosim.errors import SolverError, UsageError
-from cosim.integrate.diagnosis.crossing import watching_rank
+from cosim.integrate.diagnosis.crossing import times_between, watching_rank
 from cosim.integrate.simulate import simulate
 
 FOUR_BARS = f"{Path(__file__).parents[3] / 'examples' / 'four_bars_a02.py'}:build"
@@ -73,3 +73,14 @@ def test_fixed_steps_take_multipliers_with_projection_only(bars):
     run = simulate(dae, solver="ode8", drift_control="projection", **settings)
     other = simulate(dae, solver="rosenbrock", relative_tolerance=1e-10, **settings)
     assert cosim.compare(run, other).worst.scaled < 1e-8  # measured 3e-11
+
+
+def test_times_between_outputs_keep_them_and_are_close_enough():
+    dae = cosim.load("bicycle/multipliers")
+    given = np.array([0.0, 0.005, 1.0])
+    found = times_between(dae, given)
+    assert {*given.tolist()} <= {*found.tolist()}
+    assert np.diff(found).max() <= dae.experiment.output_interval * (1 + 1e-12)
+    assert times_between(dae, found) is None
+    assert len(times_between(dae, np.array([0.0, 1e6]))) == 20_001
+    assert times_between(cosim.load("bicycle"), given) is None  # explicit

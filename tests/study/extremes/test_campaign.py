@@ -9,13 +9,16 @@ import pytest
 
 from cosim.cli.main import main
 from cosim.errors import UnknownName
+from cosim.integrate.simulate import simulate
 from cosim.present.extremes_map import draw_map
 from cosim.present.picture_files import save
+from cosim.study.extremes import oracles
 from cosim.study.extremes.campaign import WRONG, CaseFinding, explore, family_rows, select_cases
-from cosim.study.extremes.cases import Case, Counterpart, catalogue
+from cosim.study.extremes.cases import EXPLICIT, Case, Counterpart, catalogue
 from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, judge
 
 CASES = list(catalogue())
+SLOWEST = "lean 89.99 deg"  # its references fail after seconds, and then others are tried
 FAMILIES = list(dict.fromkeys(case.family for case in CASES if not case.long))
 
 
@@ -30,16 +33,35 @@ def test_catalogue_has_at_least_300_cases_each_of_them_once():
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_sample_of_a_family_ends_as_it_may(family):
-    members = [case for case in CASES if case.family == family]
+    members = [case for case in CASES if case.family == family and case.name != SLOWEST]
     for case in random.Random(family).sample(members, 3):
         verdict = judge(case)
         assert verdict.outcome not in WRONG, (case, verdict)
 
 
 @pytest.mark.slow
-def test_every_case_ends_as_it_may():
-    findings = list(explore(select_cases()))
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_case_of_a_family_ends_as_it_may(family):
+    members = [case for case in select_cases() if case.family == family]
+    # one process, so that cases of the same values share their reference
+    findings = list(explore(members, jobs=1, timeout=600))  # s, on a busy machine
     assert [f.row() for f in findings if f.verdict.outcome in WRONG] == []
+
+
+def test_cases_of_the_same_values_share_their_reference(monkeypatch):
+    name = "b = 0.02 ft.lbf.s/rad"
+    alike = [find("bar: damping", f"{name}, {each}", "bar_on_frame/reduced") for each in EXPLICIT]
+    tolerances = []
+
+    def counted(dae, **options):
+        tolerances.append(options["relative_tolerance"])
+        return simulate(dae, **options)
+
+    monkeypatch.setattr(oracles, "simulate", counted)
+    oracles._reference.cache_clear()
+    endings = [judge(case) for case in alike]
+    assert [ending.outcome for ending in endings] == ["accurate"] * len(alike)
+    assert tolerances.count(1e-11) == len({case.references for case in alike}) < len(alike)
 
 
 def test_crank_shaft_is_accurate_at_a_million_radians_per_second():

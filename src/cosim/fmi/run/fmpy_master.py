@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from cosim.errors import FmuError
 from cosim.fmi.run import inputs
-from cosim.fmi.run.patient import many_steps
 from cosim.fmi.run.request import Span, input_variables
 from cosim.host.progress import doing
 from cosim.model.inputs import InputSeries
@@ -68,7 +67,7 @@ def simulated(explained: Callable[[Exception], FmuError], start: float, **argume
     """Return what `fmpy.simulate_fmu` does; every failure says why."""
     from fmpy import simulate_fmu as run
 
-    with many_steps(), _noticed_interrupts() as interrupts, _noticed_errors() as errors:
+    with _noticed_interrupts() as interrupts, _noticed_errors() as errors:
         moving, done = _moving(start, arguments["stop_time"], interrupts)
         try:
             with doing("running the FMU", done):

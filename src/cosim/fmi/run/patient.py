@@ -1,26 +1,56 @@
-"""Runs of model exchange that take as many steps as they need.
+"""Runs of model exchange that take as many steps as they need, and say so.
 
 fmpy's CVODE takes 500 steps at most from one output time to the next, which no argument of
 `fmpy.simulate_fmu` sets.
 """
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
-MOST_STEPS = 200_000  # between two output times: some seconds of a small FMU
+from cosim.errors import FmuError
+from cosim.trajectory import Trajectory
+
+USUAL = 500
+MOST_STEPS = 20_000  # between two output times: a second of a small FMU
 LIMIT = "mxstep steps taken"  # CVODE's words
 ADVICE = "try a looser relative tolerance, or co-simulation, which takes the FMU's own solver"
+_WHERE = re.compile(r"At t = ([\d.eE+-]+)")
+
+
+def patiently(simulate: Callable[[], Trajectory]) -> Trajectory:
+    """Run an FMU; once more with as many steps as it takes where those of fmpy do not suffice.
+
+    Where a solution jumps, the second run is right. Where it is singular, a solver may go on along
+    another one: `stats["note"]` says where the many steps began.
+
+    Raises:
+        FmuError: See `simulate_fmu`.
+    """
+    try:
+        return simulate()
+    except FmuError as error:
+        if LIMIT not in str(error):
+            raise
+        found = _WHERE.search(str(error))
+    with _many_steps():
+        run = simulate()
+    where = f" at {float(found[1]):.6g} s" if found else ""
+    note = (
+        f"fmpy's solver took more than {USUAL} steps between two outputs{where}: a jump, or a "
+        "singularity from which it may have gone on along another solution; compare with "
+        "co-simulation"
+    )
+    return replace(run, stats={**run.stats, "note": note})
 
 
 @contextmanager
-def many_steps() -> Iterator[None]:
-    """Let fmpy's solver take `MOST_STEPS` between two output times; results are the same bits."""
-    try:
-        from fmpy import sundials
-    except (ImportError, OSError):  # fmpy brings none for this platform, and says so
-        yield
-        return
+def _many_steps() -> Iterator[None]:
+    """Let fmpy's solver take `MOST_STEPS` between two output times."""
+    from fmpy import sundials
+
     usual = sundials.CVodeSolver
 
     def patient(*arguments: Any, **more: Any) -> Any:

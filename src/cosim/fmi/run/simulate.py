@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -17,6 +18,7 @@ from cosim.fmi.run.instance import (
     read_description,
 )
 from cosim.fmi.run.opened import FMPY, MASTERS, kept_open
+from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.request import (
     column_of,
     given_numbers,
@@ -60,7 +62,8 @@ def simulate_fmu(
             a function of time, samples at the output times (n,), or an `InputSeries`; in the FMU's
             units. Inputs rest, or are linear, within a step of an FMU that integrates itself.
         outputs: Names to record; the FMU's outputs when None.
-        master: Who drives it. "fmpy" integrates with CVODE. "c" is compiled code, a tenth to a
+        master: Who drives it. "fmpy" integrates with CVODE, with more than its 500 steps between
+            two outputs where needed (`stats["note"]` says so). "c" is compiled code, a tenth to a
             hundredth of the time: one call for the whole run, `dop853` in model exchange, in
             co-simulation the very numbers of fmpy. It keeps a file of FMI 2 or 3 open for the
             next runs, and takes no `inputs`.
@@ -97,7 +100,22 @@ def simulate_fmu(
             outputs=outputs,
             master=master,
         )
+    settings = (start_time, stop_time, output_interval, relative_tolerance)
+    once = partial(_through_fmpy, path, interface, settings, start, inputs, outputs)
+    return patiently(once)
+
+
+def _through_fmpy(
+    path: str | os.PathLike[str],
+    interface: str | None,
+    settings: tuple[float | None, ...],
+    start: Mapping[str, float] | None,
+    inputs: Any,
+    outputs: Sequence[str] | None,
+) -> Trajectory:
+    """Run an FMU as `simulate_fmu` does, in fmpy; `settings` are its numbers."""
     began = perf_counter()
+    start_time, stop_time, output_interval, relative_tolerance = settings
     with unpacked(path) as folder:
         description = read_description(folder, path)
         kind = choose_interface(folder, description, interface, path)

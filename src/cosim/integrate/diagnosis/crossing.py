@@ -22,6 +22,8 @@ MONITOR = "constraint_condition"
 LOST = 1e3  # condition, somewhere between two outputs, that counts as loss of rank
 SUSPECTED = 3.0  # intervals within which lines through neighbours reach 0 from both sides, at most
 _POINTS, _ZOOMS = 33, 4
+_COARSE = 1.5  # of the model's own output interval, at which branches can be told apart
+_MOST_TIMES = 20_000  # at which a run is looked at
 
 
 @kept_per_thread(8)
@@ -35,6 +37,28 @@ def watching_rank(dae: Dae) -> Dae:
     if condition is None:
         return dae
     return replace(dae, limits=(*dae.limits, (1 / condition, "the constraints have full rank")))
+
+
+def times_between(dae: Dae, grid: Vector) -> Vector | None:
+    """Return output times with others between, close enough to see a crossing; None where they are.
+
+    Args:
+        dae: A model; one without that monitor has nothing to see.
+        grid: Output times, s, (n,).
+    """
+    if not dae.algebraics or _condition(dae) is None:  # explicit forms end at such a position
+        return None
+    span = float(grid[-1] - grid[0])
+    gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
+    lengths = np.diff(grid)
+    if not (lengths > _COARSE * gap).any():
+        return None
+    pieces = np.maximum(1, np.ceil(lengths / gap)).astype(int)
+    inner = [
+        np.linspace(a, b, k, endpoint=False)
+        for a, b, k in zip(grid, grid[1:], pieces, strict=False)
+    ]
+    return np.concatenate((*inner, grid[-1:]))
 
 
 def crossings(

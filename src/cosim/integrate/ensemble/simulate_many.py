@@ -18,13 +18,13 @@ from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.variants import in_lanes, one_by_one
 from cosim.integrate.families.explicit import Dop853
-from cosim.integrate.run.outputs import wanted_names, watching
+from cosim.integrate.run.outputs import recording
 from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import chosen_solver
 from cosim.model.inputs import InputSeries
 from cosim.model.many_values import assign_many
 from cosim.model.time_grid import checked_grid, time_grid
-from cosim.model.values import assign, listed, number, numbers_of
+from cosim.model.values import assign, number, numbers_of
 
 
 def simulate_many(
@@ -90,9 +90,7 @@ def simulate_many(
         what = "answer to an invalid state"
         raise UnknownName.among("simulate_many", what, on_invalid, ON_INVALID)
     values = assign_many(dae, start_values)
-    wanted = None if outputs is None else listed(f"{dae.full_name}: outputs", outputs)
-    dae = watching(dae, wanted or ())
-    names = wanted_names(dae, wanted)
+    dae, names = recording(dae, outputs)
     start_time = number("run", "start_time", start_time)
     if times is not None and (stop_time is not None or output_interval is not None):
         raise UsageError("give times, or stop_time and output_interval, not both")

@@ -20,7 +20,7 @@ from cosim.codegen.compiler import cached_library
 from cosim.codegen.externals import add_integrator, sources_beside
 from cosim.codegen.functions import CALL, inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import explicit_function
-from cosim.integrate.engine import Engine, Problem, RunFunctions, reported
+from cosim.integrate.engine import Engine, EngineFunctions, Problem, reported
 from cosim.integrate.families.plugin import COMMON, plugin_engine, tolerances
 from cosim.integrate.solver import AdaptiveSolver
 
@@ -81,7 +81,7 @@ class _OwnOfCasadi(AdaptiveSolver):
         settings = (points, 1 if problem.piecewise else points)
         numbers = (start, length, *self.tolerance.pair, *settings)
         extended = ca.vertcat(constants(p), *numbers, ca.DM(_unit_grid(grid)))
-        made = RunFunctions(run, ca.Function("parameters", [p], [extended]))
+        made = EngineFunctions(run, ca.Function("parameters", [p], [extended]))
         counts = reported(library, start, length)
         return Engine(lambda: made, points, problem.piecewise, counts, True, library)
 

@@ -20,7 +20,7 @@ from cosim.codegen.runge_kutta.explicit_library import (
     work_space,
 )
 from cosim.codegen.runge_kutta.projection import projection_step
-from cosim.integrate.engine import Engine, Problem, RunFunctions, reported
+from cosim.integrate.engine import Engine, EngineFunctions, Problem, reported
 from cosim.integrate.run.call import call_on_arrays
 from cosim.integrate.solver import AdaptiveSolver
 
@@ -78,11 +78,11 @@ def explicit_engine(
     numbers = (len(grid), len(breaks), columns, *settings, *nominal)
     known = np.concatenate((numbers, grid, breaks))
 
-    def make() -> RunFunctions:
+    def make() -> EngineFunctions:
         run, _ = explicit_function(path, len(grid), len(breaks), columns)
         p = MX.sym("p", dae.p.numel())
         extended = ca.vertcat(constants(p), ca.DM(known))
-        return RunFunctions(run, ca.Function("parameters", [p], [extended]))
+        return EngineFunctions(run, ca.Function("parameters", [p], [extended]))
 
     counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known)
     every = problem.piecewise

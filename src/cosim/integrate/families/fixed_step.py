@@ -11,7 +11,7 @@ from cosim.codegen.functions import inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import fixed_step_method
 from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau, step_function
 from cosim.errors import ParameterError, UsageError
-from cosim.integrate.engine import Counts, Engine, Problem, RunFunctions
+from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
 from cosim.integrate.families.explicit import explicit_engine
 from cosim.integrate.solver import Solver
 from cosim.model.values import number
@@ -89,7 +89,7 @@ class FixedStep(Solver):
             ["xf", "zf"],
         )
         counts = Counts(total, total * len(self.tableau.b), 0)
-        made = RunFunctions(function)
+        made = EngineFunctions(function)
         return Engine(lambda: made, len(grid), problem.piecewise, lambda: counts, False)
 
 

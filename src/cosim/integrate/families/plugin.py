@@ -10,7 +10,7 @@ from casadi import MX
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.functions import CALL, equations, inputs_at, is_large, symbols_of
 from cosim.codegen.initialization import algebraic_function
-from cosim.integrate.engine import Counts, Engine, Problem, RunFunctions
+from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
 from cosim.integrate.solver import AdaptiveSolver
 
 # of every plugin; the number of steps is per output interval
@@ -47,7 +47,7 @@ def plugin_engine(
         steps, rhs, jacobians = (int(raw[name]) if name in raw else None for name in names)
         return Counts(steps, rhs, jacobians)
 
-    made, repeat = RunFunctions(run), "control_group_size" not in options
+    made, repeat = EngineFunctions(run), "control_group_size" not in options
     return Engine(lambda: made, len(problem.grid), repeat, counts, problem.compiled)
 
 
@@ -80,7 +80,7 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
     results = [ca.horzcat(start, part) for start, part in zip((x, first), rest, strict=True)]
     names = ["x0", "z0", "p", "u"]
     whole = ca.Function("run", [x, z, p, columns], results, names, ["xf", "zf"])
-    made = RunFunctions(whole)
+    made = EngineFunctions(whole)
     return Engine(lambda: made, len(problem.grid), True, Counts, problem.compiled)
 
 

@@ -1,6 +1,7 @@
 """From states to everything that a run records."""
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -17,6 +18,7 @@ from cosim.errors import UsageError
 from cosim.integrate.run.call import call_on_arrays, finite_rows
 from cosim.memo import kept_per_thread
 from cosim.model.catalogue import no_such_output
+from cosim.model.values import listed
 from cosim.trajectory import Column
 
 _WORTHWHILE = 8  # times; for fewer, other code is at hand
@@ -191,22 +193,24 @@ def watching(dae: Dae, names: tuple[str, ...]) -> Dae:
     return dae.watching(names)
 
 
-def wanted_names(dae: Dae, outputs: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Return the names to record.
+def recording(dae: Dae, outputs: Sequence[str] | None) -> tuple[Dae, tuple[str, ...]]:
+    """Return the DAE with the monitors that are named, and the names to record.
 
     Raises:
         UnknownName: The model has no such output.
-        UsageError: It is named twice.
+        UsageError: It is named twice, or these are no names.
     """
     if outputs is None:
-        return dae.observed
+        return dae, dae.observed
+    names = listed(f"{dae.full_name}: outputs", outputs)
+    dae = watching(dae, names)
     available = {column.name for column in all_columns(dae)}
-    for name in outputs:
+    for name in names:
         if name not in available:
             raise no_such_output(dae, name)
-        if outputs.count(name) > 1:
+        if names.count(name) > 1:
             raise UsageError(f"{dae.full_name}: output '{name}' is named twice; name it once")
-    return outputs
+    return dae, names
 
 
 @kept_per_thread(16)

@@ -11,10 +11,10 @@ from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
-from cosim.integrate.run.outputs import all_columns, wanted_names, watching
+from cosim.integrate.run.outputs import all_columns, recording, watching
 from cosim.model.inputs import InputSeries
 from cosim.model.start_outputs import overriding
-from cosim.model.values import assign, listed, settable
+from cosim.model.values import assign, settable
 from cosim.scene.roads import native_settings, scene_dae
 from cosim.scene.scene import Scene
 from cosim.study.sweep.samples import digest_of
@@ -46,10 +46,9 @@ class ModelSubject:
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return what is recorded."""
-        wanted = None if outputs is None else listed(f"{self.name}: outputs", outputs)
-        dae = watching(self._dae, wanted or ())
+        dae, names = recording(self._dae, outputs)
         known = {column.name: column for column in all_columns(dae)}
-        return tuple(known[name] for name in wanted_names(dae, wanted))
+        return tuple(known[name] for name in names)
 
     def unit(self, name: str) -> str | None:
         """Return the unit of what can be varied."""
