@@ -7,12 +7,17 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 import cosim
+from cosim.cli.main import main
+from cosim.fmi.export import build
+from cosim.fmi.platforms import targets
 from cosim.host import progress
 from cosim.host.progress import Work, doing, duration, shown_on_terminal
+from cosim.study.extremes import campaign
 
 pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals")
 LONG = "import sys; from cosim.cli.main import main; sys.exit(main(sys.argv[1:]))"
@@ -144,3 +149,75 @@ def test_time_left_follows_from_the_share_that_is_done():
     assert work.told(now=20.0) == "solving 25 %, 30 s left"
     assert Work("solving", lambda: 0.0, began=10.0).told(now=20.0) == "solving"
     assert duration(240.0) == "4 min"
+
+
+def shown_at_once(monkeypatch):
+    """Put a terminal in the place of stderr, on which everything is shown at once."""
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "INTERVAL", 0.001)
+    return stream
+
+
+def lines(text):
+    """Return what stood on a line of the terminal, each text once, in order."""
+    return list(dict.fromkeys(part.strip() for part in re.split(r"[\r\n]+", text) if part.strip()))
+
+
+def test_export_names_the_platforms_that_are_left_and_says_how_long(monkeypatch):
+    ends = {name: threading.Event() for name in ("linux64", "win64")}
+
+    def compiled(_sources, _name, target):
+        assert ends[target.folder(2)].wait(10)
+        return b"library"
+
+    monkeypatch.setattr(build, "compiled_library", compiled)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    terminal = shown_at_once(monkeypatch)
+    with shown_on_terminal(False), ThreadPoolExecutor(1) as other:
+
+        def let_go():
+            for name in ends:
+                time.sleep(0.15)
+                ends[name].set()
+
+        other.submit(let_go)
+        made = build.binaries({}, "model", targets(list(ends), 2))
+    assert len(made) == 2
+    both, one = (f"compiling for {names}" for names in ("linux64, win64", "win64"))
+    seen = lines(terminal.getvalue())
+    assert seen[0] == f"{both}, 0 s"
+    assert f"{one} 50 %, 0 s left, 0 s" in seen
+
+
+def test_extremes_name_the_case_its_number_and_the_time_left(monkeypatch, capsys):
+    terminal = shown_at_once(monkeypatch)
+    cases = campaign.select_cases(["crank_shaft/driven"])[:3]
+    monkeypatch.setattr(campaign, "select_cases", lambda *_, **__: cases)
+    assert main(["extremes", "crank_shaft/driven"]) == 0
+    seen = lines(terminal.getvalue())
+    first, *_, last = seen
+    assert first.startswith(f"0/3 {cases[0].model}, {cases[0].name}")
+    assert re.fullmatch(rf"[23]/3 {re.escape(cases[2].model)}, .* \d+ %, \d+ s left, \d+ s", last)
+    assert "crank" in capsys.readouterr().out
+
+
+AT_ONCE = f"from cosim.host import progress; progress.PATIENCE = progress.INTERVAL = 0.001; {LONG}"
+
+
+def test_crosscheck_names_roads_on_a_terminal_and_nothing_in_a_pipe(tmp_path):
+    words = ["crosscheck", "crank_shaft/driven", "--stop-time", "0.5"]
+    command = [sys.executable, "-c", AT_ONCE, *words]
+    code, output, text = on_a_terminal(command, tmp_path, NO_COLOR="1", COLUMNS="150")
+    assert code == 0, text
+    assert "fmu-cs" in output
+    seen = "\n".join(lines(text))
+    for what in ("native: crank_shaft/driven", "export", "fmu-me: running the FMU", "fmu-cs"):
+        assert what in seen
+    pipe = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert pipe.returncode == 0
+    assert "\r" not in pipe.stderr
+    assert "running" not in pipe.stderr

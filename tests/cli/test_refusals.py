@@ -14,7 +14,7 @@ from cosim.cli.main import main
 def refused(capsys, monkeypatch, tmp_path):
     """Return a function that runs a command line which must fail without computing anything."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cosim.integrate.run.solution.call", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("cosim.integrate.run.attempts.call", lambda *_: pytest.fail("it ran"))
 
     def run(line):
         try:

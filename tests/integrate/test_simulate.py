@@ -217,7 +217,7 @@ def test_two_runs_are_bit_equal():
     ids=str,
 )
 def test_wrong_option_is_refused_in_one_sentence_before_anything_runs(options, kind, monkeypatch):
-    monkeypatch.setattr("cosim.integrate.run.solution.call", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("cosim.integrate.run.attempts.call", lambda *_: pytest.fail("it ran"))
     with pytest.raises(kind) as caught:
         simulate(oscillator().dae, compiled=False, **options)
     assert issubclass(kind, CosimError)

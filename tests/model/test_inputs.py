@@ -5,6 +5,7 @@ import pytest
 
 import cosim
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.model.driving import driven
 from cosim.model.inputs import InputSeries, read_inputs
 
 INERTIA = 0.2 * 14.593902937206364 * 0.3048**2 / 12  # slender bar about its middle, kg.m2
@@ -223,9 +224,9 @@ def test_csv_with_byte_order_mark_crlf_and_spaces_is_read(bicycle, write):
                      r"1 sample\(s\); give two or more", id="one sample"),
         pytest.param("time,steer_torque\n", UsageError, r"0 sample\(s\)", id="no sample"),
         pytest.param("time,steer_torque\n0,1\n2,1\n1,1\n", ParameterError,
-                     r"line 4, column 'time': 1 s is not after 2 s", id="time goes back"),
-        pytest.param("time,steer_torque\n0,1\n2,1\n2,3\n", ParameterError,
-                     r"line 4, column 'time': 2 s is not after 2 s", id="time twice"),
+                     r"line 4, column 'time': 1 s comes after 2 s", id="time goes back"),
+        pytest.param("time,steer_torque\n0,1\n2,1\n2,3\n2,4\n", ParameterError,
+                     r"line 5, column 'time': 2 s .* for the third time; sort", id="time thrice"),
         pytest.param(b"time,steer_torque\n0,\xff\n", UsageError, r"not a UTF-8 text", id="bytes"),
     ],
 )  # fmt: skip
@@ -249,9 +250,40 @@ def test_missing_csv_is_named(bicycle, tmp_path):
         pytest.param(("a", "a"), [0, 1], [[1, 1], [1, 1]], "each of them once", id="twice"),
         pytest.param((), [0, 1], np.empty((2, 0)), "name every input", id="no input"),
         pytest.param(("a",), [0, 1], [[1], [np.nan]], "not finite", id="nan"),
-        pytest.param(("a",), [0, 1, 1], [[1], [1], [2]], r"time 2 \(1 s\)", id="time twice"),
+        pytest.param(("a",), [0, 2, 1], [[1], [1], [2]], "1 s comes after 2 s", id="time falls"),
+        pytest.param(("a",), [1, 1, 1], [[1], [1], [2]], "for the third time", id="time thrice"),
     ],
 )
 def test_series_refuses_nonsense(names, time, values, message):
     with pytest.raises(ParameterError, match=message):
         InputSeries(names, time, values)
+
+
+def test_time_that_stands_twice_is_a_jump(write):
+    series = read_inputs(write("time,a,b\n0,0,4\n1,1,4\n1,5,4\n2,7,4\n"))
+    assert series.jumps.tolist() == [1]
+    assert series.at([0.5, 1.0, 1.5]).tolist() == [[0.5, 5, 6], [4, 4, 4]]
+    assert series.before([0.5, 1.0, 1.5]).tolist() == [[0.5, 1, 6], [4, 4, 4]]
+    one, two = series.around(0.9), series.around(1.0)
+    assert one.at([3.0])[0] == [1]  # beyond its end, it rests
+    assert two.at([0.0])[0] == [5]
+    assert not one.jumps.size + two.jumps.size
+
+
+def test_series_are_joined_with_the_jumps_of_each():
+    dae = cosim.load("bicycle")
+    step = InputSeries(("a",), [0, 1, 1, 2], [[0], [0], [1], [1]])
+    ramp = InputSeries(("b",), [0, 4], [[0], [4]])
+    given = {"steer_torque": step, "roll_torque": ramp}
+    joined = driven(dae, given, lambda: np.array([0.0, 2.0])).series
+    assert joined.time.tolist() == [0, 1, 1, 2, 4]
+    assert joined.at([1.0, 3.0]).tolist() == [[1, 1], [1, 3]]
+    assert joined.before([1.0]).tolist() == [[0], [1]]
+
+
+def test_jump_that_misses_an_output_time_by_rounding_is_moved_there():
+    grid = np.linspace(0, 1, 11)  # 0.30000000000000004
+    series = InputSeries(("a",), [0, 0.3, 0.3, 0.45, 0.45], [[0], [0], [1], [1], [2]])
+    moved = series.with_jumps_at(grid)
+    assert moved.jumps.tolist() == [grid[3], 0.45]
+    assert grid[3] != 0.3

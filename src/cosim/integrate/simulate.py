@@ -22,6 +22,7 @@ from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.plan import Asked, Plan, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
+from cosim.integrate.run.pieces import pieces_of
 from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution, solve
 from cosim.integrate.run.worthwhile import Choice, worthwhile
@@ -247,7 +248,7 @@ def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) ->
 
 def _worthwhile(problem: Problem, solver: Solver) -> Choice:
     points = len(problem.grid)
-    return worthwhile(problem.dae, solver, points, lambda: engine_of(problem, solver))
+    return worthwhile(problem.dae, solver, points, lambda: engine_of(pieces_of(problem)[0], solver))
 
 
 def refuse_unknown(given: Mapping[str, Any], known: Collection[str]) -> None:

@@ -221,5 +221,8 @@ def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
     if len(pieces) < 2:
         return pieces[0] if pieces else None
     time = np.unique(np.concatenate([piece.time for piece in pieces]))
-    values = np.concatenate([piece.at(time) for piece in pieces]).T
+    jumps = np.unique(np.concatenate([piece.jumps for piece in pieces]))
+    time = np.sort(np.concatenate((time, jumps)))
+    second = np.diff(time, prepend=-np.inf) == 0
+    values = np.concatenate([np.where(second, p.at(time), p.before(time)) for p in pieces]).T
     return InputSeries(tuple(name for piece in pieces for name in piece.names), time, values)

@@ -1,13 +1,14 @@
-"""Input time series: piecewise linear between samples, held constant outside; from CSV files."""
+"""Input time series: linear between samples, held constant outside, with jumps; from CSV files."""
 
 import csv
 import io
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import isfinite
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -16,23 +17,31 @@ from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.files import read_text
 
+_SAME_TIME = 1e-12  # of a time
+
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class InputSeries:
     """Samples of inputs over time, in SI units.
 
+    A time that stands twice is a jump: its first sample ends what comes before, its second one
+    begins what comes after, as in the input files of FMPy.
+
     Attributes:
         names: The inputs.
-        time: Increasing sample times, s, (m,), m > 1.
+        time: Sample times that do not fall, s, (m,), m > 1.
         values: One column per input, (m, len(names)).
 
     Raises:
-        ParameterError: The shapes do not fit, a name or a time occurs twice, a time is earlier
-            than the one before it, or a number is not finite.
+        ParameterError: The shapes do not fit, a name occurs twice, a time three times, a time is
+            earlier than the one before it, or a number is not finite.
 
     Example:
         >>> InputSeries(("torque",), [0.0, 1.0], [[0.0], [2.0]]).at([0.5, 3.0])
         array([[1., 2.]])
+        >>> step = InputSeries(("torque",), [0, 1, 1, 2], [[0], [0], [5], [5]])
+        >>> step.at([0.9, 1.0]), step.before([1.0])
+        (array([[0., 5.]]), array([[0.]]))
     """
 
     names: tuple[str, ...]
@@ -50,18 +59,72 @@ class InputSeries:
             raise ParameterError("input series: name every input, each of them once")
         if not (np.isfinite(time).all() and np.isfinite(values).all()):
             raise ParameterError("input series: a number is not finite; give finite numbers")
-        if (np.diff(time) <= 0).any():
-            i = int(np.argmax(np.diff(time) <= 0)) + 1
+        if (found := _disorder(time)) is not None:
             raise ParameterError(
-                f"input series: time {i} ({time[i]:g} s) is not after the one before it"
+                f"input series: time {found[0]}: {found[1]}; give times that increase, one twice "
+                "for a jump"
             )
         for what, array in (("time", time), ("values", values)):
             array.setflags(write=False)
             object.__setattr__(self, what, array)
 
+    @cached_property
+    def jumps(self) -> Vector:
+        """The times that stand twice, s."""
+        found: Vector = self.time[1:][np.diff(self.time) == 0]
+        return found
+
     def at(self, times: Vector) -> Vector:
-        """Return the values at some times, (len(names), n)."""
-        return np.array([np.interp(times, self.time, column) for column in self.values.T])
+        """Return the values at some times, (len(names), n); at a jump those that come after it."""
+        return self._rows(times, "right")
+
+    def before(self, times: Vector) -> Vector:
+        """Return the values just before some times, (len(names), n)."""
+        return self._rows(times, "left")
+
+    def _rows(self, times: Vector, side: Literal["left", "right"]) -> Vector:
+        rows = np.array([np.interp(times, self.time, column) for column in self.values.T])
+        if side == "left" and self.jumps.size:
+            here = np.isin(times, self.jumps)
+            rows[:, here] = self.values[np.searchsorted(self.time, np.asarray(times)[here])].T
+        return rows
+
+    def around(self, time: float) -> "InputSeries":
+        """Return the part between two jumps in which a time lies; outside, it rests.
+
+        Args:
+            time: s; at a jump, the part after it is meant.
+        """
+        return self._parts[int(np.searchsorted(self.jumps, time, side="right"))]
+
+    @cached_property
+    def _parts(self) -> "tuple[InputSeries, ...]":
+        if not self.jumps.size:
+            return (self,)
+        begins = np.flatnonzero(np.diff(self.time) == 0) + 1
+        found = list[InputSeries]()
+        for time, values in zip(
+            np.split(self.time, begins), np.split(self.values, begins), strict=True
+        ):
+            if len(time) == 1:  # a jump at the first or the last sample
+                time, values = np.array([time[0], time[0] + 1]), np.repeat(values, 2, axis=0)
+            found.append(replace(self, time=time, values=values))
+        return tuple(found)
+
+    def with_jumps_at(self, times: Vector) -> "InputSeries":
+        """Return the series with each jump that misses one of some times by rounding moved there.
+
+        Args:
+            times: Where steps end, s, increasing, (n,).
+        """
+        if not self.jumps.size:
+            return self
+        time, jumping = self.time.copy(), np.isin(self.time, self.jumps)
+        after = np.clip(np.searchsorted(times, time), 0, len(times) - 1)
+        for near in (times[after], times[np.maximum(after - 1, 0)]):
+            same = jumping & (np.abs(near - time) <= _SAME_TIME * np.abs(near))
+            time[same] = near[same]
+        return replace(self, time=time)
 
     def only(self, names: Collection[str]) -> "InputSeries | None":
         """Return the series of those inputs that are named; None when none of them is."""
@@ -80,9 +143,8 @@ class FollowedInputs(InputSeries):
 
     laws: Mapping[str, Callable[[Vector], Vector]] = field(default_factory=dict)
 
-    def at(self, times: Vector) -> Vector:
-        """Return the values at some times, (len(names), n)."""
-        rows = super().at(times)
+    def _rows(self, times: Vector, side: Literal["left", "right"]) -> Vector:
+        rows = super()._rows(times, side)
         for name, law in self.laws.items():
             rows[self.names.index(name)] = law(times)
         return rows
@@ -92,7 +154,8 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
     """Read a time series of some of a model's inputs from a CSV file.
 
     The first line names the columns: `time`, then inputs. Numbers are in SI units, with a decimal
-    point, and columns are separated by commas. A byte order mark and CRLF are tolerated.
+    point, and columns are separated by commas. A byte order mark and CRLF are tolerated. Two lines
+    with the same time are a jump.
 
     Args:
         path: The file.
@@ -101,8 +164,8 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
     Raises:
         UsageError: The file cannot be read, or has no header or too few samples.
         UnknownName: A column is no input of the model.
-        ParameterError: A cell is missing, no finite number, out of bounds, or a time does not
-            increase; line and column are named.
+        ParameterError: A cell is missing, no finite number, out of bounds, or a time falls
+            or stands three times; line and column are named.
 
     Example:
         >>> from pathlib import Path
@@ -120,14 +183,25 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
     table = [
         _row_numbers(f"{path}, line {i}", row, names, dae) for i, row in enumerate(rows[1:], 2)
     ]
-    for line, (before, after) in enumerate(pairwise(table), start=3):
-        if after[0] <= before[0]:
-            raise ParameterError(
-                f"{path}, line {line}, column 'time': {after[0]:g} s is not after {before[0]:g} s "
-                "of the line before; sort the lines by time and give each time once"
-            )
     samples = np.array(table)
+    if (found := _disorder(samples[:, 0])) is not None:
+        raise ParameterError(
+            f"{path}, line {found[0] + 2}, column 'time': {found[1]}; sort the lines by time and "
+            "give each time once, or twice for a jump"
+        )
     return InputSeries(tuple(names[1:]), samples[:, 0], samples[:, 1:])
+
+
+def _disorder(times: Vector) -> tuple[int, str] | None:
+    """Return the position of the first time that is out of order, and what is wrong with it."""
+    falls, thrice = np.zeros((2, len(times)), dtype=bool)
+    falls[1:] = times[1:] < times[:-1]
+    thrice[2:] = times[2:] == times[:-2]
+    if not (falls | thrice).any():
+        return None
+    i = int(np.argmax(falls | thrice))
+    after = f"comes after {times[i - 1]:g} s" if falls[i] else "stands there for the third time"
+    return i, f"{times[i]:g} s {after}"
 
 
 def _table_rows(path: Path) -> list[list[str]]:

@@ -119,7 +119,10 @@ def compare(
     for name in names:
         units = first.column(name).unit, second.column(name).unit
         if units[0] != units[1]:
-            raise UsageError(f"{name} is in {units[0]} in {labels[0]}, in {units[1]} in the other")
+            raise UsageError(
+                f"{name} is in {units[0]} in {labels[0]}, in {units[1]} in the other; of a file, "
+                "say what it is in: read_csv(path, like=run), or units={...}"
+            )
     note = ""
     if resample and len(first) and len(second) and not _same_times(first, second):
         first, second, note = _on_common_times(first.select(names), second.select(names))

@@ -212,7 +212,7 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
         doubt, by = estimate
         quiet = without_noise(run.values, [column.nominal for column in run.columns])
         return replace(run, values=quiet), doubt, by
-    raise first or SolverError(f"{dae.full_name}: no second run tells the error of a first one")
+    raise first or SolverError(f"{dae.full_name}: no second run confirms the first one")
 
 
 def _doubt(

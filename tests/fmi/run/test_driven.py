@@ -82,3 +82,69 @@ def test_series_and_formula_of_one_input_are_refused(integrator, tmp_path, capsy
     line = ["simulate", str(integrator), "--input-file", str(tmp_path / "u.csv")]
     assert main([*line, "--input", "u=t"]) == 2
     assert "u has a formula and a column" in capsys.readouterr().err
+
+
+JUMPS = cosim.InputSeries(("u",), [0, 1 / 3, 1 / 3, 0.7, 0.7, 1], [[0], [0], [2], [3], [-1], [-1]])
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def lag(request, tmp_path_factory):
+    model = Model("lag", description="x' = u - x", source="a test", stop_time=1.0)
+    x, u = model.state("x", "m", 0.5, "what follows"), model.input("u", "m", 0.0, "input")
+    model.derivative(x, u - x)
+    model.output("fed_through", "m", 2 * u, "what feels the input at once")
+    path = tmp_path_factory.mktemp("fmu") / "lag.fmu"
+    return request.param, cosim.export_fmu(model.freeze(), path, fmi=request.param)
+
+
+def lagging(times):
+    """Return x of x' = a + b s - x from y, piece by piece: (y - a + b) exp(-s) + a + b s - b."""
+    found, start = np.empty(len(times)), 0.5
+    for begin, end, a, last in ((0, 1 / 3, 0, 0), (1 / 3, 0.7, 2, 3), (0.7, 1, -1, -1)):
+        b, here = (last - a) / (end - begin), (times > begin - 1e-9) & (times < end + 1e-9)
+        past = np.append(times[here], end) - begin
+        *found[here], start = (start - a + b) * np.exp(-past) + a + b * past - b
+    return found
+
+
+@pytest.mark.parametrize("interface", INTERFACES)
+def test_input_that_jumps_has_one_value_on_each_side(lag, interface):
+    fmi, path = lag
+    run = cosim.simulate_fmu(
+        path, interface=interface, inputs=JUMPS, output_interval=0.1, relative_tolerance=1e-8
+    )
+    # measured below 1e-7; 6.1e-3 without slopes, inputs held at the middle of each step
+    bound = 1e-6 if (fmi, interface) != (3, "CoSimulation") else 1e-3
+    np.testing.assert_allclose(run["x"], lagging(run.time), rtol=0, atol=bound)
+    after = 2 * JUMPS.with_jumps_at(run.time).at(run.time)[0]
+    np.testing.assert_allclose(run["fed_through"], after, rtol=0, atol=1e-12)
+
+
+def test_jump_at_the_start_or_the_end_is_none_within_the_run(lag):
+    for times, levels in (([0, 0, 1], [5, 1, 1]), ([0, 1, 1], [1, 1, 9])):
+        series = cosim.InputSeries(("u",), times, np.array(levels)[:, None])
+        for interface in INTERFACES:
+            run = cosim.simulate_fmu(
+                lag[1], interface=interface, inputs=series, relative_tolerance=1e-8
+            )
+            assert run["fed_through"][0] == 2
+            assert run["fed_through"][-1] == 2 * levels[-1]
+            assert run.final["x"] == pytest.approx(1 - 0.5 / np.e, abs=1e-6)
+
+
+def test_file_with_a_time_twice_drives_both_roads_alike(lag, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rows = "\n".join(f"{t:.17g},{u}" for t, (u,) in zip(JUMPS.time, JUMPS.values, strict=True))
+    (tmp_path / "u.csv").write_text(f"time,u\n{rows}\n")
+    (tmp_path / "lag.py").write_text(
+        "from casadi_models.dae import Model\n\ndef build():\n"
+        "    model = Model('lag', stop_time=1.0)\n"
+        "    x, u = model.state('x', 'm', 0.5, 'x'), model.input('u', 'm', 0.0, 'u')\n"
+        "    model.derivative(x, u - x)\n    return model.freeze()\n"
+    )
+    for subject, more in (("lag.py:build", []), (str(lag[1]), ["--trust", "--outputs", "x"])):
+        line = ["simulate", subject, *more, "--input-file", "u.csv", "-o", "run.csv"]
+        assert main([*line, "--relative-tolerance", "1e-9"]) == 0, capsys.readouterr().err
+        run = cosim.Trajectory.read_csv("run.csv")
+        bound = 1e-6 if lag[0] == 2 or not more else 1e-3
+        np.testing.assert_allclose(run["x"], lagging(run.time), rtol=0, atol=bound)

@@ -99,7 +99,7 @@ def test_frozen_parameters_become_numbers(bar):
 
 def test_report_names_what_went_and_why(bar):
     report = "\n".join(reduce(bar, ["theta"]).report)
-    assert "phi: no wanted output depends on them" in report
+    assert "phi: no output asked for depends on them" in report
     assert "operations: 62 -> 9" in report
 
 

@@ -57,7 +57,7 @@ def add_options(parser: Parser) -> None:
         help="fx_A or A.f[1]; cosim knows both; flat by default",
     )
     for name in ("author", "license", "date"):
-        parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} that the FMU tells")
+        parser.add_argument(f"--{name}", metavar="TEXT", help=f"{name} given in the FMU")
     parser.add_argument(
         "--tolerance", type=float, metavar="R", help="that the FMU recommends, relative; 1e-8"
     )

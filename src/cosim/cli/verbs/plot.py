@@ -28,7 +28,7 @@ def add_options(parser: Parser) -> None:
     )
     add_output_file(parser, "FILE", "PNG, SVG or PDF; a window by default")
     parser.add_argument(
-        "--model", dest="shown_model", metavar="MODEL", help="that tells the units of a result"
+        "--model", dest="shown_model", metavar="MODEL", help="from which a result takes its units"
     )
     add_picture(parser, "")
 

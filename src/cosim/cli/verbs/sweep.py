@@ -28,7 +28,7 @@ def add_options(parser: Parser) -> None:
         nargs="+",
         metavar="WORD",
         default=["final"],
-        help="trajectories, statistics, final, max, min, mean, rms, 'max(phi)', 'first(phi, 0.5)'",
+        help='trajectories, statistics, final, max, min, mean, rms, "max(phi)", "first(phi, 0.5)"',
     )
     parser.add_argument("--times", metavar="T1,T2", help="output times, s, not an interval")
     parser.add_argument("--solver", metavar="NAME", help="dop853 in lanes where that is possible")

@@ -20,7 +20,7 @@ def with_margins(dae: Dae) -> Dae:
     names = [f"{VALID}_margin_{i}" for i in range(1, len(dae.limits) + 1)]
     if not names:
         raise UsageError(
-            f"{dae.full_name} declares no limits: leave out what tells of their breach"
+            f"{dae.full_name} declares no limits; leave out the output that reports their breach"
         )
     for taken in {v.name for v in dae.variables} & {VALID, *names}:
         raise UsageError(f"{dae.full_name} has a variable '{taken}' of its own; rename it")

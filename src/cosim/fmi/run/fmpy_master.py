@@ -40,7 +40,7 @@ def inputs_driven(
         for name, variable in known.items()
         if name not in series.names
     }
-    return inputs.drive_model_exchange(instance, series, references, constants)
+    return inputs.drive_model_exchange(instance, series, references, constants, start_time)
 
 
 def _moving(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cosim.model.inputs import InputSeries
 
 InputValues = dict[str, float]
+_SAME_EVENT = 1e-9  # of a time, with which fmpy compares events
 
 
 def inputs_at_start(series: InputSeries, start_time: float) -> InputValues:
@@ -24,7 +25,11 @@ def inputs_at_start(series: InputSeries, start_time: float) -> InputValues:
 
 
 def drive_model_exchange(
-    instance: Any, series: InputSeries, references: Sequence[int], constants: InputValues
+    instance: Any,
+    series: InputSeries,
+    references: Sequence[int],
+    constants: InputValues,
+    start_time: float,
 ) -> NDArray[Any]:
     """Make an FMU's inputs follow a series wherever its time is set; return fmpy's `input` array.
 
@@ -33,23 +38,34 @@ def drive_model_exchange(
         series: The inputs over time.
         references: Value references of `series.names`.
         constants: All other inputs by name; fmpy complains on standard output of missing ones.
+        start_time: s.
 
     Returns:
         The samples, each twice: fmpy restarts its solver at such times, so that it steps over no
         kink and no pulse.
     """
-    set_time, set_real = instance.setTime, _setter(instance)
+    set_time, begin_anew = instance.setTime, instance.enterContinuousTimeMode
+    set_real, last, followed = _setter(instance), start_time, series.around(start_time)
 
     def set_time_and_inputs(time: float) -> None:
+        nonlocal last
+        last = time
         set_time(time)
-        set_real(references, series.at(np.array([time]))[:, 0].tolist())
+        set_real(references, followed.at(np.array([time]))[:, 0].tolist())
 
-    instance.setTime = set_time_and_inputs
+    def follow_the_next_piece() -> None:
+        nonlocal followed  # fmpy's solver looks beyond a jump, and then finds what was before it
+        followed = series.around(last + _SAME_EVENT * abs(last))
+        begin_anew()
+
+    instance.setTime, instance.enterContinuousTimeMode = set_time_and_inputs, follow_the_next_piece
+    start = inputs_at_start(series, start_time)
     names = ("time", *series.names, *constants)
     samples = np.empty(2 * len(series.time), dtype=[(name, np.float64) for name in names])
     samples["time"] = np.repeat(series.time, 2)
     for name, values in zip(series.names, series.values.T, strict=True):
         samples[name] = np.repeat(values, 2)
+        samples[name][samples["time"] == start_time] = start[name]
     for name, value in constants.items():
         samples[name] = value
     return samples
@@ -61,7 +77,8 @@ def drive_co_simulation(
     """Make an FMU's inputs follow a series within its steps, which end at every sample.
 
     An FMU that can interpolate gets the slope of each piece. Another one gets the value at the
-    piece's middle, which leaves an error of second order in the step.
+    piece's middle, which leaves an error of second order in the step; of first order where inputs
+    jump within the step of an FMU whose steps have one size.
 
     Args:
         instance: fmpy's object for the FMU.
@@ -75,19 +92,22 @@ def drive_co_simulation(
         slopes = None
 
     def driven_step(begin: float, length: float) -> Any:
-        inner = (series.time > begin) & (series.time < begin + length)
-        inner &= ~np.isclose(series.time, begin) & ~np.isclose(series.time, begin + length)
+        times = np.unique(series.time)
+        inner = (times > begin) & (times < begin + length)
+        inner &= ~np.isclose(times, begin) & ~np.isclose(times, begin + length)
         if not abilities.canHandleVariableCommunicationStepSize:
             inner[:] = False
         result = None
-        for a, b in pairwise([begin, *series.time[inner].tolist(), begin + length]):
-            first, middle, last = series.at(np.array([a, (a + b) / 2, b])).T
+        for a, b in pairwise([begin, *times[inner].tolist(), begin + length]):
+            piece = series.around((a + b) / 2)
+            first, middle, last = piece.at(np.array([a, (a + b) / 2, b])).T
             set_real(references, (first if slopes else middle).tolist())
             if slopes:
                 slopes(references, [1] * len(references), ((last - first) / (b - a)).tolist())
             result = step(currentCommunicationPoint=a, communicationStepSize=b - a)
-        if not slopes:
-            set_real(references, last.tolist())
+        following = series.around(b + _SAME_EVENT * abs(b))
+        if not slopes or following is not piece:
+            set_real(references, following.at(np.array([b]))[:, 0].tolist())
         return result
 
     instance.doStep = lambda currentCommunicationPoint, communicationStepSize: driven_step(

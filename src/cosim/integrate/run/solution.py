@@ -7,18 +7,16 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import UnknownName, UsageError
 from cosim.integrate.diagnosis.crossing import crossings, watching_rank
 from cosim.integrate.diagnosis.validity import Breach, breaches, too_coarse
-from cosim.integrate.engine import Counts, Engine, Problem
+from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, start_values
-from cosim.integrate.run.attempts import Start, integrated
-from cosim.integrate.run.call import INTERRUPTED, call
+from cosim.integrate.run.attempts import Start
+from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.outputs import Observed, Solved, all_columns, observe
+from cosim.integrate.run.pieces import input_values, integrated_by_pieces
 from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import engine_of
-from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
 
 
@@ -98,7 +96,7 @@ def _moved(problem: Problem, solver: Solver, start: Start, *, looking: bool) -> 
     if n == 1 or not problem.dae.states:
         states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
         return _Motion(start, states, guesses, Counts(), None)
-    found, note = integrated(problem, solver, start)
+    found, note = integrated_by_pieces(problem, solver, start)
     reason, invalid = found.reason, list[Breach]()
     if looking and isinstance(solver, FixedStep) and not reason:
         invalid, reason = _step_check(problem, solver, found.states, start)
@@ -148,25 +146,6 @@ def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...
     return all_columns(dae)[place].name
 
 
-def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
-    """Return every input at the output times, (nu, n); (nu, 1) where all are constant.
-
-    Raises:
-        UnknownName: A series is of no input of the model.
-    """
-    if not isinstance(inputs, InputSeries | None):
-        raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, "what read_inputs returns")
-    if inputs is None:
-        return values.u[:, None]
-    table = np.tile(values.u[:, None], len(grid))
-    known = [variable.name for variable in dae.inputs]
-    for name, row in zip(inputs.names, inputs.at(grid), strict=True):
-        if name not in known:
-            raise UnknownName.among(dae.full_name, "input", name, known)
-        table[known.index(name)] = row
-    return table
-
-
 def _crossings(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
     """Return where constraints lose rank before the time at position n."""
     time, states, unknowns = solved.time[:n], solved.states[:, :n], seen.unknowns[:n].T
@@ -182,8 +161,7 @@ def _step_check(
         What is found, and whether that was interrupted (then nothing is).
     """
     step = solver.step(problem)
-    engine: Engine = engine_of(problem, replace(solver, step_size=step / 2))
-    finer = call(engine, start.x, start.z, start.values.p, start.values.u)
+    finer, _ = integrated_by_pieces(problem, replace(solver, step_size=step / 2), start)
     if finer.reason == INTERRUPTED:
         return [], INTERRUPTED
     return too_coarse(problem.dae, problem.grid, states, finer.states, step), ""

@@ -12,8 +12,8 @@ def reduction_report(full: Dae, small: Dae, freeze: Collection[str]) -> Iterator
     if freeze:
         yield f"freeze: {', '.join(freeze)} became numbers"
     passes = (
-        ("outputs", full.output_variables, small.output_variables, "not wanted"),
-        ("states", full.states, small.states, "no wanted output depends on them"),
+        ("outputs", full.output_variables, small.output_variables, "not asked for"),
+        ("states", full.states, small.states, "no output asked for depends on them"),
         ("algebraics", full.algebraics, small.algebraics, "nothing kept needs them"),
         ("inputs", full.inputs, small.inputs, "they act on nothing kept"),
         ("parameters", full.parameters, small.parameters, "they act on nothing kept"),

@@ -49,7 +49,7 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
             for k in np.flatnonzero(bad)[:MOST_NAMES]:
                 yield DERIVATIVES.at(
                     unknowns[k].name,
-                    f"its derivative to '{known.variable.name}' is told as {told[k]:.6g}, "
+                    f"its derivative to '{known.variable.name}' is given as {told[k]:.6g}, "
                     f"differences give {coarse[k]:.6g}",
                 )
 
