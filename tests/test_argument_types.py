@@ -158,6 +158,7 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"stop_when": "x"}, "'x' is no condition; compare two values"),
         ({"stop_when": "x + (x > 1) > 2"}, "'x > 1' in 'x + (x > 1) > 2' is not understood"),
         ({"stop_when": 3}, "3 is no formula"),
+        ({"stop_when": "x > 1", "stop_time": 0.0}, "needs a run, but 0 s is the only output time"),
         ({"stop_when": "x > 0"}, "stop_when 'x > 0' is true at the start already"),
         ({"stop_when": "q > 0"}, "no name 'q'"),
         ({"stop_when": "x < 0.5", "accuracy": 1e-3}, "stop_when needs a solver"),

@@ -30,6 +30,9 @@ def test_builder_says_what_is_declared():
     assert repr(model) == "Model pendulum: nothing declared; freeze() makes a Dae of it"
     model.state("phi", "rad", 0.1, "angle")
     assert "1 states" in repr(model)
+    assert (
+        "<td>states</td><td>phi</td><td>rad</td><td>0.1</td><td>angle</td>" in model._repr_html_()
+    )
 
 
 @pytest.mark.parametrize("name", ["bicycle_model_1.toml", "bar_on_frame_two_body.toml"])

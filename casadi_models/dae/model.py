@@ -8,6 +8,7 @@ from typing import Any, Unpack
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae import shown
 from casadi_models.dae.expressions import (
     column,
     is_structurally_regular,
@@ -70,8 +71,8 @@ class Model(Starting, Scenery):
         self._display = dict(display or {})
         with self._naming_the_model():
             self._experiment = Experiment(stop_time, output_interval, reference_tolerance)
-            for unit, shown in self._display.items():
-                convert(1.0, unit, shown)
+            for unit, wanted in self._display.items():
+                convert(1.0, unit, wanted)
         self.t = SX.sym("time")
         self._variables: dict[str, Variable] = {}
         self._symbols: dict[str, dict[str, SX]] = {kind: {} for kind in "xzup"}
@@ -85,11 +86,20 @@ class Model(Starting, Scenery):
         self._rate: tuple[SX, float] | None = None
 
     def __repr__(self) -> str:
-        counts = (len(self._symbols[kind]) for kind in "xzup")
-        kinds = ("states", "algebraics", "inputs", "parameters")
-        told = ", ".join(f"{n} {kind}" for n, kind in zip(counts, kinds, strict=True) if n)
-        name = f"{self._name}/{self._formulation}" if self._formulation else self._name
-        return f"Model {name}: {told or 'nothing declared'}; freeze() makes a Dae of it"
+        told = ", ".join(f"{len(own)} {kind}" for kind, own in self._groups() if own)
+        return f"Model {self._full_name}: {told or 'nothing declared'}; freeze() makes a Dae of it"
+
+    def _repr_html_(self) -> str:
+        return shown.table(repr(self), self._groups())
+
+    @property
+    def _full_name(self) -> str:
+        return f"{self._name}/{self._formulation}" if self._formulation else self._name
+
+    def _groups(self) -> Iterator[tuple[str, list[Variable]]]:
+        names = ("states", "algebraics", "inputs", "parameters")
+        for kind, name in zip("xzup", names, strict=True):
+            yield name, [self._variables[own] for own in self._symbols[kind]]
 
     # -- declarations ---------------------------------------------------------------------------
 
@@ -390,5 +400,4 @@ class Model(Starting, Scenery):
         return self._display.get(unit, unit)
 
     def _refusal(self, reason: str) -> ValueError:
-        model = f"{self._name}/{self._formulation}" if self._formulation else self._name
-        return ValueError(f"{model}: {reason}")
+        return ValueError(f"{self._full_name}: {reason}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,11 @@ def text(dae: Dae) -> str:
 
 def html(dae: Dae) -> str:
     """Return a table of every variable."""
+    return table(f"{dae.full_name}: {dae.description}", _groups(dae))
+
+
+def table(caption: str, groups: Iterable[tuple[str, Sequence[Variable]]]) -> str:
+    """Return a table in HTML of variables by kind."""
     head = "".join(f"<th>{t}</th>" for t in ("kind", "name", "unit", "start", "meaning"))
     rows = "".join(
         "<tr>"
@@ -34,12 +39,11 @@ def html(dae: Dae) -> str:
             f"<td>{escape(cell)}</td>" for cell in (kind, v.name, v.unit, _start(v), v.meaning)
         )
         + "</tr>"
-        for kind, own in _groups(dae)
+        for kind, own in groups
         for v in own
     )
-    caption = escape(f"{dae.full_name}: {dae.description}")
     return (
-        f"<table><caption>{caption}</caption><thead><tr>{head}</tr></thead>"
+        f"<table><caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead>"
         f"<tbody>{rows}</tbody></table>"
     )
 

@@ -45,9 +45,14 @@ def run_until(
         `stats["stop_time"]` when, s.
 
     Raises:
-        UsageError: The condition is true at the start.
+        UsageError: The condition is true at the start, which may be the only time.
         CosimError: It is no condition, or the run fails before it is true.
     """
+    if len(grid) < 2:
+        raise UsageError(
+            f"{dae.full_name}: stop_when '{condition}' needs a run, but {grid[0]:g} s is the only "
+            "output time; give more"
+        )
     watched = _watching(dae, condition)
     recorded = [*dict.fromkeys([*names, MARGIN])]
     try:
