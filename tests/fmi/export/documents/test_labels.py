@@ -48,6 +48,11 @@ def test_diagram_has_no_text_on_another(name, monkeypatch):
     )
 
 
+def test_what_a_model_no_longer_computes_has_no_arrow():
+    pose = start_pose(cosim.reduce(cosim.load("crank_shaft"), ["T"]))
+    assert [sign.names for sign in pose.signs] == [("T",)]
+
+
 def test_frames_that_coincide_are_one():
     pose = start_pose(cosim.load("bicycle"))
     triads = [name for name, _, _ in drawn._triads(pose)]

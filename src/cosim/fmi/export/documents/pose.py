@@ -140,7 +140,7 @@ def _turns(
 
 
 def _merged(signs: Sequence[Sign], order: Sequence[str]) -> Iterator[Sign]:
-    """Yield the signs, those of one point, direction and kind as one."""
+    """Yield the signs of known variables, those of one point, direction and kind as one."""
     groups: dict[tuple[object, ...], list[Sign]] = {}
     for sign in signs:
         length = max(float(np.linalg.norm(sign.direction)), 1e-300)
@@ -149,4 +149,5 @@ def _merged(signs: Sequence[Sign], order: Sequence[str]) -> Iterator[Sign]:
     for members in groups.values():
         names = {name for sign in members for name in sign.names}
         first = members[0]
-        yield Sign(tuple(n for n in order if n in names), first.kind, first.at, first.direction)
+        if known := tuple(n for n in order if n in names):
+            yield Sign(known, first.kind, first.at, first.direction)
