@@ -2,7 +2,9 @@
 
 import hashlib
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +17,6 @@ from cosim.memo import kept_per_thread
 
 DIAGRAM = "documentation/diagram.png"
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
-_EDITION = "1"  # of the way of drawing: a new one is drawn anew
 
 
 def pictures(dae: Dae, fmi: int) -> dict[str, bytes]:
@@ -41,10 +42,17 @@ def _pictures(dae: Dae, fmi: int) -> dict[str, bytes]:
 
 
 def _key(dae: Dae, pose: Pose) -> str:
-    digest = hashlib.sha256(f"{_EDITION} {version('pillow')} {dae.drawing.world}".encode())
+    digest = hashlib.sha256(f"{_way_of_drawing()} {dae.drawing.world}".encode())
     with np.printoptions(precision=12, threshold=100_000):
         digest.update(repr(pose).encode())
     return digest.hexdigest()[:32]
+
+
+@cache
+def _way_of_drawing() -> str:
+    """Return what pictures depend on beside the model: a new way of drawing draws them anew."""
+    code = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
+    return f"{version('pillow')} {hashlib.sha256(code).hexdigest()}"
 
 
 def _kept(entry: str, content: bytes) -> bytes:
