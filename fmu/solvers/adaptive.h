@@ -52,9 +52,9 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             } else {
                 memcpy(column, end, sizeof end);
             }
-            ++course->passed;
             if (z && equations_at(self, grid->times[next], column, k[1], z + next * NZ))
                 return NOT_FINITE;
+            ++course->passed;
         }
         memcpy(x, end, sizeof x);
         memcpy(k[0], k[END], sizeof k[0]);

@@ -42,8 +42,8 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
         }
         if (!is_finite(x)) return NOT_FINITE;
         memcpy(out + next * NX, x, sizeof x);
-        ++course->passed;
         if (z && equations_at(self, grid->times[next], x, k[0], z + next * NZ)) return NOT_FINITE;
+        ++course->passed;
     }
     course->reached = grid->times[grid->points - 1];
     return SUCCESS;

@@ -54,7 +54,8 @@ static inline void give_back(int number, const Handling *before) {
 }
 
 static inline int is_handled(const Handling *before) {
-    return *before != SIG_DFL && *before != SIG_IGN;
+    (void)before; /* what another C runtime handles cannot be seen here */
+    return 1;
 }
 #endif
 

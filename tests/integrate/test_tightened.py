@@ -3,6 +3,7 @@
 import pytest
 
 import cosim
+from cosim.errors import SolverError
 from cosim.integrate.tightened import tightened
 from cosim.solvers import Cvodes, Idas, Rosenbrock
 
@@ -50,3 +51,14 @@ def test_defaults_are_what_they_were(swing):
     default, named = cosim.simulate(swing), cosim.simulate(swing, solver="cvodes")
     assert default.values.tobytes() == named.values.tobytes()
     assert "note" not in default.stats
+
+
+def test_limit_that_stops_a_run_leaves_it_as_tight():
+    model = cosim.Model("swing", stop_time=20.0, output_interval=0.1)
+    x, v = model.state("x", "1", 1.0, "place"), model.state("v", "1/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.limit(x + 0.5, "it stays on the right")
+    with pytest.raises(SolverError) as stopped:
+        cosim.simulate(model.freeze(), relative_tolerance=1e-10, on_invalid="stop")
+    assert "cvodes at rtol 3.33333e-12" in stopped.value.partial.stats["note"]

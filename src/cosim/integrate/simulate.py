@@ -198,7 +198,7 @@ def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) ->
         choice = Choice(False, f"interpreted: {error}")
         problem = replace(problem, compiled=False)
         first = solve(problem, solver, values, on_invalid, own.places)
-    if solver != own.solver and first.reason not in ("", INTERRUPTED):
+    if solver != own.solver and first.failed and first.reason != INTERRUPTED:
         solver = own.solver
         first = solve(problem, solver, values, on_invalid, own.places)
     choice.add(first.solve_time)

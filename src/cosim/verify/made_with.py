@@ -2,6 +2,7 @@
 
 import hashlib
 import platform
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
@@ -20,8 +21,9 @@ _KINDS = (".py", ".toml", ".csv", ".json")
 def made_with() -> str:
     """Return a hash of tools, machine and code; no package is imported for it."""
     command = find_compiler() if has_compiler() else ()
+    compiler = [*map(_facts, filter(None, map(shutil.which, command[:1])))]
     tools = (*map(_version, _PACKAGES), sys.version, platform.platform(), processor_abilities())
-    return hashlib.sha256(repr((command, tools, *_code())).encode()).hexdigest()
+    return hashlib.sha256(repr((command, compiler, tools, *_code())).encode()).hexdigest()
 
 
 def _version(package: str) -> str:
@@ -39,5 +41,10 @@ def _code() -> Iterator[tuple[str, int, int]]:
     c = (Path(str(entry)) for entry in (*runtime_sources(), *solver_sources(), *license_texts()))
     for path in (*sorted(own), *c):
         with suppress(OSError):
-            facts = path.stat()
-            yield str(path), facts.st_size, facts.st_mtime_ns
+            yield _facts(path)
+
+
+def _facts(path: str | Path) -> tuple[str, int, int]:
+    found = Path(path).resolve()
+    facts = found.stat()
+    return str(found), facts.st_size, facts.st_mtime_ns

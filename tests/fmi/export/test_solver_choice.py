@@ -44,6 +44,16 @@ def test_the_fastest_decay_of_many_states_is_that_of_the_fastest_mode():
     assert 0.99 * exact < fastest_decay(dae) < 1.000001 * exact  # measured 0.9997
 
 
+def test_fast_vibrations_of_many_states_are_no_fast_decay():
+    n, damping = 150, 4.0
+    x, v = ca.SX.sym("x", n), ca.SX.sym("v", n)
+    stretch = ca.vertcat(x[1:], 0) - 2 * x + ca.vertcat(0, x[:-1])
+    system = {"x": ca.vertcat(x, v), "ode": ca.vertcat(v, 1e10 * stretch - damping * v)}
+    dae = cosim.from_casadi(system, {"x": 1.0, "v": 0.0})
+    assert fastest_decay(dae) == pytest.approx(damping / 2, rel=1e-4)
+    assert solver_for(dae, None) == "dop853"
+
+
 @pytest.mark.parametrize(("rate", "solver"), [(10.0, "dop853"), (1e6, "rosenbrock")])
 def test_a_stiff_model_gets_the_implicit_solver_and_runs(rate, solver, tmp_path):
     path = cosim.export_fmu(relaxation(rate), tmp_path / "model.fmu")

@@ -105,3 +105,19 @@ def test_counts_of_pieces_are_those_of_the_run():
     run = cosim.simulate(lag(), inputs=JUMPS, solver="rk4", step_size=0.1, **GRID)
     assert run.stats.steps == 11  # ten intervals, one of them in two
     assert run.stats.rhs_calls == 44
+
+
+@pytest.mark.parametrize("solver", ["idas", "dop853"])
+def test_jump_after_which_there_is_no_solution_keeps_what_was_before(solver):
+    model = Model("reciprocal", stop_time=1.0, output_interval=0.1)
+    x = model.state("x", "1", 0.0, "sum")
+    u = model.input("u", "1", 1.0, "input")
+    z = model.algebraic("z", "1", 1.0, "one over it")
+    model.equation(u * z - 1)
+    model.derivative(x, z)
+    gone = InputSeries(("u",), [0.0, 0.55, 0.55, 1.0], np.array([1.0, 1.0, 0.0, 0.0])[:, None])
+    with pytest.raises(
+        SolverError, match=r"no solution after the jump of an input at 0\.55 s"
+    ) as told:
+        cosim.simulate(model.freeze(), inputs=gone, solver=solver)
+    assert told.value.partial["x"] == pytest.approx(np.arange(6) / 10, abs=1e-9)

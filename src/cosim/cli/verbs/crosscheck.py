@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
 from cosim.cli.options import Parser, add_run, add_timeout, add_trust
-
-if TYPE_CHECKING:
-    pass
 
 _WORTH = "the file runs here as it did there, which does not make it right"
 

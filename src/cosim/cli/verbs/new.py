@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
 from cosim.cli.options import Parser
-
-if TYPE_CHECKING:
-    pass
 
 TEXT = '''"""A damped pendulum: replace it by your system.
 

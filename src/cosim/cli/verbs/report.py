@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
 from cosim.cli.options import Parser, add_output_file, add_single_run
-
-if TYPE_CHECKING:
-    pass
 
 _CHECK_COLUMNS = ("model", "road", "against", "worst", "difference", "bound", "verdict")
 

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from threading import Lock
 from typing import Any
 
 from cosim.errors import FmuError
@@ -17,6 +18,7 @@ USUAL = 500
 MOST_STEPS = 20_000  # between two output times: a second of a small FMU
 LIMIT = "mxstep steps taken"  # CVODE's words
 ADVICE = "try a looser relative tolerance, or co-simulation, which takes the FMU's own solver"
+_ALONE = Lock()
 _WHERE = re.compile(r"At t = ([\d.eE+-]+)")
 
 
@@ -51,13 +53,14 @@ def _many_steps() -> Iterator[None]:
     """Let fmpy's solver take `MOST_STEPS` between two output times."""
     from fmpy import sundials
 
-    usual = sundials.CVodeSolver
+    with _ALONE:  # or the last one to leave would put back what it found
+        usual = sundials.CVodeSolver
 
-    def patient(*arguments: Any, **more: Any) -> Any:
-        return usual(*arguments, **{"maxNumSteps": MOST_STEPS} | more)
+        def patient(*arguments: Any, **more: Any) -> Any:
+            return usual(*arguments, **{"maxNumSteps": MOST_STEPS} | more)
 
-    sundials.CVodeSolver = patient
-    try:
-        yield
-    finally:
-        sundials.CVodeSolver = usual
+        sundials.CVodeSolver = patient
+        try:
+            yield
+        finally:
+            sundials.CVodeSolver = usual

@@ -12,7 +12,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import InitialConditionError, UnknownName, UsageError
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.initial_values import algebraic_values
 from cosim.integrate.run.attempts import Start, integrated
@@ -35,7 +35,12 @@ def integrated_by_pieces(problem: Problem, solver: Solver, start: Start) -> tupl
     found, notes = list[Reached](), list[str]()
     for piece in pieces:
         if found:
-            start = _after_jump(piece, found[-1].states[:, -1], start.values)
+            try:
+                start = _after_jump(piece, found[-1].states[:, -1], start.values)
+            except InitialConditionError:
+                reason = f"no solution after the jump of an input at {piece.grid[0]:g} s"
+                found[-1] = replace(found[-1], reason=reason)
+                break
         reached, note = integrated(piece, solver, start)
         found.append(reached)
         notes.append(note)

@@ -31,6 +31,7 @@ class Solution:
         counts: What the solver took.
         solve_time: What it took, s; None where there was nothing to integrate.
         reason: Why it ended early; empty where it did not.
+        failed: Whether that was the solver's doing.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
         note: What was done that was not asked for; empty where nothing was.
     """
@@ -41,6 +42,7 @@ class Solution:
     counts: Counts
     solve_time: float | None
     reason: str
+    failed: bool
     invalid: tuple[Breach, ...]
     note: str
 
@@ -131,8 +133,8 @@ def _recorded(
             n, reason = found[0]
     last = (motion.states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
     return Solution(
-        grid, seen.table[:n], last, motion.counts, motion.solve_time, reason, tuple(found),
-        motion.note,
+        grid, seen.table[:n], last, motion.counts, motion.solve_time, reason, bool(motion.reason),
+        tuple(found), motion.note,
     )  # fmt: skip
 
 
