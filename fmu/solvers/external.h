@@ -6,8 +6,8 @@
  * largest step, nominal values of the states, output times, breaks). At a break, the position of an
  * output time, a step ends and a fresh one begins. u has one column, or one per output time that
  * holds on the way there; where it changes is a break, too. None of these numbers is a constant of
- * the library: `cosim_sizes` must be called before CasADi asks for the sizes. A run that fails leaves
- * alone what it does not reach.
+ * the library: `cosim_sizes` must be called before CasADi asks for the sizes. A run that fails
+ * leaves alone what it does not reach.
  */
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
