@@ -16,7 +16,6 @@ from typing import Any
 from cosim.cli.options import Parser, did_you_mean
 from cosim.cli.parser import command_line
 from cosim.cli.streams import NO_ROOM, flushed, mend_streams
-from cosim.cli.supervised import names_own_code, supervised
 from cosim.errors import CosimError
 from cosim.host.processes import ending_orphans
 from cosim.host.processor_time import OutOfTime, limited_time
@@ -40,6 +39,8 @@ def _command(words: Sequence[str]) -> int:
     """Run a command line, in a process of its own where a user's program belongs to it."""
     try:
         args = _parsed_command(words)
+        from cosim.cli.supervised import names_own_code, supervised  # a help needs none of it
+
         if (own := next(filter(names_own_code, _named_words(args)), None)) is not None:
             what = f"cosim {args.verb}: {own}"
             return supervised(words, what, getattr(args, "timeout", None))
