@@ -79,6 +79,13 @@ def test_full_folder_for_temporary_files_is_told(mounted, exported):
     assert list(place.iterdir()) == []
 
 
+def cosim_list(code: str) -> subprocess.CompletedProcess[str]:
+    """Run `cosim list` by Python code that calls its `main`."""
+    return subprocess.run(
+        [sys.executable, "-c", code, "list"], capture_output=True, text=True, check=False
+    )
+
+
 def test_ctrl_c_while_modules_are_loaded_is_one_word():
     code = (
         "import sys\n"
@@ -90,9 +97,7 @@ def test_ctrl_c_while_modules_are_loaded_is_one_word():
         "from cosim.__main__ import main\n"
         "sys.exit(main())\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "list"], capture_output=True, text=True, check=False
-    )
+    done = cosim_list(code)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
@@ -103,8 +108,6 @@ def test_ctrl_c_while_python_leaves_changes_nothing():
         "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
         "sys.exit(main())\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "list"], capture_output=True, text=True, check=False
-    )
+    done = cosim_list(code)
     assert (done.returncode, done.stderr) == (0, "")
     assert "bicycle" in done.stdout
