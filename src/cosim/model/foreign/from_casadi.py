@@ -195,8 +195,10 @@ def _consistent(
     sizes = {kind: sum(len(s.entries) for s in system.symbols[kind]) for kind in SYMBOLS}
     values = {kind: SX.sym(kind, size) for kind, size in (sizes | {"t": 1}).items()}
     law = ca.densify(evaluated(who, system, values, {"I": system.laws["I"]})["I"])
-    if ca.depends_on(law, ca.vertcat(values["t"], values["z"], values["u"])):
-        raise UsageError(f"{who}: I depends on time, inputs or z; only x and p may stand there")
+    if ca.depends_on(law, values["z"]):
+        raise UsageError(f"{who}: I depends on z; only time, x, u and p may stand there")
+    u = ca.DM([*starts["u"].values()])
+    law = ca.substitute(law, ca.vertcat(values["t"], values["u"]), ca.vertcat(0, u))
     constraints = ca.Function("I", [values["x"], values["p"]], [law], ["x", "p"], ["I"])
     names = [*starts["x"]]
     given = {
