@@ -54,8 +54,8 @@ def from_casadi(
             outputs of these names, other outputs being outputs; the path of a saved Function
             (.casadi); or what `casadi.dae_reduce_index` returns. A quadrature becomes a state.
         start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters,
-            first guesses of z; or expressions of parameters. 0 where nothing is said, except for
-            parameters, which need a value.
+            first guesses of z; of states expressions of parameters, inputs and time, too. 0 where
+            nothing is said, except for parameters, which need a value.
         outputs: Expressions by name.
         name, description: Of the model.
         units, meanings, nominals: "1", the name, and 1 where nothing is said. A unit that is
