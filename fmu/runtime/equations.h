@@ -13,8 +13,8 @@
    model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
 
    The start derivative is of x as function of t, the exact starts, u and p: calculated entries of
-   seed_x have no influence. model_directional and model_adjoint see z as function of the rest, and so does
-   model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
+   seed_x have no influence. model_directional and model_adjoint see z as function of the rest, and
+   so does model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
    model_step integrates from t to t + h with the inputs u + s du, s from 0 to 1.
 
    The model holds while each margin is positive; `limits` in variables.h says what that means.

@@ -48,7 +48,8 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             double *column = out + next * NX;
             if (grid->times[next] < after) {
                 evaluate(&piece, grid->times[next], column);
-                if (restore(self, grid->times[next], column) || !is_finite(column)) return NOT_FINITE;
+                if (restore(self, grid->times[next], column) || !is_finite(column))
+                    return NOT_FINITE;
             } else {
                 memcpy(column, end, sizeof end);
             }
