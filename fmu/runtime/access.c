@@ -37,7 +37,8 @@ static unsigned settable(const Instance *self, const VariableInfo *variable) {
 /* What is stale once a variable is set: start values may follow from any, up to the end of
    initialization. */
 static unsigned dependents(const Instance *self) {
-    return self->state.mode & (INSTANTIATED | INITIALIZATION_MODE) ? EVERYTHING : AFTER_START;
+    const bool starting = self->state.mode & (INSTANTIATED | INITIALIZATION_MODE);
+    return starting ? EVERYTHING : AFTER_START;
 }
 
 static const char *role_name(Role role) {
