@@ -19,7 +19,6 @@ Status set_up(Instance *self, const double *tolerance, double start, const doubl
 
     State *state = &self->state;
     state->values[TIME] = start;
-    state->stale = EVERYTHING; /* start values may follow from it */
     state->stop_time = stop ? *stop : INFINITY;
     state->tolerance = DEFAULT_TOLERANCE;
     state->experiment_set = true;
