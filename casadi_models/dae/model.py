@@ -298,7 +298,8 @@ class Model(Starting, Scenery):
         if not is_structurally_regular(alg, z):
             raise self._refusal(
                 "the algebraic equations do not determine every algebraic unknown (index above 1); "
-                "differentiate the constraints until they hold the unknowns"
+                "differentiate the constraints until they hold the unknowns, as "
+                "casadi.dae_reduce_index does"
             )
         calculated = {i for rule in self._rules for i in rule.states}
         return Dae(

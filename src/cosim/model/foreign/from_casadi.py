@@ -212,4 +212,4 @@ def _consistent(
 
 
 def _meaning(symbol: Symbol, entry: str) -> str:
-    return symbol.name if len(symbol.entries) == 1 else f"{entry} of {symbol.name}"
+    return symbol.name or entry if len(symbol.entries) == 1 else f"{entry} of {symbol.name}"
