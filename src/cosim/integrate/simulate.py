@@ -20,6 +20,7 @@ from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.families.plugin import MOST_STEPS
 from cosim.integrate.plan import Asked, Plan, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.pieces import pieces_of
@@ -35,6 +36,7 @@ from cosim.model.values import Values, assign, listed, numbers_of
 from cosim.trajectory import Trajectory
 
 Given = TypeVar("Given")
+TOO_MANY_STEPS = ("TOO_MUCH_WORK", "too many steps at")  # SUNDIALS' words, and our solvers'
 
 
 class Shorthand(TypedDict, total=False):
@@ -239,9 +241,12 @@ def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) ->
     if dae.algebraics and dae.invariants and not own.problem.project:
         which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
     kink = _kink(dae, run.time, computed.last.last, values)
+    closer = ""
+    if any(words in computed.first.reason for words in TOO_MANY_STEPS):
+        closer = f"take closer output times, each of which allows {MOST_STEPS:,} steps, "
     return SolverError(
-        f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; look for a "
-        "singularity near that state, or use another tolerance or step, formulation or "
+        f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; {closer}look for "
+        "a singularity near that state, or use another tolerance or step, formulation or "
         f"solver{which}",
         run,
     )

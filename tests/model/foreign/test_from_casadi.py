@@ -246,3 +246,28 @@ def test_names_that_c_does_not_take_are_changed():
     assert [s.name for s in dae.states] == ["body_x", "v_1"]
     assert dae.states[0].start == 1
     assert dae.states[0].meaning == "body.x"
+
+
+def test_letters_beyond_ascii_are_written_out():
+    names = ["φ", "φ\u0307", "Δx", "x", "größe", "π", "x₁"]
+    dae = cosim.from_casadi({"x": [SX.sym(n) for n in names], "ode": SX.ones(len(names))})
+    found = [s.name for s in dae.states]
+    assert found == ["phi", "phi_dot", "Deltax", "x", "grosse", "pi", "x1"]
+    assert [s.meaning for s in dae.states] == names
+
+
+def test_symbols_that_would_be_called_alike_are_refused_by_their_own_names():
+    x, y = SX.sym("body.x"), SX.sym("body_x")
+    with pytest.raises(UsageError, match=r"'body\.x' and 'body_x' are both called 'body_x'"):
+        cosim.from_casadi({"x": [x, y], "ode": ca.vertcat(y, -x)})
+    with pytest.raises(UsageError, match="'time' cannot name a variable: it is the independent"):
+        cosim.from_casadi({"x": SX.sym("time_"), "ode": 1})
+
+
+def test_a_symbol_without_a_name_a_sparse_one_and_a_start_of_none():
+    nameless = SX.sym("")
+    assert cosim.from_casadi({"x": nameless, "ode": -nameless}).states[0].name == "v"
+    with pytest.raises(UsageError, match="x is sparse; give dense symbols"):
+        cosim.from_casadi({"x": SX.sym("d", ca.Sparsity.diag(2)), "ode": SX(4, 1)})
+    with pytest.raises(ParameterError, match="start of x is None; give numbers"):
+        cosim.from_casadi({"x": SX.sym("x"), "ode": 1}, {"x": None})

@@ -17,7 +17,10 @@ from cosim.trajectory import Trajectory
 USUAL = 500
 MOST_STEPS = 20_000  # between two output times: a second of a small FMU
 LIMIT = "mxstep steps taken"  # CVODE's words
-ADVICE = "try a looser relative tolerance, or co-simulation, which takes the FMU's own solver"
+ADVICE = (
+    "try closer output times, a looser relative tolerance, or co-simulation, which takes the FMU's "
+    "own solver"
+)
 _ALONE = Lock()
 _WHERE = re.compile(r"At t = ([\d.eE+-]+)")
 

@@ -10,7 +10,7 @@ import casadi as ca
 from casadi import DM, MX, SX
 
 from cosim.errors import UnknownName, UsageError
-from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols
+from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols, refuse_alike
 from cosim.model.foreign.scalar_graph import refuse_calls, scalar_graph
 
 SYMBOLS = ("t", "x", "z", "u", "p")
@@ -59,6 +59,7 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
         if extra in given:
             symbols[kind] += named_symbols(who, extra, given[extra])
     symbols = dict(zip(symbols, named_apart([*symbols.values()]), strict=True))
+    refuse_alike(who, [*symbols.values()])
     laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "I") if key in given}
     if "x_impl" in given:
         laws["ode"] = ca.vertcat(
