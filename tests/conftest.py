@@ -12,20 +12,39 @@ import cosim
 os.environ["MPLBACKEND"] = "Agg"  # before any test module imports matplotlib
 
 
+@pytest.hookimpl(trylast=True)  # after -m and -k
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what takes hours, unless it is asked for by name."""
-    if "nightly" not in config.option.markexpr:
-        left = [item for item in items if item.get_closest_marker("nightly")]
-        config.hook.pytest_deselected(items=left)
-        items[:] = [item for item in items if item not in left]
+    """Leave out what takes hours, unless asked for by name, and samples of what runs whole."""
+    whole = {item.name for item in items}
+
+    def is_left_out(item: pytest.Item) -> bool:
+        if item.get_closest_marker("nightly"):
+            return "nightly" not in config.option.markexpr
+        sample = item.get_closest_marker("sample_of")
+        return sample is not None and item.name.replace(item.originalname, sample.args[0]) in whole
+
+    left_out = [item for item in items if is_left_out(item)]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in left_out]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give a worker of -n neighbours in a file, which share fixtures and memories, where it can."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.option.dist == "load" else None
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled code in a folder of this session, shared by its tests."""
+    """Keep compiled code in a folder of this session, shared by its tests and workers."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
         kept = os.environ.get("COSIM_TEST_CACHE")  # of many sessions, while one works on the tests
-        patch.setenv("COSIM_CACHE", kept or str(tmp_path_factory.mktemp("cosim_cache")))
+        patch.setenv("COSIM_CACHE", kept or str(folder / "cosim_cache"))
         yield
 
 

@@ -19,7 +19,7 @@ from casadi_models.dae.expressions import (
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.scenery import Scenery
-from casadi_models.dae.starts import Starting, refuse_disorder
+from casadi_models.dae.starts import AT_A_START, Starting, refuse_disorder
 from casadi_models.dae.variables import Experiment, Facts, Start, Variable, is_name, number
 from casadi_models.units import convert
 
@@ -207,7 +207,7 @@ class Model(Starting, Scenery):
         Args:
             name: Of the monitor that shows the largest of them, in SI units.
             states: What a projection moves to make them zero again; positions before speeds.
-            residual: Of states and parameters, a column of no more rows than `states`.
+            residual: Of time, states, inputs and parameters; no more rows than `states`.
             meaning: What is true while they are zero.
             sizes: What counts as an equally large move of each state; its nominal value when None.
         """
@@ -239,6 +239,11 @@ class Model(Starting, Scenery):
     def declared(self, symbols: SX) -> tuple[Variable, ...]:
         """Return what was declared of states, one for each row of a column."""
         return tuple(self._variables[name] for name in self._names(symbols))
+
+    @property
+    def constants(self) -> SX:
+        """Symbols of the parameters declared so far, (n, 1)."""
+        return column(self._symbols["p"].values())
 
     def numbers(self, expression: SX, *, but: SX) -> SX:
         """Replace every parameter, input and state but some by its start value; time by 0."""
@@ -285,8 +290,8 @@ class Model(Starting, Scenery):
                 f"invariant '{i.meaning}'": ca.vertcat(i.residual, i.sizes)
                 for i in self._invariants
             }
-            refuse_faulty(drifting, ca.vertcat(x, p), "states and parameters")
-            refuse_disorder(self._rules, x, p)
+            refuse_faulty(drifting, ca.vertcat(self.t, x, u, p), AT_A_START)
+            refuse_disorder(self._rules, self.t, x, u, p)
             through = self._starts_through(x, p)
             drawing = self._drawing(ca.vertcat(self.t, x, z, u, p), p, self._variables)
         ode, alg, outputs, limits, monitors = share([column(part.values()) for part in parts])

@@ -100,8 +100,9 @@ def simulate(
         ParameterError: A value is not finite or out of its bounds, or asks for what cannot be.
         UsageError: The solver cannot integrate the model, or something is said twice.
         InitialConditionError: The start values contradict the constraints.
-        SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the run up
-            to there.
+        SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the outputs
+            up to there. The time in its `status` may lie after the last of them: where outputs are
+            far apart, a form with constraints is looked at between them, too.
         Interrupted: Ctrl-C, a `KeyboardInterrupt` whose `partial` holds the run up to there.
         MissingTool: `compiled` is True and no compiler works.
 

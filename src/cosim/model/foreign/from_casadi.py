@@ -60,8 +60,9 @@ def from_casadi(
             outputs of these names, other outputs being outputs; the path of a saved Function
             (.casadi); or what `casadi.dae_reduce_index` returns. A quadrature becomes a state.
         start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters,
-            first guesses of z; or expressions of parameters. Where nothing is said, a Function's
-            own `default_in`, or 0, except for parameters, which need a value.
+            first guesses of z; of states expressions of parameters, inputs and time, too. Where
+            nothing is said, a Function's own `default_in`, or 0, except for parameters, which need
+            a value.
         outputs: Expressions by name.
         name, description: Of the model.
         units, meanings, nominals: "1", the name, and 1 where nothing is said. A unit that is
@@ -204,8 +205,10 @@ def _consistent(
     sizes = {kind: sum(len(s.entries) for s in system.symbols[kind]) for kind in SYMBOLS}
     values = {kind: SX.sym(kind, size) for kind, size in (sizes | {"t": 1}).items()}
     law = ca.densify(evaluated(who, system, values, {"I": system.laws["I"]})["I"])
-    if ca.depends_on(law, ca.vertcat(values["t"], values["z"], values["u"])):
-        raise UsageError(f"{who}: I depends on time, inputs or z; only x and p may stand there")
+    if ca.depends_on(law, values["z"]):
+        raise UsageError(f"{who}: I depends on z; only time, x, u and p may stand there")
+    u = ca.DM([*starts["u"].values()])
+    law = ca.substitute(law, ca.vertcat(values["t"], values["u"]), ca.vertcat(0, u))
     constraints = ca.Function("I", [values["x"], values["p"]], [law], ["x", "p"], ["I"])
     names = [*starts["x"]]
     given = {
