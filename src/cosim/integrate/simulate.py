@@ -243,11 +243,11 @@ def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) ->
     kink = _kink(dae, run.time, computed.last.last, values)
     closer = ""
     if any(words in computed.first.reason for words in TOO_MANY_STEPS):
-        closer = f"take closer output times, each of which allows {MOST_STEPS:,} steps, "
+        closer = f", or closer output times (for {MOST_STEPS:,} steps from one to the next)"
     return SolverError(
-        f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; {closer}look for "
-        "a singularity near that state, or use another tolerance or step, formulation or "
-        f"solver{which}",
+        f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; look for a "
+        "singularity near that state, or use another tolerance or step, formulation or "
+        f"solver{which}{closer}",
         run,
     )
 

@@ -136,7 +136,26 @@ def test_file_of_a_function_without_parameters_is_loaded_by_name(tmp_path):
     assert final(dae) == pytest.approx(1 - np.exp(-1), abs=1e-9)
 
 
+def test_defaults_of_a_function_are_its_start_values(tmp_path):
+    x, p = SX.sym("x"), SX.sym("p", 2)
+    options = {"default_in": [2.0, 3.0]}
+    function = ca.Function("f", [x, p], [-p[0] * p[1] * x], ["x", "p"], ["ode"], options)
+    function.save(str(tmp_path / "decay.casadi"))
+    dae = cosim.load(str(tmp_path / "decay.casadi"))
+    run = cosim.simulate(dae, start={"p_2": 0.5}, **END)
+    assert run["x"][[0, -1]] == pytest.approx([2.0, 2 * np.exp(-1.5)], abs=1e-8)
+    assert cosim.from_casadi(function, {"p_1": 7}).parameters[0].start == 7
+
+
+def test_file_whose_parameters_have_no_value_says_who_gives_them(tmp_path):
+    x, k = SX.sym("x"), SX.sym("k")
+    ca.Function("f", [x, k], [-k * x], ["x", "p"], ["ode"]).save(str(tmp_path / "f.casadi"))
+    with pytest.raises(ParameterError, match=r"function of a Python file that returns 'f\.casadi'"):
+        cosim.load(str(tmp_path / "f.casadi"))
+
+
 USER = """
+import pathlib
 import casadi as ca
 x, k = ca.SX.sym("x"), ca.SX.sym("k")
 system = {"x": x, "p": k, "ode": -k * x}
@@ -152,6 +171,19 @@ def function():
 
 def function_and_start():
     return ca.Function("f", [x, k], [-k * x], ["x", "p"], ["ode"]), {"x": 1, "p": 2}
+
+def saved():
+    path = pathlib.Path(__file__).with_name("f.casadi")
+    function_and_start()[0].save(str(path))
+    return path, {"x": 1, "p": 2}
+
+def reduced():
+    dx, y = ca.SX.sym("dx"), ca.SX.sym("y")
+    laws = ca.vertcat(dx + y, y - 2 * x)
+    return ca.dae_reduce_index({"x_impl": x, "dx_impl": dx, "z": y, "alg": laws})
+
+def reduced_and_start():
+    return reduced(), {"x": 1}
 """
 
 
@@ -162,6 +194,9 @@ def function_and_start():
         ("pair", "mine", np.exp(-2)),
         ("function", "mine", 0.0),
         ("function_and_start", "mine", np.exp(-2)),
+        ("saved", "mine", np.exp(-2)),
+        ("reduced", "mine", 0.0),
+        ("reduced_and_start", "mine", np.exp(-2)),
     ],
 )
 def test_user_file_may_return_any_of_them(tmp_path, builder, name, end):

@@ -9,7 +9,7 @@ import cosim
 from cosim.errors import InitialConditionError
 
 
-def pendulum(kind=SX, rates=None, **options) -> dict:
+def pendulum(kind=SX, rates=None, **options) -> tuple:
     """Return a pendulum of index 3, reduced by CasADi."""
     x, y, u, v, lam, L = (kind.sym(n) for n in ("x", "y", "u", "v", "lam", "L"))
     rates = ca.vertcat(*(kind.sym(f"d{n}") for n in "xyuv")) if rates is None else rates
@@ -21,7 +21,7 @@ def pendulum(kind=SX, rates=None, **options) -> dict:
         x**2 + y**2 - L**2,
     )
     system = {"x_impl": ca.vertcat(x, y, u, v), "dx_impl": rates, "z": lam, "p": L}
-    return ca.dae_reduce_index(system | {"alg": ca.vertcat(*laws)}, options)[0]
+    return ca.dae_reduce_index(system | {"alg": ca.vertcat(*laws)}, options)
 
 
 def period_at_amplitude(angle: float) -> float:

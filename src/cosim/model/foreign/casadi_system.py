@@ -26,11 +26,13 @@ class System:
         symbols: Of t, x, z, u, p.
         laws: ode, alg, quad: columns; I: invariants.
         outputs: By name.
+        starts: That come with a Function: its own `default_in`, where it is not 0.
     """
 
     symbols: dict[str, tuple[Symbol, ...]]
     laws: dict[str, Any]
     outputs: dict[str, Any] = field(default_factory=dict)
+    starts: dict[str, float] = field(default_factory=dict)
 
     @property
     def every(self) -> tuple[Symbol, ...]:
@@ -39,11 +41,13 @@ class System:
 
 
 def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
-    """Return symbols and laws of a mapping, a Function or the path of one.
+    """Return symbols and laws of a mapping, a Function, the path of one, or an index reduction.
 
     Raises:
         UsageError, UnknownName: See `from_casadi`.
     """
+    if is_reduction(system):
+        system = system[0]
     if isinstance(system, str | os.PathLike):
         system = _loaded(who, Path(system))
     if isinstance(system, ca.Function):
@@ -68,6 +72,14 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
     return System(symbols, laws, {n: _expression(who, n, e) for n, e in outputs.items()})
 
 
+def is_reduction(value: Any) -> bool:
+    """Tell whether this is what `casadi.dae_reduce_index` returns: a DAE and its index."""
+    match value:
+        case ({"x_impl": _}, {"index": _, **others}):
+            return isinstance(value, tuple) and not others
+    return False
+
+
 def _of_function(who: str, function: ca.Function, outputs: Mapping[str, Any]) -> System:
     for input_name in function.name_in():
         if input_name not in SYMBOLS:
@@ -84,7 +96,9 @@ def _of_function(who: str, function: ca.Function, outputs: Mapping[str, Any]) ->
     others = {n: e for n, e in results.items() if n not in laws and e.numel()}
     for output, expression in outputs.items():
         others[output] = _expression(who, output, expression)
-    return System(symbols, {k: law for k, law in laws.items() if law.numel()}, others)
+    defaults = {n: function.default_in(i) for i, n in enumerate(function.name_in()) if symbols[n]}
+    starts = {n: value for n, value in defaults.items() if value and n != "t"}
+    return System(symbols, {k: law for k, law in laws.items() if law.numel()}, others, starts)
 
 
 def _loaded(who: str, path: Path) -> ca.Function:
