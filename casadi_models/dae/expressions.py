@@ -56,6 +56,13 @@ def _fault(expression: SX, declared: Container[int]) -> str | None:
     return None
 
 
+def operation_count(function: ca.Function) -> int:
+    """Count what a Function calculates: its instructions but for those that only move numbers."""
+    moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+    codes = (function.instruction_id(i) for i in range(function.n_instructions()))
+    return sum(code not in moves for code in codes)
+
+
 def is_structurally_regular(residual: SX, unknowns: SX) -> bool:
     """Tell whether every unknown can be matched to a residual of its own that depends on it."""
     jacobian = ca.jacobian_sparsity(residual, unknowns)

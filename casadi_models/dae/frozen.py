@@ -10,6 +10,7 @@ from casadi import SX
 
 from casadi_models.dae import packed, shown
 from casadi_models.dae.drawing import Drawing
+from casadi_models.dae.expressions import operation_count
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.starts import StartRule, StartThrough
 from casadi_models.dae.variables import Experiment, Variable
@@ -192,6 +193,4 @@ class Dae:
         columns = [self.ode, self.alg, *([self.outputs] if with_outputs else [])]
         equations = ca.substitute(ca.vertcat(*columns), self.p, SX(values))
         function = ca.Function("f", [self.t, self.x, self.z, self.u], [equations], {"cse": True})
-        moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-        codes = (function.instruction_id(i) for i in range(function.n_instructions()))
-        return sum(code not in moves for code in codes)
+        return operation_count(function)

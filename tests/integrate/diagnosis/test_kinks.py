@@ -37,3 +37,15 @@ def test_switches_beside_calls_of_matrix_functions_are_found():
     x = ca.MX.sym("x", 3)
     law = -x + ca.logsumexp(x) + ca.fabs(x[0] - 1)
     assert kink(x, law, 1.25, 0, 0).startswith("fabs switches where (x_1-1) is 0, and it is 0.25")
+
+
+def test_a_long_expression_is_told_by_its_variables():
+    """CasADi writes an expression by recursion, which ends the process for one as deep as this."""
+    x, rate = ca.SX.sym("x"), ca.SX.sym("rate")
+    deep = x
+    for _ in range(20_000):
+        deep = ca.sin(deep) + rate * x
+    law = {"x": x, "p": rate, "ode": ca.fabs(deep)}
+    dae = cosim.from_casadi(law, {"rate": 1.0}, name="deep")
+    told = nearest_kink(dae, 0.0, np.array([0.5]), NONE, NONE, np.array([1.0]))
+    assert told.startswith("fabs switches where an expression of x and parameters (40001 operation")

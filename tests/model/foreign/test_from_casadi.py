@@ -291,6 +291,48 @@ def test_letters_beyond_ascii_are_written_out():
     assert [s.meaning for s in dae.states] == names
 
 
+@pytest.mark.parametrize(
+    ("name", "spelt"),
+    [
+        ("λ", "lambda"),
+        ("Λ_1", "Lambda_1"),
+        ("𝜆", "lambda"),
+        ("ẋ", "x_dot"),
+        ("ẍ", "x_ddot"),
+        ("φ̈", "phi_ddot"),
+        ("x⃛", "x_dddot"),
+        ("Übermaß", "Ubermass"),
+        ("naïf", "naif"),
+        ("ħ", "hbar"),
+        ("ℏ", "hbar"),
+        ("∆x", "Deltax"),
+        ("∂x", "partialx"),
+        ("ø", "o"),
+        ("Ł", "L"),
+        ("æ", "ae"),
+        ("Œ", "Oe"),
+        ("ж", "u0436"),
+        ("日x", "u65e5x"),
+        ("x٣", "xu0663"),
+        ("x\u2032", "x"),
+    ],
+)
+def test_letter_is_spelt_as_its_readers_call_it(name, spelt):
+    dae = cosim.from_casadi({"x": SX.sym(name), "ode": 1})
+    assert [(s.name, s.meaning) for s in dae.states] == [(spelt, name)]
+
+
+def test_lambda_is_a_variable_on_both_roads(tmp_path):
+    """Python keeps that word for itself; C and XML do not."""
+    tilt = SX.sym("λ")
+    dae = cosim.from_casadi({"x": tilt, "ode": -tilt}, {"lambda": 1.0}, name="tilting")
+    run = cosim.simulate(dae, stop_time=1.0, output_interval=0.5)
+    assert run["lambda"][-1] == pytest.approx(np.exp(-1), rel=1e-5)
+    fmu = cosim.export_fmu(dae, tmp_path / "tilting.fmu")
+    found = cosim.simulate_fmu(fmu, stop_time=1.0, output_interval=0.5)
+    assert found["lambda"][-1] == pytest.approx(np.exp(-1), rel=1e-5)
+
+
 def test_symbols_that_would_be_called_alike_are_refused_by_their_own_names():
     x, y = SX.sym("body.x"), SX.sym("body_x")
     with pytest.raises(UsageError, match=r"'body\.x' and 'body_x' are both called 'body_x'"):

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from threading import Lock
+from threading import Lock, get_ident
 from typing import Any
 
 from cosim.errors import FmuError
@@ -53,14 +53,16 @@ def patiently(simulate: Callable[[], Trajectory]) -> Trajectory:
 
 @contextmanager
 def _many_steps() -> Iterator[None]:
-    """Let fmpy's solver take `PATIENT_STEPS` between two output times."""
+    """Let fmpy's solver take `PATIENT_STEPS` between two output times, in this thread alone."""
     from fmpy import sundials
 
+    owner = get_ident()
     with _ALONE:  # or the last one to leave would put back what it found
         usual = sundials.CVodeSolver
 
         def patient(*arguments: Any, **more: Any) -> Any:
-            return usual(*arguments, **{"maxNumSteps": PATIENT_STEPS} | more)
+            own = {"maxNumSteps": PATIENT_STEPS} if get_ident() == owner else {}
+            return usual(*arguments, **own | more)
 
         sundials.CVodeSolver = patient
         try:

@@ -13,8 +13,13 @@ from casadi import MX, SX
 from cosim.errors import UsageError
 
 _NUMBERED = re.compile(r"(.+)_(\d+)")
-_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:FINAL )?([A-Z]+)")
-_DOT_ABOVE = "\u0307"
+_LETTER = re.compile(  # Unicode's names: GREEK SMALL LETTER FINAL SIGMA, LATIN SMALL LIGATURE OE
+    r"(?:GREEK|LATIN) (SMALL|CAPITAL) (?:LETTER|LIGATURE) (?:FINAL )?([A-Z]+)(?: WITH [A-Z ]+)?"
+)
+_SPELT = {"ß": "ss", "λ": "lambda", "Λ": "Lambda", "ħ": "hbar"}  # Unicode has lamda
+_SPELT |= {"\u2206": "Delta", "\u2202": "partial", "\u2207": "nabla"}
+_DOTS = {"\u0307": "_dot", "\u0308": "_ddot", "\u20db": "_dddot"}
+_UMLAUT = re.compile("(?<=[aeiou])\u0308", flags=re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -50,19 +55,26 @@ def identifier(name: str) -> str:
 
 
 def _in_ascii(name: str) -> str:
-    """Write out Greek letters, leave out what stands above or below others but for a rate's dot."""
+    """Write out Greek letters and a rate's dots; leave other marks out, and those of umlauts.
+
+    A letter that is neither Latin nor Greek has no spelling, and is written by its number.
+    """
     if name.isascii():
         return name
-    return "".join(_letter(c) for c in unicodedata.normalize("NFKD", name.replace("ß", "ss")))
+    return "".join(map(_letter, _UMLAUT.sub("", unicodedata.normalize("NFKD", name))))
 
 
 def _letter(character: str) -> str:
-    greek = _GREEK.fullmatch(unicodedata.name(character, ""))
-    if greek:
-        return greek[2].title() if greek[1] == "CAPITAL" else greek[2].lower()
+    if character.isascii():
+        return character
+    if character in _SPELT:
+        return _SPELT[character]
     if unicodedata.combining(character):
-        return "_dot" if character == _DOT_ABOVE else ""
-    return character
+        return _DOTS.get(character, "")
+    letter = _LETTER.fullmatch(unicodedata.name(character, ""))
+    if letter:
+        return letter[2].lower() if letter[1] == "SMALL" else letter[2].title()
+    return f"u{ord(character):04x}" if character.isalnum() else character
 
 
 def named_symbols(who: str, kind: str, value: Any) -> tuple[Symbol, ...]:

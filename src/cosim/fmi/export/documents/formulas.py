@@ -6,6 +6,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import operation_count
 from cosim.memo import kept_per_thread
 
 LONGEST_FORMULA = 120  # letters of an expression that is written out
@@ -45,10 +46,7 @@ def _formulas(dae: Dae) -> Iterator[tuple[str, str]]:
 def _text(expression: SX, parameters: Container[str]) -> str:
     """Write an expression out; where it is long, its variables and the operations it takes."""
     symbols = ca.symvar(expression)
-    function = ca.Function("f", symbols, [expression])
-    moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-    codes = [function.instruction_id(i) for i in range(function.n_instructions())]
-    count = sum(code not in moves for code in codes)
+    count = operation_count(ca.Function("f", symbols, [expression]))
     if expression.is_scalar() and count < LONGEST_FORMULA:
         text = str(expression)
         if len(text) <= LONGEST_FORMULA and "@" not in text:
