@@ -106,6 +106,7 @@ def mechanism(
     driven: Mapping[str, SX | float] | None = None,
     speed_starts: Mapping[str, float] | None = None,
     closing_rate: float = CLOSING_RATE,
+    constant: SX | None = None,
 ) -> Mechanism:
     """Declare the motion of a mechanism in a model.
 
@@ -123,6 +124,8 @@ def mechanism(
             with them. Their speeds are states; the loads that this takes are `drives`.
         speed_starts: By coordinate, 0 where it is not named; of dependent ones, it follows.
         closing_rate: Of drift from the loops in the DAE, 1/s; see `Model.closing_rate`.
+        constant: States and inputs that count as constant where momenta are differentiated: the
+            mass of a rocket, whose fuel takes its momentum along.
 
     Raises:
         ValueError: A rate is not linear in u, a loop or a momentum depends on something whose rate
@@ -131,10 +134,12 @@ def mechanism(
     names = tuple(variable.name for variable in model.declared(q))
     g = ca.vertcat(SX(0, 1), *(loops or {}).values())
     _refuse_nonlinear(inertias, loads, u)
-    changing = {f"loop '{name}'": SX(rows) for name, rows in (loops or {}).items()}
-    changing |= {f"the momentum of inertia {i}": x.momentum for i, x in enumerate(inertias, 1)}
-    _refuse_foreign(model, changing, ca.vertcat(q, u))
-    moves = ca.depends_on(ca.vertcat(*map(ca.vec, changing.values())), model.t)
+    closed = {f"loop '{name}'": SX(rows) for name, rows in (loops or {}).items()}
+    _refuse_foreign(model, closed, q, "let a coordinate of driven={...} move it")
+    momenta = {f"the momentum of inertia {i}": x.momentum for i, x in enumerate(inertias, 1)}
+    known = ca.vertcat(q, u, SX(0, 1) if constant is None else constant)
+    _refuse_foreign(model, momenta, known, "make it a coordinate, or name it in constant=")
+    moves = ca.depends_on(ca.vertcat(*map(ca.vec, (closed | momenta).values())), model.t)
     clock = model.t if moves else SX(0, 1)
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
     for name in (*(speed_starts or {}), *(driven or {})):
@@ -334,15 +339,15 @@ def _refuse_nonlinear(
             raise ValueError(f"the rate of {what} is not linear in the speeds")
 
 
-def _refuse_foreign(model: Model, rows: Mapping[str, SX], motion: SX) -> None:
+def _refuse_foreign(model: Model, rows: Mapping[str, SX], own: SX, way_out: str) -> None:
     """Refuse what depends on something whose rate of change is not known, by name."""
-    known = ca.vertcat(motion, model.t, model.constants)
+    known = ca.vertcat(own, model.t, model.constants)
     for what, expression in rows.items():
         for symbol in ca.symvar(SX(expression)):
             if not ca.depends_on(known, symbol):
                 raise ValueError(
                     f"{what} depends on '{symbol}', which is no coordinate, parameter or time, and "
-                    "whose rate is not known; let a coordinate of driven={...} move it"
+                    f"whose rate is not known; {way_out}"
                 )
 
 
