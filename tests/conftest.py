@@ -36,26 +36,34 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     return WorkStealingScheduling(config, log) if config.option.dist == "load" else None
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled code in a folder of this session, shared by its tests and workers."""
-    folder = tmp_path_factory.getbasetemp()
+def of_all_workers(factory: pytest.TempPathFactory, name: str) -> Path:
+    """Return a folder of this session that the workers of -n share."""
+    folder = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
+    return folder / name
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep compiled code in a folder of this session, shared by its tests."""
     with pytest.MonkeyPatch.context() as patch:
         kept = os.environ.get("COSIM_TEST_CACHE")  # of many sessions, while one works on the tests
-        patch.setenv("COSIM_CACHE", kept or str(folder / "cosim_cache"))
+        patch.setenv("COSIM_CACHE", kept or str(of_all_workers(tmp_path_factory, "cache")))
         yield
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return a function that exports a model of the catalogue as an FMU, once per session."""
-    folder = tmp_path_factory.mktemp("fmus")
+    folder = of_all_workers(tmp_path_factory, "fmus")
+    folder.mkdir(exist_ok=True)
 
     @cache
     def export(name: str, fmi: int = 2) -> Path:
         target = folder / f"{name.replace('/', '_')}_{fmi}.fmu"
-        return cosim.export_fmu(cosim.load(name), target, fmi=fmi)
+        if not target.exists():  # a file is there as a whole or not at all
+            cosim.export_fmu(cosim.load(name), target, fmi=fmi)
+        return target
 
     return export

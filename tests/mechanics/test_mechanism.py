@@ -14,6 +14,23 @@ from casadi_models.mechanics.mechanism import mechanism
 LENGTHS = (1.0, 2.0, 1.5)  # crank, coupler, rocker; the ground link is 2
 
 
+def bars(q, u, pivot, g):
+    """Return inertias, loads, potential energy and loops of the bars; `pivot` is the rocker's x."""
+    along = [length * ca.vertcat(cos(q[i]), sin(q[i])) for i, length in enumerate(LENGTHS)]
+    starts = [SX(2, 1), along[0], ca.vertcat(pivot, 0)]
+    inertias, loads, potential = [], [], SX(0)
+    for i, length in enumerate(LENGTHS):
+        centre = starts[i] + along[i] / 2
+        velocity = ca.jtimes(centre, q, u)
+        inertias += [
+            kane.InertialTerm(velocity, length * velocity),
+            kane.InertialTerm(u[i], length**3 / 12 * u[i]),
+        ]
+        loads.append(kane.Load(velocity, ca.vertcat(0, -length * g)))
+        potential += length * g * centre[1]
+    return inertias, loads, potential, {"closure": along[0] + along[1] - starts[2] - along[2]}
+
+
 def four_bar(form: str = "", **options):
     """Return a four-bar of slender bars, 1 kg/m, under gravity; absolute angles."""
     model = Model("four_bar", form)
@@ -25,19 +42,7 @@ def four_bar(form: str = "", **options):
     )
     u = SX.sym("u", 3)
     g = model.parameter("g", "m/s2", 9.81, "gravity")
-    along = [length * ca.vertcat(cos(q[i]), sin(q[i])) for i, length in enumerate(LENGTHS)]
-    starts = [SX(2, 1), along[0], ca.vertcat(2, 0)]
-    inertias, loads, potential = [], [], SX(0)
-    for i, length in enumerate(LENGTHS):
-        centre = starts[i] + along[i] / 2
-        velocity = ca.jtimes(centre, q, u)
-        inertias += [
-            kane.InertialTerm(velocity, length * velocity),
-            kane.InertialTerm(u[i], length**3 / 12 * u[i]),
-        ]
-        loads.append(kane.Load(velocity, ca.vertcat(0, -length * g)))
-        potential += length * g * centre[1]
-    loops = {"closure": along[0] + along[1] - starts[2] - along[2]}
+    inertias, loads, potential, loops = bars(q, u, 2, g)
     if form == "ode":
         options = {"independent": q[0]} | options
     found = mechanism(model, q, u, inertias, loads, loops, speed_starts={"q1": 2.0}, **options)
@@ -86,19 +91,7 @@ def shaken(form: str):
     names = {"q1": 1.2, "q2": 0.4, "q3": 1.3, "s": 0.0}
     q = ca.vertcat(*(model.state(n, "rad", start, n) for n, start in names.items()))
     u = SX.sym("u", 4)
-    along = [length * ca.vertcat(cos(q[i]), sin(q[i])) for i, length in enumerate(LENGTHS)]
-    starts = [SX(2, 1), along[0], ca.vertcat(2 + q[3], 0)]
-    inertias, loads, potential = [], [], SX(0)
-    for i, length in enumerate(LENGTHS):
-        centre = starts[i] + along[i] / 2
-        velocity = ca.jtimes(centre, q, u)
-        inertias += [
-            kane.InertialTerm(velocity, length * velocity),
-            kane.InertialTerm(u[i], length**3 / 12 * u[i]),
-        ]
-        loads.append(kane.Load(velocity, ca.vertcat(0, -length * 9.81)))
-        potential += length * 9.81 * centre[1]
-    loops = {"closure": along[0] + along[1] - starts[2] - along[2]}
+    inertias, loads, potential, loops = bars(q, u, 2 + q[3], 9.81)
     options = {"independent": q[0]} if form == "ode" else {}
     speeds = {"q1": 2.0, "s": 0.5}
     found = mechanism(
