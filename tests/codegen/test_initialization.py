@@ -153,3 +153,14 @@ def test_systems_without_algebraic_unknowns_have_none():
     dae = cosim.load("crank_shaft")
     values = assign(dae)
     assert algebraic_values(dae, 0.0, values.x, values).shape == (0,)
+
+
+def test_start_equations_that_repeat_each_other_are_refused_with_a_sentence():
+    """CasADi's factorization of their slopes raises an error of its own."""
+    model = Model("twice")
+    a, b = model.state("a", "1", 0.3, "a"), model.state("b", "1", 0.4, "b")
+    both = ca.vertcat(a, b)
+    model.derivative(both, -both)
+    model.start_equation(both, ca.vertcat(a + b - 1, 2 * a + 2 * b - 2), "the sum")
+    with pytest.raises(InitialConditionError, match="no start value of a, b satisfies the sum;"):
+        cosim.simulate(model.freeze(), compiled=False)

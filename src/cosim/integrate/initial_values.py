@@ -31,8 +31,11 @@ def start_values(dae: Dae, t: float, values: Values) -> Vector:
 @kept_per_thread(64)
 def _start_values(dae: Dae, t: float, guesses: bytes, parameters: bytes, inputs: bytes) -> Vector:
     values = Values(*map(np.frombuffer, (guesses, parameters, inputs)))
-    solved, defect = start_function(dae)(t, values.x, values.u, values.p)
-    x = np.array(solved).ravel()
+    try:
+        solved, defect = start_function(dae)(t, values.x, values.u, values.p)
+        x = np.array(solved).ravel()
+    except RuntimeError:  # CasADi's factorization meets a singular matrix
+        x, defect = np.full(len(dae.states), np.nan), ca.DM(np.nan)
     if dae.start_rules and not (np.isfinite(x).all() and float(defect) < DEFECT_LIMIT):
         raise _no_start(dae, t, x, values)
     for variable, value in zip(dae.states, x, strict=True):
@@ -100,8 +103,9 @@ def _no_start(dae: Dae, t: float, x: Vector, values: Values) -> InitialCondition
     rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, t, x, values))
     names = ", ".join(dae.states[i].name for i in rule.states)
     near = _closest(dae, rule, t, x, values) if rule.implicit else "its formula has no value"
+    what = rule.meaning.removeprefix("the ")
     return InitialConditionError(
-        f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
+        f"{dae.full_name}: no start value of {names} satisfies the {what}; "
         f"{near}; change the other start values, parameters or inputs"
     )
 
