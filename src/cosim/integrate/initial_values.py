@@ -68,7 +68,7 @@ def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
         raise InitialConditionError(
             f"{dae.full_name}: the algebraic equations have no solution at the start "
             f"({dependent or f'{first} is not finite'}); start away from the singularity, leave "
-            "out what is said twice, or use another formulation"
+            f"out what is said twice, {_other_guess(dae)}or use another formulation"
         )
     return z
 
@@ -87,8 +87,17 @@ def _dependent(dae: Dae, t: float, x: Vector, z: Vector, values: Values) -> str:
     shares = np.abs(rows[:, -1])
     names = [str(i + 1) for i in np.flatnonzero(shares > 1e-3 * shares.max())]
     if len(names) == 1:
-        return f"equation {names[0]} of {len(shares)} holds no unknown"
+        row = ca.jacobian(dae.alg[int(names[0]) - 1], dae.z)
+        held = "has slope 0 at the first guess" if ca.depends_on(row, dae.z) else "holds no unknown"
+        return f"equation {names[0]} of {len(shares)} {held}"
     return f"equations {', '.join(names)} of {len(shares)} repeat each other"
+
+
+def _other_guess(dae: Dae) -> str:
+    """Advise another first guess, where that decides on what is found."""
+    if not ca.depends_on(ca.jacobian(dae.alg, dae.z), dae.z):
+        return ""
+    return f"give another first guess, as start value of {dae.algebraics[0].name}, "
 
 
 @kept_per_thread(8)
