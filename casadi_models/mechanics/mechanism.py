@@ -15,9 +15,10 @@ from casadi import DM, SX
 
 from casadi_models.dae import Model
 from casadi_models.mechanics import conditions, kane
+from casadi_models.mechanics.slopes import determined, first_repeating
 
 CLOSING_RATE = 1.0  # 1/s
-REPEATED = 1e-9  # of the largest entry: what is left of a loop that repeats others
+DAMPING = 1e-10  # of the steps to the nearest closed position, of the squares of the slopes
 STEPS = 50  # of Newton's method at the start
 
 
@@ -159,12 +160,13 @@ def mechanism(
         kept = [variable.name for variable in model.declared(independent)]
         dependent = [i for i in moving if names[i] not in kept]
         if len(dependent) != g.numel():
+            _dependent(parts, loops or {}, jacobian[:, moving])  # one too many by repetition?
             raise ValueError(
                 f"{g.numel()} loops for {len(moving)} coordinates leave {len(moving) - g.numel()} "
                 f"independent ones; {len(kept)} are named"
             )
         _dependent(parts, loops or {}, jacobian[:, dependent])
-    model.start_equation(q[dependent], g, "the loops are closed")
+    model.start_equation(q[dependent], g, "closure of the loops")
     model.invariant("position_drift", q[moving], g, "the loops are closed")
     if independent is None:
         return _with_multipliers(parts, loops or {}, dependent, closing_rate)
@@ -368,27 +370,15 @@ def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int
         residual = law(place)[:m]
         if float(ca.norm_inf(residual)) < 1e-12:
             break
-        place -= ca.pinv(ca.densify(full(place)) + 1e-14 * DM.ones(*full.size_out(0))) @ residual
-    rows = [
-        [float(v) for v in ca.horzsplit(row)]
-        for row in ca.vertsplit(ca.reshape(law(place)[m:], m, n))
-    ]
-    largest = max((abs(v) for row in rows for v in row), default=0.0)
-    names, found, open_rows = _rows(loops), list[int](), list(range(m))
-    for column in reversed(range(n)):
-        if not open_rows:
-            break
-        pivot = max(open_rows, key=lambda r: abs(rows[r][column]))
-        if abs(rows[pivot][column]) <= max(REPEATED, 1e-6 * (n > m)) * largest:
-            continue
-        open_rows.remove(pivot)
-        found.append(column)
-        for r in open_rows:
-            factor = rows[r][column] / rows[pivot][column]
-            rows[r] = [a - factor * b for a, b in zip(rows[r], rows[pivot], strict=True)]
-    if open_rows:
+        slope = ca.densify(full(place))  # its rows may repeat each other
+        damped = slope @ slope.T + DAMPING * ca.sumsqr(slope) * DM.eye(m)
+        place -= slope.T @ ca.solve(damped + DM.eye(m) * (ca.sumsqr(slope) == 0), residual)
+    slopes = ca.reshape(law(place)[m:], m, n)
+    found, left = determined(slopes)
+    if left:
+        name = _rows(loops)[first_repeating(slopes, left[0])]
         raise ValueError(
-            f"loop '{names[open_rows[0]]}' repeats others at the start, or the dependent "
+            f"loop '{name}' repeats others at the start, or the dependent "
             "coordinates cannot close it; leave it out, or choose other independent ones"
         )
-    return sorted(found)
+    return found

@@ -167,12 +167,22 @@ def small(loops=None, inertias=None, **options):
     [
         (lambda q: {"one": q[0] - q[1], "two": 2 * q[0] - 2 * q[1]}, "loop '(one|two)' repeats"),
         (lambda q: {"one": q[0] - 1, "two": q[0] ** 2 - 1}, "loop '(one|two)' repeats"),
-        (lambda q: {"both": ca.vertcat(q[0], q[0] + q[1] - q[1])}, "loop 'both_[12]' repeats"),
+        (lambda q: {"both": ca.vertcat(q[0], q[0] + q[1] - q[1])}, "loop 'both_2' repeats"),
+        (lambda q: circle_and_line(q, 0.0), "loop 'sum' repeats"),  # the starts are not on them
+        (lambda q: circle_and_line(q, 1.0), "loop 'sum' repeats"),
+        (lambda q: {"one": q[0] - q[1], "nothing": SX(0)}, "loop 'nothing' repeats"),
     ],
 )
 def test_loop_that_repeats_another_is_named(loops, named):
     with pytest.raises(ValueError, match=named):
         small(loops)
+    with pytest.raises(ValueError, match="repeats others"):  # not a coordinate too many
+        small(loops, independent=0)
+
+
+def circle_and_line(q, offset):
+    circle, line = ca.sumsqr(q[:2]) - 1, q[2] - 2 * q[1]
+    return {"circle": circle, "line": line, "sum": 2 * circle + line + offset}
 
 
 @pytest.mark.parametrize(
