@@ -6,7 +6,9 @@ branch without an error to be seen. The condition of the constraints, which a mo
 monitor, has its pole there; outputs alone would miss it.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -46,7 +48,7 @@ def times_between(dae: Dae, grid: Vector) -> Vector | None:
         dae: A model; one without that monitor has nothing to see.
         grid: Output times, s, (n,).
     """
-    if not dae.algebraics or _condition(dae) is None:  # explicit forms end at such a position
+    if not watches_rank(dae):  # explicit forms end at such a position
         return None
     span = float(grid[-1] - grid[0])
     gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
@@ -61,10 +63,47 @@ def times_between(dae: Dae, grid: Vector) -> Vector | None:
     return np.concatenate((*inner, grid[-1:]))
 
 
-def crossings(
+def close_times(dae: Dae, grid: Vector) -> Vector:
+    """Return even times over the span of a grid, close enough to see a crossing, s."""
+    span = float(grid[-1] - grid[0])
+    gap = min(dae.experiment.output_interval, span / (len(grid) - 1))
+    pieces = int(np.ceil(span / max(gap, span / _MOST_TIMES)))
+    return np.linspace(grid[0], grid[-1], pieces + 1)
+
+
+def watches_rank(dae: Dae) -> bool:
+    """Tell whether a model keeps constraints by multipliers and tells their condition."""
+    return bool(dae.algebraics) and _condition(dae) is not None
+
+
+class RankLoss(NamedTuple):
+    """A position between two outputs, or at one, in which constraints lose rank.
+
+    Attributes:
+        position: Of the output before it.
+        when: s.
+        distance: One over the condition there.
+    """
+
+    position: int
+    when: float
+    distance: float
+
+    def told(self, time: Vector) -> Breach:
+        """Say what it means for a run that has gone on."""
+        after = self.position + 1
+        return Breach(
+            after,
+            f"from {time[after]:g} s on the motion may be another one: the constraints lose rank "
+            f"at {self.when:.4g} s ({MONITOR} {1 / max(self.distance, 1e-16):.0e}), where branches "
+            "of motion meet; dop853 with projection keeps to its own",
+        )
+
+
+def rank_losses(
     dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
-) -> list[Breach]:
-    """Return the first position between outputs, or at one, where constraints lose rank.
+) -> Iterator[RankLoss]:
+    """Yield the positions in which constraints lose rank, in their order; of a stretch, its begin.
 
     Args:
         dae: The model.
@@ -73,14 +112,15 @@ def crossings(
         p: Parameters.
         rank: Last limit of `watching_rank` there, (n,).
     """
-    n, suspects = len(time), _suspects(time, rank)
+    n, lost = len(time), rank * LOST < 1
+    suspects = {*_suspects(time, rank), *(np.flatnonzero(lost[1:]).tolist())}
     if not suspects:
-        return []
-    law, u = _law(dae), np.broadcast_to(u, (len(u), n))
-    for k in suspects:
+        return
+    law, u, last = _law(dae), np.broadcast_to(u, (len(u), n)), -2
+    for k in sorted(suspects):
         # along the motion, and along what it was before and after, lest the branch has changed
         parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
-        found = []
+        found = [(float(rank[k + 1]), float(time[k + 1]))]
         for begin, end in parts:
             at = slice(begin, end)
             end_values = (time[at], states[:, at], algebraics[:, at], u[:, at])
@@ -88,16 +128,10 @@ def crossings(
             curve = _curve(time[at] - time[k], states[:, at], rates)
             found.append(_closest(law, curve, time[k : k + 2], algebraics[:, k], u[:, k], p))
         distance, when = min(found)
-        if distance * LOST < 1:
-            return [
-                Breach(
-                    k + 1,
-                    f"from {time[k + 1]:g} s on the motion may be another one: the constraints "
-                    f"lose rank at {when:.4g} s ({MONITOR} {1 / max(distance, 1e-16):.0e}), where "
-                    "branches of motion meet; dop853 with projection keeps to its own",
-                )
-            ]
-    return []
+        if distance * LOST < 1 and time[0] < when < time[-1]:
+            if k > last + 1:
+                yield RankLoss(k, when, distance)
+            last = k
 
 
 def _condition(dae: Dae) -> SX | None:
@@ -114,18 +148,20 @@ def _law(dae: Dae) -> ca.Function:
 
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:
-    """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
-    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
-    steep = rank[1:-2] * length[:-2] <= SUSPECTED * length[1:-1] * falls[:-2]
-    steep &= falls[2:] < 0
-    if not steep.any():  # as in most runs
+    """Return the intervals in which a run of numbers seems to touch 0 like a modulus.
+
+    The first and the last one have a neighbour on one side only, which stands for both.
+    """
+    if len(time) < 3:
         return []
-    k = 1 + np.flatnonzero(steep)
+    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
     with np.errstate(divide="ignore", invalid="ignore"):  # at a time that stands twice
-        before, after = falls[k - 1] / length[k - 1], -falls[k + 1] / length[k + 1]
-        reach = rank[k] / before + rank[k + 1] / after
-    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[k])
-    return [int(i) for i in k[touched]]
+        slope = falls / length
+        before = np.concatenate((-slope[1:2], slope[:-1]))
+        after = np.concatenate((-slope[1:], slope[-2:-1]))
+        reach = rank[:-1] / before + rank[1:] / after
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length)
+    return [int(k) for k in np.flatnonzero(touched)]
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:
