@@ -11,7 +11,7 @@ from casadi_models.dae import Dae
 from cosim.errors import SolverError
 from cosim.integrate import across
 from cosim.integrate.across import _Crossed, _jump, _passing
-from cosim.integrate.diagnosis.crossing import MONITOR, rank_losses
+from cosim.integrate.diagnosis.crossing import rank_losses
 
 FOUR_BARS = f"{Path(__file__).parents[2] / 'examples' / 'four_bars_a02.py'}:build"
 FIRST = 0.7144  # s, when all bars lie in a line
@@ -148,7 +148,3 @@ def test_run_is_taken_where_another_one_arrives_at_the_same():
 def test_run_is_not_taken_without_evidence(runs, why):
     with pytest.raises(SolverError, match=why):
         passing(runs)
-
-
-def test_monitor_is_recorded_under_its_name(bars):
-    assert MONITOR in [variable.name for variable, _ in bars.monitors]

@@ -16,8 +16,9 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
+from cosim.codegen.rank import LOST, MONITOR, watches_rank
 from cosim.errors import SolverError
-from cosim.integrate.diagnosis.crossing import LOST, MONITOR, close_times, rank_losses, watches_rank
+from cosim.integrate.diagnosis.crossing import close_times, rank_losses
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.run.pieces import input_values

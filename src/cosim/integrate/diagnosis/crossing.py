@@ -12,16 +12,14 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
+from cosim.codegen.rank import LOST, MONITOR, constraint_condition, watches_rank
 from cosim.integrate.diagnosis.validity import Breach
 from cosim.memo import kept_per_thread
 
-MONITOR = "constraint_condition"
-LOST = 1e3  # condition, somewhere between two outputs, that counts as loss of rank
 SUSPECTED = 3.0  # intervals within which lines through neighbours reach 0 from both sides, at most
 _POINTS, _ZOOMS = 33, 4
 _COARSE = 1.5  # of the model's own output interval, at which branches can be told apart
@@ -35,7 +33,7 @@ def watching_rank(dae: Dae) -> Dae:
     It is one over their condition: 1 at best, 0 where rank is lost. A model without that monitor is
     returned as it is.
     """
-    condition = _condition(dae)
+    condition = constraint_condition(dae)
     if condition is None:
         return dae
     return replace(dae, limits=(*dae.limits, (1 / condition, "the constraints have full rank")))
@@ -69,11 +67,6 @@ def close_times(dae: Dae, grid: Vector) -> Vector:
     gap = min(dae.experiment.output_interval, span / (len(grid) - 1))
     pieces = int(np.ceil(span / max(gap, span / _MOST_TIMES)))
     return np.linspace(grid[0], grid[-1], pieces + 1)
-
-
-def watches_rank(dae: Dae) -> bool:
-    """Tell whether a model keeps constraints by multipliers and tells their condition."""
-    return bool(dae.algebraics) and _condition(dae) is not None
 
 
 class RankLoss(NamedTuple):
@@ -134,15 +127,9 @@ def rank_losses(
             last = k
 
 
-def _condition(dae: Dae) -> SX | None:
-    known = [*dae.monitors]
-    known += zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)
-    return next((expression for v, expression in known if v.name == MONITOR), None)
-
-
 @kept_per_thread(8)
 def _law(dae: Dae) -> ca.Function:
-    condition = _condition(dae)
+    condition = constraint_condition(dae)
     assert condition is not None
     return ca.Function("rank", dae.arguments, [1 / condition], {"cse": True})
 

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.rank import watches_rank
 from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
-from cosim.integrate.diagnosis.crossing import watches_rank
 from cosim.integrate.diagnosis.validity import ON_INVALID
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.variants import in_lanes, one_by_one
