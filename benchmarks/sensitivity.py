@@ -97,7 +97,8 @@ def start_of(dae: Dae, p: ca.MX) -> ca.MX:
     """Return the start of every state as an expression of the parameters."""
     from cosim.codegen.initialization import start_function
 
-    return start_function(dae)(ca.DM(list(dae.x_start)), p)[0]
+    u = ca.DM([v.start or 0.0 for v in dae.inputs])
+    return start_function(dae)(0.0, ca.DM(list(dae.x_start)), u, p)[0]
 
 
 def heyoka_runs(

@@ -21,6 +21,8 @@ ALLOWED = {
     "run": ("cli/verbs/*.py",),
     # The command line; what loads it, under the name that scripts have
     "main": ("cli/main.py", "__main__.py"),
+    # What every command imports has no time for `typing`
+    "TYPE_CHECKING": ("__init__.py", "presenters.py"),
     # What `cosim` offers, over that of road one: accuracy and budget besides
     "simulate": ("api.py", "integrate/simulate.py"),
 }

@@ -1,6 +1,6 @@
 """The book's numbers of the bar on a frame: Unit 7, Example 2."""
 
-from casadi_models.dae.printed import Printed
+from casadi_models.printed import Printed
 
 PRINTED = (
     Printed("f1_G_F", 0.0, "-0.2", "lbf"),

@@ -1,6 +1,6 @@
 """The book's numbers of the upright bicycle: Unit 7, Example 3."""
 
-from casadi_models.dae.printed import Printed
+from casadi_models.printed import Printed
 
 PRINTED = (
     Printed("thetaF_dot", 0.0, "-13.1428571", "rad/s"),

@@ -1,6 +1,6 @@
 """The book's numbers of the crank shaft: Unit 7, Example 1."""
 
-from casadi_models.dae.printed import Printed
+from casadi_models.printed import Printed
 
 PRINTED = (
     Printed("fx_A", 0.0, "-6.4994", "lbf"),

@@ -11,9 +11,10 @@ class Invariant:
 
     Attributes:
         states: Positions in `Dae.x` of what a projection may move.
-        residual: Of states and parameters, (m, 1) with m up to the number of those states.
-        sizes: What counts as an equally large move of each of those states, positive; of states
-            and parameters.
+        residual: Of time, states, inputs and parameters, (m, 1), m up to the number of those
+            states.
+        sizes: What counts as an equally large move of each of those states, positive; of the same
+            symbols.
         meaning: What is true while it is zero.
     """
 

@@ -1,4 +1,4 @@
-"""Start values that follow from parameters and from other start values."""
+"""Start values that follow from parameters, from other start values, inputs and time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,10 +10,14 @@ from casadi import SX
 from casadi_models.dae.expressions import is_structurally_regular, quoted, refuse_faulty, symbols
 from casadi_models.dae.variables import Variable
 
+AT_A_START = "time, states, inputs and parameters"  # may stand in start rules and in invariants
+
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
 class StartRule:
     """Start values of some states, from parameters and from starts settled before.
+
+    Inputs and time stand for what they are where a run begins.
 
     Attributes:
         states: Positions in `Dae.x`.
@@ -56,7 +60,14 @@ class Starting:
         self._through: dict[str, str] = {}  # state by output
 
     def start(self, states: SX, expression: Any, meaning: str) -> None:
-        """Calculate starts of states from parameters and other starts, explicitly."""
+        """Calculate starts of states from parameters and other starts, explicitly.
+
+        Args:
+            states: Of this model, (n, 1).
+            expression: Of states whose start is settled before, parameters, inputs and time, which
+                count as they are where a run begins; (n, 1).
+            meaning: The law, for messages.
+        """
         self._start_rule(states, expression, implicit=False, meaning=meaning)
 
     def start_equation(self, states: SX, residual: Any, meaning: str) -> None:
@@ -87,6 +98,10 @@ class Starting:
             refuse_faulty(law, ca.vertcat(x, p), "states and parameters")
             if state in calculated:
                 raise ValueError(f"the start of '{state}' is calculated; '{output}' cannot give it")
+        if self._through:
+            for rule in self._rules:
+                law = {f"start ({rule.meaning}), solved with '{output}',": rule.expression}
+                refuse_faulty(law, ca.vertcat(x, p), "states and parameters")
         return tuple(
             StartThrough(self._variables[output], order.index(state), self._outputs[output])
             for output, state in self._through.items()
@@ -102,12 +117,12 @@ class Starting:
         raise NotImplementedError
 
 
-def refuse_disorder(rules: Sequence[StartRule], x: SX, p: SX) -> None:
+def refuse_disorder(rules: Sequence[StartRule], t: SX, x: SX, u: SX, p: SX) -> None:
     """Refuse rules that cannot be evaluated one after the other.
 
     Args:
         rules: In the order of evaluation.
-        x, p: Symbols of states and parameters, columns.
+        t, x, u, p: Symbols of time, states, inputs and parameters, columns.
 
     Raises:
         ValueError: A rule uses what a start may not depend on or what is not settled before, sets
@@ -117,7 +132,7 @@ def refuse_disorder(rules: Sequence[StartRule], x: SX, p: SX) -> None:
     unsettled = [i for rule in rules for i in rule.states]
     for rule in rules:
         what = f"start ({rule.meaning})"
-        refuse_faulty({what: rule.expression}, ca.vertcat(x, p), "states and parameters")
+        refuse_faulty({what: rule.expression}, ca.vertcat(t, x, u, p), AT_A_START)
         twice = [names[i] for i in rule.states if unsettled.count(i) > 1]
         if twice:
             raise ValueError(f"the start of {quoted(twice)} is calculated twice; keep one rule")

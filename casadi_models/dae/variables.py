@@ -53,7 +53,11 @@ class Variable:
     foreign_unit: bool = False
 
     def __post_init__(self) -> None:
-        if not is_name(self.name) or self.name == "time":
+        if self.name == "time":
+            raise ValueError(
+                "'time' cannot name a variable: it is the independent one; choose another"
+            )
+        if not is_name(self.name):
             raise ValueError(f"{self.name!r} cannot name a variable: use letters, digits and _")
         if not self.foreign_unit:
             shown = self.unit if self.display_unit is None else self.display_unit

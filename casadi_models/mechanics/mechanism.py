@@ -1,7 +1,8 @@
 """Mechanisms with closed loops in one call: to an explicit ODE, or to an index-1 DAE.
 
-Given are coordinates q, their rates u, inertias, loads and loops g(q) = 0. Everything that follows
-from these is declared: speeds, equations of motion, starts on the loops, invariants, monitors.
+Given are coordinates q, their rates u, inertias, loads and loops g(q, t) = 0. Everything that
+follows from these is declared: speeds, equations of motion, starts on the loops, invariants,
+monitors.
 
 Source  Kane & Levinson, Dynamics, 1985; Baumgarte, Comput. Methods Appl. Mech. Eng. 1, 1972.
 """
@@ -60,11 +61,17 @@ class _Parts:
     starts: Mapping[str, float] = field(default_factory=dict)
     driven: tuple[int, ...] = ()
     driven_dot: SX = field(default_factory=lambda: SX(0, 1))
+    clock: SX = field(default_factory=lambda: SX(0, 1))  # time, where something moves with it
 
     @property
     def moving(self) -> list[int]:
         """Coordinates that are not driven."""
         return [i for i in range(len(self.names)) if i not in self.driven]
+
+    @property
+    def moved(self) -> SX:
+        """The rate at which loops open while no coordinate moves."""
+        return ca.jtimes(self.g, self.model.t, SX(1))
 
     def system_of(
         self,
@@ -74,10 +81,12 @@ class _Parts:
         **more: SX,
     ) -> kane.System:
         """Return the system with its roles, in the symbols of `more["q_dot"]`."""
+        q_dot = more.pop("q_dot")
         return kane.System(
-            q=self.q,
+            q=ca.vertcat(self.q, self.clock),
+            q_dot=ca.vertcat(q_dot, SX.ones(self.clock.numel())),
             free=free,
-            prescribed=ca.vertcat(SX(0, 1), *(more["q_dot"][i] for i in self.driven)),
+            prescribed=ca.vertcat(SX(0, 1), *(q_dot[i] for i in self.driven)),
             prescribed_dot=self.driven_dot,
             inertias=tuple(inertias),
             loads=tuple(loads),
@@ -104,8 +113,9 @@ def mechanism(
         model: Has the coordinates as states without derivative.
         q: The coordinates, (n, 1).
         u: What stands for their rates in `inertias` and `loads`: free symbols, (n, 1).
-        inertias, loads: See `kane`; rates linear in u.
-        loops: g(q) of each loop by name, columns of functions of q and parameters.
+        inertias, loads: See `kane`; rates linear in u, up to what time alone moves (a pivot that is
+            shaken). Momenta are of q, u, time and parameters.
+        loops: g(q, t) of each loop by name, columns of functions of q, time and parameters.
         independent: Coordinates whose speeds remain; the others are eliminated and the result is an
             ODE. All speeds remain when None: a DAE with accelerations and loop loads as unknowns,
             which passes where the elimination is singular.
@@ -115,20 +125,24 @@ def mechanism(
         closing_rate: Of drift from the loops in the DAE, 1/s; see `Model.closing_rate`.
 
     Raises:
-        ValueError: A rate is not linear in u, a loop repeats others or depends on something else
-            than q and parameters, or the number of independent coordinates is wrong.
+        ValueError: A rate is not linear in u, a loop or a momentum depends on something whose rate
+            is not known, a loop repeats others, or the number of independent coordinates is wrong.
     """
     names = tuple(variable.name for variable in model.declared(q))
     g = ca.vertcat(SX(0, 1), *(loops or {}).values())
     _refuse_nonlinear(inertias, loads, u)
-    _refuse_moving(model, loops or {})
+    changing = {f"loop '{name}'": SX(rows) for name, rows in (loops or {}).items()}
+    changing |= {f"the momentum of inertia {i}": x.momentum for i, x in enumerate(inertias, 1)}
+    _refuse_foreign(model, changing, ca.vertcat(q, u))
+    moves = ca.depends_on(ca.vertcat(*map(ca.vec, changing.values())), model.t)
+    clock = model.t if moves else SX(0, 1)
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
     for name in (*(speed_starts or {}), *(driven or {})):
         if name not in names:
             raise ValueError(f"start of the speed of '{name}': no such coordinate")
     order = tuple(i for i, name in enumerate(names) if name in (driven or {}))
     told = ca.vertcat(SX(0, 1), *((driven or {})[names[i]] for i in order))
-    parts = _Parts(model, q, u, names, system, g, dict(speed_starts or {}), order, told)
+    parts = _Parts(model, q, u, names, system, g, dict(speed_starts or {}), order, told, clock)
     if not g.numel():
         return _open(parts)
     jacobian = ca.jacobian(g, q)
@@ -177,12 +191,12 @@ def _eliminated(parts: _Parts, dependent: list[int]) -> Mechanism:
         parts.system.loads,
         q_dot=u,
         dependent=u[dependent],
-        constraints=ca.jtimes(parts.g, q, u),
+        constraints=ca.jtimes(parts.g, q, u) + parts.moved,
     )
     solution = kane.accelerations(system)
     jacobian = ca.jacobian(parts.g, q)
     states = _speed_states(parts, known)
-    follow = -ca.solve(jacobian[:, dependent], jacobian[:, known] @ states)
+    follow = -ca.solve(jacobian[:, dependent], jacobian[:, known] @ states + parts.moved)
     speeds = _column(parts, (known, states), (dependent, follow))
     rates = _column(
         parts,
@@ -224,7 +238,7 @@ def _with_multipliers(
             for name in _rows(loops)
         )
     )
-    velocity = ca.jtimes(g, q, speeds)
+    velocity = ca.jtimes(g, q, speeds) + parts.moved
     inertias, loads = _in_states(parts, speeds)
     system = parts.system_of(speeds[moving], inertias, loads, q_dot=speeds, constraints=velocity)
     decay = model.closing_rate(rate)
@@ -235,7 +249,8 @@ def _with_multipliers(
     model.derivative(ca.vertcat(q, speeds), ca.vertcat(speeds, rates))
     jacobian = ca.jacobian(g, q)
     known = [i for i in range(len(parts.names)) if i not in dependent]
-    follow = -ca.solve(jacobian[:, dependent], jacobian[:, known] @ speeds[known])
+    others = jacobian[:, known] @ speeds[known] + parts.moved
+    follow = -ca.solve(jacobian[:, dependent], others)
     model.start(speeds[dependent], follow, "the loops stay closed")
     mass = kane.mass_matrix(system)
     model.invariant(
@@ -319,19 +334,16 @@ def _refuse_nonlinear(
             raise ValueError(f"the rate of {what} is not linear in the speeds")
 
 
-def _refuse_moving(model: Model, loops: Mapping[str, SX]) -> None:
-    """Refuse loops of anything but coordinates and parameters, by name."""
-    for name, rows in loops.items():
-        if ca.depends_on(SX(rows), model.t):
-            raise ValueError(
-                f"loop '{name}' depends on time; let a coordinate of driven={{...}} move it, with "
-                "its acceleration and start"
-            )
-        foreign = ca.symvar(model.numbers(SX(rows), but=SX(0, 1)))
-        if foreign:
-            raise ValueError(
-                f"loop '{name}' depends on '{foreign[0]}', which is no coordinate or parameter"
-            )
+def _refuse_foreign(model: Model, rows: Mapping[str, SX], motion: SX) -> None:
+    """Refuse what depends on something whose rate of change is not known, by name."""
+    known = ca.vertcat(motion, model.t, model.constants)
+    for what, expression in rows.items():
+        for symbol in ca.symvar(SX(expression)):
+            if not ca.depends_on(known, symbol):
+                raise ValueError(
+                    f"{what} depends on '{symbol}', which is no coordinate, parameter or time, and "
+                    "whose rate is not known; let a coordinate of driven={...} move it"
+                )
 
 
 def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int]:

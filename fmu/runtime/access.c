@@ -34,11 +34,11 @@ static unsigned settable(const Instance *self, const VariableInfo *variable) {
     }
 }
 
-/* What follows from a variable and is stale once it is set. */
-static unsigned dependents(const Instance *self, const VariableInfo *variable) {
+/* What is stale once a variable is set: start values may follow from any, up to the end of
+   initialization. */
+static unsigned dependents(const Instance *self) {
     const bool starting = self->state.mode & (INSTANTIATED | INITIALIZATION_MODE);
-    const bool is_start = variable->role == STATE || variable->role == PARAMETER;
-    return starting && is_start ? EVERYTHING : AFTER_START;
+    return starting ? EVERYTHING : AFTER_START;
 }
 
 static const char *role_name(Role role) {
@@ -132,7 +132,7 @@ Status set_values(Instance *self, const uint32_t references[], size_t count,
         if (variable->role == PARAMETER && values[i] != self->state.values[references[i]])
             self->state.retuned = true;
         self->state.values[references[i]] = values[i];
-        self->state.stale |= dependents(self, variable);
+        self->state.stale |= dependents(self);
     }
     return OK;
 }

@@ -2,8 +2,8 @@
 
    Arguments and results, each a vector, in the order of `arg` and `res`:
 
-   model_start              x_guess, p                            -> x, defect (1)
-   model_start_directional  x, p, seed_x, seed_p                  -> sens_x
+   model_start              t, x_guess, u, p                      -> x, defect (1)
+   model_start_directional  t, x, u, p, seed_x, seed_u, seed_p, seed_t -> sens_x
    model_algebraic          t, x, z_guess, u, p                   -> z
    model_ode                t, x, z, u, p                         -> dx
    model_outputs            t, x, z, u, p                         -> y, margins
@@ -12,12 +12,12 @@
    model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
    model_rank               t, x, z, u, p                         -> distance (1)
    model_rank_rate          t, x, z, u, p                         -> its time derivative (1)
-   model_project            x, p                                  -> x_moved, change (1)
+   model_project            t, x, u, p                            -> x_moved, change (1)
    model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
 
-   The start derivative is of x as function of the exact starts and p: calculated entries of seed_x
-   have no influence. model_directional and model_adjoint see z as function of the rest, and so does
-   model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
+   The start derivative is of x as function of t, the exact starts, u and p: calculated entries of
+   seed_x have no influence. model_directional and model_adjoint see z as function of the rest, and
+   so does model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
    model_step integrates from t to t + h with the inputs u + s du, s from 0 to 1.
 
    The model holds while each margin is positive; `limits` in variables.h says what that means.

@@ -33,7 +33,8 @@ static void name_calculated(char text[], size_t size) {
     }
 }
 
-/* Start values: the exact ones stay, the calculated ones follow from them and the parameters. */
+/* Start values: the exact ones stay, the calculated ones follow from them, time, inputs and
+   parameters. */
 static Status settle_start(Instance *self) {
     double *values = self->state.values;
     double guess[ROOM(NX)], x[ROOM(NX)] = {0}, defect = 0;
@@ -42,8 +43,10 @@ static Status settle_start(Instance *self) {
         guess[i] =
             state->start_kind == CALCULATED ? self->state.guesses[i] : values[FIRST_STATE + i];
     }
-    self->arg[0] = guess;
-    self->arg[1] = values + FIRST_PARAMETER;
+    self->arg[0] = values + TIME;
+    self->arg[1] = guess;
+    self->arg[2] = values + FIRST_INPUT;
+    self->arg[3] = values + FIRST_PARAMETER;
     self->res[0] = x;
     self->res[1] = &defect;
     const int failed = model_start(self->arg, self->res, self->iw, self->w, 0);

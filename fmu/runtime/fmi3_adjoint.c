@@ -6,15 +6,15 @@
 #include "fmi3_status.h"
 #include "sensitivity.h"
 
-/* Collect a weight of the start values on exact starts and parameters. The start rules are small:
-   one run forward for each of them is enough. */
+/* Collect a weight of the start values on what they follow from. The start rules are small: one run
+   forward for each of these is enough. */
 static Status collect_from_starts(Instance *self, double weight[]) {
     double collected[N_VARIABLES];
     memcpy(collected, weight, sizeof collected);
-    for (int known = FIRST_STATE; known < FIRST_OUTPUT; known++) {
+    for (int known = TIME; known < FIRST_OUTPUT; known++) {
         const Role role = variables[known].role;
-        if (role != STATE && role != PARAMETER) continue;
-        double along[N_VARIABLES] = {[TIME] = 0};
+        if (role == DERIVATIVE || role == ALGEBRAIC) continue;
+        double along[N_VARIABLES] = {0};
         along[known] = 1;
         const Status status = spread_to_starts(self, along);
         if (status != OK) return status;

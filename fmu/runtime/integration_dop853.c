@@ -29,14 +29,19 @@ typedef struct {
     int trials; /* of steps that are left: MOST_TRIALS of model.h bound the time of a call */
 } Problem;
 
+static void inputs_at(const Problem *self, double t, double u[]) {
+    const State *state = &self->fmu->state;
+    for (int i = 0; i < NU; i++)
+        u[i] = state->values[FIRST_INPUT + i] + state->slopes[i] * (t - self->began);
+}
+
 /* dx/dt; the algebraic unknowns are solved from their last values. */
 static int problem_slope(void *problem, double t, const double *x, double *dx) {
     Problem *self = problem;
     Instance *fmu = self->fmu;
     const double *values = fmu->state.values;
     double u[ROOM(NU)] = {0}, z[ROOM(NZ)] = {0};
-    for (int i = 0; i < NU; i++)
-        u[i] = values[FIRST_INPUT + i] + fmu->state.slopes[i] * (t - self->began);
+    inputs_at(self, t, u);
     fmu->arg[0] = &t;
     fmu->arg[1] = x;
     fmu->arg[2] = self->z;
@@ -64,15 +69,13 @@ static const double GAP = 7.0 / 15;
 
 static double distance_at(Problem *self, double t, const double *x, double *rate) {
     Instance *fmu = self->fmu;
-    const double *values = fmu->state.values;
     double u[ROOM(NU)] = {0};
-    for (int i = 0; i < NU; i++)
-        u[i] = values[FIRST_INPUT + i] + fmu->state.slopes[i] * (t - self->began);
+    inputs_at(self, t, u);
     fmu->arg[0] = &t;
     fmu->arg[1] = x;
     fmu->arg[2] = self->z;
     fmu->arg[3] = u;
-    fmu->arg[4] = values + FIRST_PARAMETER;
+    fmu->arg[4] = fmu->state.values + FIRST_PARAMETER;
     return rank_at(fmu, rate);
 }
 
@@ -87,8 +90,10 @@ static double time_to_loss(Problem *self, double t, const double *x) {
 /* Move the end of a step to where the constraints hold, if they are poor there; false where that
    cannot be, or rank is lost. */
 static bool keep_to_constraints(Problem *self, double t, double *x) {
+    double u[ROOM(NU)] = {0};
+    inputs_at(self, t, u);
     const double distance = distance_at(self, t, x, NULL);
-    return distance >= POOR || (distance >= LEAST_RANK && restore(self->fmu, x));
+    return distance >= POOR || (distance >= LEAST_RANK && restore(self->fmu, t, u, x));
 }
 #else
 static double time_to_loss(Problem *self, double t, const double *x) {

@@ -27,11 +27,13 @@ double rank_at(Instance *self, double *rate) {
     return distance;
 }
 
-bool restore(Instance *self, double x[]) {
+bool restore(Instance *self, double t, const double u[], double x[]) {
     for (int i = 0; i < MOST_CORRECTIONS; i++) {
         double moved[NX], change = 0;
-        self->arg[0] = x;
-        self->arg[1] = self->state.values + FIRST_PARAMETER;
+        self->arg[0] = &t;
+        self->arg[1] = x;
+        self->arg[2] = u;
+        self->arg[3] = self->state.values + FIRST_PARAMETER;
         self->res[0] = moved;
         self->res[1] = &change;
         if (model_project(self->arg, self->res, self->iw, self->w, 0) || !isfinite(change))

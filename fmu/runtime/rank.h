@@ -13,8 +13,8 @@ INSIDE_BEGIN
    passed, 1 at best; 0 where it has no number. Its rate is wanted where `rate` is not NULL. */
 double rank_at(Instance *self, double *rate);
 
-/* Move states to where the constraints hold; false where that cannot be done. */
-bool restore(Instance *self, double x[]);
+/* Move the states of a time to where the constraints hold; false where that cannot be done. */
+bool restore(Instance *self, double t, const double u[], double x[]);
 
 /* Begin to watch; note an evaluation; look back over a step that is completed, and return `status`
    where the constraints have lost rank on the way. Derivatives must be fresh. */

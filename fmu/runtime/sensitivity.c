@@ -61,13 +61,18 @@ Status gather(Instance *self, const uint32_t references[], size_t count, const d
     return OK;
 }
 
-/* Spread a seed of exact starts and parameters to the calculated start values. */
+/* Spread a seed of what start values follow from to the calculated ones. */
 Status spread_to_starts(Instance *self, double seed[]) {
     double x[ROOM(NX)] = {0};
-    self->arg[0] = self->state.values + FIRST_STATE;
-    self->arg[1] = self->state.values + FIRST_PARAMETER;
-    self->arg[2] = seed + FIRST_STATE;
-    self->arg[3] = seed + FIRST_PARAMETER;
+    const double *values = self->state.values;
+    self->arg[0] = values + TIME;
+    self->arg[1] = values + FIRST_STATE;
+    self->arg[2] = values + FIRST_INPUT;
+    self->arg[3] = values + FIRST_PARAMETER;
+    self->arg[4] = seed + FIRST_STATE;
+    self->arg[5] = seed + FIRST_INPUT;
+    self->arg[6] = seed + FIRST_PARAMETER;
+    self->arg[7] = seed + TIME;
     self->res[0] = x;
     const Status status = run(self, model_start_directional);
     if (status == OK) memcpy(seed + FIRST_STATE, x, NX * sizeof(double));

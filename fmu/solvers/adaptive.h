@@ -35,7 +35,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         const int lost = stages(&ode, t, h, x, k, end);
         const double error = lost ? NAN : error_of(&ode, h, x, end, k);
         const double after = final ? stop : t + h;
-        if (!(error <= 1) || restore(self, end) || slope(&ode, after, end, k[END]) ||
+        if (!(error <= 1) || restore(self, after, end) || slope(&ode, after, end, k[END]) ||
             !is_finite(k[END])) {
             h *= error > 1 ? growth(error, rejected) : 0.1;
             rejected = 1;
@@ -48,7 +48,8 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             double *column = out + next * NX;
             if (grid->times[next] < after) {
                 evaluate(&piece, grid->times[next], column);
-                if (restore(self, column) || !is_finite(column)) return NOT_FINITE;
+                if (restore(self, grid->times[next], column) || !is_finite(column))
+                    return NOT_FINITE;
             } else {
                 memcpy(column, end, sizeof end);
             }

@@ -37,7 +37,7 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             }
             method.sum(method.stages, (const double (*)[NX])k, sum);
             for (int i = 0; i < NX; ++i) x[i] += h * sum[i];
-            if (restore(self, x)) return NOT_FINITE;
+            if (restore(self, part + 1 < parts ? t + h : grid->times[next], x)) return NOT_FINITE;
             ++self->steps;
         }
         if (!is_finite(x)) return NOT_FINITE;

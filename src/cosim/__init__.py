@@ -10,12 +10,16 @@
 Names are imported when first used, so that `import cosim` costs nothing.
 """
 
+from __future__ import annotations
+
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from cosim.presenters import present_by
 
+TYPE_CHECKING = False  # as of `typing`, which takes as long to import as all of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from casadi_models.dae import Dae, Model
     from cosim import errors, solvers
     from cosim.api import run_scene, simulate

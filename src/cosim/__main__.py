@@ -7,19 +7,27 @@ import sys
 def main() -> int:
     """Run the command line; return the exit code.
 
-    Imports take most of the time of a short command: Ctrl-C ends it there, too. When all is done
-    it has nothing left to end, and only the word of a process that Python is leaving would say so.
+    Imports take most of the time of a short command: Ctrl-C ends it there, too.
     """
     try:
-        from cosim.cli.main import main as command
+        from cosim.cli.main import main as run_command_line
 
-        code = command()
+        return run_command_line()
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        code = 130
+        return 130
+
+
+def command() -> int:
+    """Run the command line as all that this process is for; return the exit code.
+
+    When it is done Ctrl-C has nothing left to end, and only the word of a process that Python is
+    leaving would say so.
+    """
+    code = main()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     return code
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command())

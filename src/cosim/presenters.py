@@ -3,9 +3,14 @@
 `cosim/__init__` comes before every other module of the package, so that the names are there.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
+
 from importlib import import_module
-from typing import Any
+
+TYPE_CHECKING = False  # see `cosim/__init__`
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
 
 _PRESENTERS: dict[str, str] = {}
 

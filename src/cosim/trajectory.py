@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,10 +18,10 @@ from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
 from cosim.presenters import presenter
 from cosim.series.column import Column, summary_rows
-from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_columns
+from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_csv
 from cosim.series.frames import data_frame, data_set
 from cosim.series.interpolation import resample, times_within
-from cosim.series.npz_file import npz_bytes, read_npz
+from cosim.series.npz_file import read_npz, write_npz
 from cosim.text.tables import MOST_LINES, Table, html_table, text_table
 
 if TYPE_CHECKING:
@@ -302,17 +301,7 @@ class Trajectory:
             UsageError: The target is neither.
             UnknownName: There is no such kind of units.
         """
-        if not isinstance(target, str | os.PathLike):
-            if not hasattr(target, "write"):
-                raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
-            write_columns(target, self.columns, self.time, self.values, units)
-            return
-        from cosim.files import written_atomically  # only where a file is wanted
-
-        with written_atomically(target) as file:
-            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-            write_columns(text, self.columns, self.time, self.values, units)
-            text.detach()
+        write_csv(target, self.columns, self.time, self.values, units)
 
     def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
         """Write everything, bit for bit, as a file of numpy; see `from_npz`.
@@ -326,13 +315,7 @@ class Trajectory:
         facts: dict[str, Any] = {"model": self.model, "stats": dict(self.stats)}
         facts |= {"status": self.status}
         facts |= {"numbers": None if self.numbers is None else dict(self.numbers)}
-        content = npz_bytes(self.columns, self.time, self.values, facts)
-        if not isinstance(target, str | os.PathLike):
-            target.write(content)
-            return
-        from cosim.files import write_atomically  # only where a file is wanted
-
-        write_atomically(target, content)
+        write_npz(target, self.columns, self.time, self.values, facts)
 
     @classmethod
     def from_npz(cls, source: str | os.PathLike[str] | BinaryIO) -> Trajectory:

@@ -29,7 +29,8 @@ def native(dae: Dae) -> ca.Function:
 
 def point(dae: Dae) -> tuple[np.ndarray, np.ndarray]:
     """Return a state near the start, and the model's own start."""
-    start = start_function(dae)(list(dae.x_start), numbers(dae.parameters))[0].full().ravel()
+    known = list(dae.x_start), numbers(dae.inputs), numbers(dae.parameters)
+    start = start_function(dae)(0.0, *known)[0].full().ravel()
     nominal = np.array([state.nominal for state in dae.states])
     return start + 0.05 * nominal * np.random.default_rng(3).standard_normal(len(start)), start
 

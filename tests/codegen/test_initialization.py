@@ -40,7 +40,7 @@ def algebraic(residual, guess=0.5, start=1.0):
 
 
 def starts(dae, **given):
-    return start_values(dae, assign(dae, given))
+    return start_values(dae, 0.0, assign(dae, given))
 
 
 # -- start values ---------------------------------------------------------------------------------

@@ -182,12 +182,21 @@ def test_start_calculated_twice_is_refused(same_rule):
         model.freeze()
 
 
-@pytest.mark.parametrize("outside", ["u", "z", "time", "stranger"])
-def test_rule_may_use_states_and_parameters_only(outside):
-    model, x, _, _, z, u = oscillator()
-    symbol = {"u": u, "z": z, "time": model.t, "stranger": SX.sym("stranger")}[outside]
-    model.start(x, symbol, "law")
-    with refusal(rf"start \(law\) uses '{outside}'; only states and parameters and finite"):
+@pytest.mark.parametrize("outside", ["z", "stranger"])
+def test_rule_may_not_use_what_is_unknown_where_a_run_begins(outside):
+    model, x, _, _, z, _ = oscillator()
+    model.start(x, {"z": z, "stranger": SX.sym("stranger")}[outside], "law")
+    allowed = "time, states, inputs and parameters"
+    with refusal(rf"start \(law\) uses '{outside}'; only {allowed} and finite"):
+        model.freeze()
+
+
+def test_start_given_through_an_output_cannot_be_solved_beside_rules_of_time_or_inputs():
+    model, x, v, _, _, u = oscillator()
+    model.start(x, u, "law")
+    model.output("both", "m/s", 2 * v + x, "rate and place")
+    model.start_through(v, "both")
+    with refusal(r"start \(law\), solved with 'both', uses 'u'; only states and parameters"):
         model.freeze()
 
 

@@ -104,10 +104,36 @@ def test_ctrl_c_while_modules_are_loaded_is_one_word():
 def test_ctrl_c_while_python_leaves_changes_nothing():
     code = (
         "import atexit, os, signal, sys\n"
-        "from cosim.__main__ import main\n"
+        "from cosim.__main__ import command\n"
         "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
-        "sys.exit(main())\n"
+        "sys.exit(command())\n"
     )
     done = cosim_list(code)
     assert (done.returncode, done.stderr) == (0, "")
     assert "bicycle" in done.stdout
+
+
+def test_command_line_leaves_ctrl_c_to_the_program_that_calls_it():
+    code = (
+        "import signal, sys\n"
+        "from cosim.__main__ import main\n"
+        "usual = signal.getsignal(signal.SIGINT)\n"
+        "sys.exit(main() or signal.getsignal(signal.SIGINT) is not usual)\n"
+    )
+    assert cosim_list(code).returncode == 0
+
+
+def test_little_is_loaded_before_ctrl_c_is_looked_after():
+    code = (
+        "import sys\n"
+        "before = {*sys.modules}\n"
+        "import cosim.__main__\n"
+        "print(*sorted({*sys.modules} - before))\n"
+    )
+    loaded = {*cosim_list(code).stdout.split()}
+    assert {name for name in loaded if name.startswith("cosim")} == {
+        "cosim",
+        "cosim.__main__",
+        "cosim.presenters",
+    }
+    assert not loaded & {"typing", "argparse", "pathlib", "importlib.metadata"}

@@ -52,6 +52,15 @@ def rocket_that_burns():  # the same: m' = -u^2
     return dae
 
 
+@accepted(x=E1 * 3.0)
+def start_of_an_input():  # set_init with what is known where a run begins
+    dae, x = decay()
+    t, u = dae.add("t", "independent"), dae.add("u", "input", {"start": 2})
+    dae.eq(dae.der(x), -x)
+    dae.set_init("x", u + ca.exp(t))
+    return dae
+
+
 @accepted(x=E1**0.5, z=E1**0.5 / 2)
 def algebraic():  # CasADi, `inputs`: 0 = x - 2 z
     dae, x = decay()

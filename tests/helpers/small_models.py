@@ -14,6 +14,24 @@ def decay(name: str = "decay", *, rate: float = 0.5) -> Dae:
     return model.freeze()
 
 
+def late() -> Dae:
+    """Return x' = u - k x, w' = -w, v' = u / 10, whose starts follow from when and where it begins.
+
+    x = 2 u + t v,  w^3 + w = u x + t + v + k
+    """
+    model = Model("late", description="starts of time and inputs", stop_time=1.0)
+    x, w, v = (model.state(n, "m", start, n) for n, start in (("x", 0.0), ("w", 0.3), ("v", 0.5)))
+    u = model.input("u", "m", 0.5, "target")
+    k = model.parameter("k", "1/s", 2.0, "rate")
+    model.derivative(x, u - k * x)
+    model.derivative(w, -w)
+    model.derivative(v, 0.1 * u)
+    model.start(x, 2 * u + model.t * v, "law of x")
+    model.start_equation(w, w**3 + w - u * x - model.t - v - k, "law of w")
+    model.output("y", "m", x + w, "sum")
+    return model.freeze()
+
+
 def table() -> Dae:
     """Return outputs of time and an input, without a state."""
     model = Model("table", description="no state", source="a test", stop_time=1.0)

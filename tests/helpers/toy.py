@@ -2,7 +2,7 @@
 
     q' = v,  v' = a,  w' = -w sqrt(q + 10),  s' = blow s^2        s blows up at 1 / (blow s(0))
     0 = mass a + damping v + stiffness q - force - 0.1 r,   0 = r - 2 a - w
-    w(0): w + w^2 = load
+    w(t0): w + w^2 = load + push t0
 
 Made without the exporter, so that the contract is written down twice.
 """
@@ -88,7 +88,8 @@ def toy() -> Equations:
     alg = ca.vertcat(mass * a + damping * v + stiffness * q - force - 0.1 * r, r - 2 * a - w)
     energy = mass * v**2 / 2 + stiffness * q**2 / 2
     y = ca.vertcat(energy, q * ca.sin(3 * t) + push, ca.log(q + 5))
-    return Equations(t, x, z, u, p, ode, alg, y, w + w**2 - load, calculated=2, margins=2 - q)
+    start = w + w**2 - load - push * t
+    return Equations(t, x, z, u, p, ode, alg, y, start, calculated=2, margins=2 - q)
 
 
 def bare() -> Equations:
@@ -202,7 +203,7 @@ def _rank_functions(m: Equations) -> list[ca.Function]:
     return [
         ca.Function("model_rank", known, [distance]),
         ca.Function("model_rank_rate", known, [ca.jtimes(distance, m.x, m.ode)]),
-        ca.Function("model_project", [m.x, m.p], [m.x, 0]),
+        ca.Function("model_project", [m.t, m.x, m.u, m.p], [m.x, 0]),
     ]
 
 
@@ -219,23 +220,25 @@ def _cumulated(*columns: SX) -> list[int]:
 
 
 def _start_functions(m: Equations) -> list[ca.Function]:
-    guess, p = MX.sym("guess", m.x.numel()), MX.sym("p", m.p.numel())
+    known = [MX.sym("known", k.numel()) for k in (m.t, m.x, m.u, m.p)]
+    t, guess, u, p = known
     x, defect = guess, MX(0)
     if m.calculated is not None:
-        unknown = m.x[m.calculated]
+        unknown, given = m.x[m.calculated], ca.vertcat(m.t, m.u, m.p)
         solve = ca.rootfinder(
-            "solve", "fast_newton", {"x": unknown, "p": m.p, "g": m.start},
+            "solve", "fast_newton", {"x": unknown, "p": given, "g": m.start},
             {"linear_solver": "qr", "abstol": 1e-13},
         )  # fmt: skip
-        root = solve(guess[m.calculated], p)
+        root = solve(guess[m.calculated], ca.vertcat(t, u, p))
         x = ca.vertcat(guess[: m.calculated], root, guess[m.calculated + 1 :])
-        defect = ca.fabs(ca.Function("g", [unknown, m.p], [m.start])(root, p))
-    seed_x, seed_p = MX.sym("seed_x", x.numel()), MX.sym("seed_p", p.numel())
-    inputs = [guess, p]
-    forward = ca.jtimes(x, ca.vertcat(guess), seed_x) + ca.jtimes(x, p, seed_p)
+        residual = ca.Function("g", [unknown, given], [m.start])
+        defect = ca.fabs(residual(root, ca.vertcat(t, u, p)))
+    moved = (guess, u, p, t)
+    seeds = [MX.sym("seed", k.numel()) for k in moved]
+    forward = ca.jtimes(x, ca.vertcat(*moved), ca.vertcat(*seeds))
     return [
-        ca.Function("model_start", inputs, [x, defect]),
-        ca.Function("model_start_directional", [*inputs, seed_x, seed_p], [forward]),
+        ca.Function("model_start", known, [x, defect]),
+        ca.Function("model_start_directional", [*known, *seeds], [forward]),
     ]
 
 

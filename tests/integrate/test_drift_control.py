@@ -106,14 +106,14 @@ def test_projection_leaves_the_order_of_accuracy(rtol):
 def test_projection_moves_along_the_shortest_way():
     project, x = projection_step(circle(), 1), ca.DM([3.0, 4.0]) * 0.21
     for _ in range(6):
-        x, change = project(x, 1.0)
+        x, change = project(0.0, x, [], 1.0)
     np.testing.assert_allclose(x.full().ravel(), [0.6, 0.8], atol=1e-15)  # measured 0
     assert float(change) < 1e-15
 
 
 def test_projection_moves_states_of_large_nominal_more():
     place = np.array([0.65, 0.85])
-    moved, change = projection_step(circle(nominal=10.0), 1)(place, 1.0)
+    moved, change = projection_step(circle(nominal=10.0), 1)(0.0, place, [], 1.0)
     move = moved.full().ravel() - place
     assert move[0] / move[1] == pytest.approx(100 * 0.65 / 0.85)  # least norm of (x / 10, y)
     assert float(change) == pytest.approx(np.abs(move / [10, 1]).max())

@@ -61,6 +61,18 @@ def test_run_out_of_the_domain_stops_before_it(solver, compiled):
     assert 1.5 < END_OF_LEVEL < 1.55
 
 
+@pytest.mark.parametrize("solver", ["cvodes", "dop853"])
+def test_run_of_many_steps_says_that_closer_output_times_allow_more(solver):
+    """A spring of 80,000 rad/s, whose 25,000 swings have more steps than one interval allows."""
+    fast = Model("fast", stop_time=2.0, output_interval=2.0)
+    x, v = fast.state("x", "m", 1.0, "place"), fast.state("v", "m/s", 0.0, "speed", nominal=8e4)
+    fast.derivative(x, v)
+    fast.derivative(v, -(8e4**2) * x)
+    said = str(failure(fast.freeze(), solver=solver, compiled=True))
+    assert said.endswith("or closer output times (for 100,000 steps from one to the next)")
+    assert "closer output times" not in str(failure(blow_up(), solver=solver, compiled=True))
+
+
 CASES = [
     *((blow_up, solver, False) for solver in INTERPRETED),
     *((emptying, solver, True) for solver in SOLVERS),

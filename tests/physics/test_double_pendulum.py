@@ -53,7 +53,7 @@ def started(equations, **parameters):
     """Return parameters and the states that follow from them."""
     dae = equations.dae
     given = {v.name: v.start for v in dae.parameters} | parameters
-    x, _ = rules(dae)(dae.x_start, list(given.values()))
+    x, _ = rules(dae)(0.0, dae.x_start, [], list(given.values()))
     return given | dict(zip((v.name for v in dae.states), x.full().ravel().tolist(), strict=True))
 
 

@@ -124,8 +124,8 @@ UNKNOWNS = ("q", "q_dot", "v_dot", "w_dot", "s_dot", "a", "r", "energy", "wave",
 @pytest.mark.parametrize("mode", ["initialization", "continuous"])
 def test_adjoint_and_directional_derivatives_have_the_same_jacobian(fmi3, mode):
     fmu = fmi3()
-    assert fmu.set(q=0.7, v=-0.3, s=1.2, load=3.0, blow=0.2) == OK
-    assert fmu.enter() == OK
+    assert fmu.set(q=0.7, v=-0.3, s=1.2, load=3.0, blow=0.2, push=0.7) == OK
+    assert fmu.enter(start=0.4) == OK
     knowns, unknowns = ["time", "q", "v", "s", "force", "push", "mass", "load", "blow"], UNKNOWNS
     if mode == "initialization":
         unknowns = ("w", *UNKNOWNS)

@@ -38,6 +38,19 @@ def test_the_calculated_start_follows_a_parameter_set_in_initialization_mode(me)
     assert me.get("w")[0] == pytest.approx(2.0, abs=1e-12)  # 2 + 4 = 6
 
 
+def test_the_calculated_start_follows_an_input_and_the_start_time(me):
+    me.set_up(0.5)
+    me("EnterInitializationMode")
+    assert me.get("w")[0] == pytest.approx(1.0, abs=1e-12)
+    assert me.set(push=8.0) == OK
+    assert me.get("w")[0] == pytest.approx(2.0, abs=1e-12)  # 2 + 4 = 2 + 8 / 2
+    assert me("Reset") == OK
+    continuous(me.initialize({"start": 0.5}, push=8.0))
+    (w,) = me.get("w")
+    assert me.set(push=0.0) == me("SetTime", 0.7) == OK
+    assert me.get("w") == [w]
+
+
 def test_a_calculated_start_has_the_same_bits_whatever_was_solved_before(me, fmi2):
     me.set_up()
     me("EnterInitializationMode")

@@ -81,22 +81,23 @@ def test_time_can_be_a_known(me):
     )
 
 
-def test_in_initialization_calculated_starts_follow_the_parameters(me):
+def test_in_initialization_calculated_starts_follow_parameters_inputs_and_time(me):
     unknowns = ("w", *UNKNOWNS)
-    knowns = {"q": 0.8, "force": 0.3} | PARAMETERS
+    knowns = {"time": 0.4, "q": 0.8, "force": 0.3, "push": 0.7} | PARAMETERS
 
     def evaluate(values):
         me("Reset")
-        me.set_up()
+        me.set_up(values["time"])
         me("EnterInitializationMode")
-        assert me.set(**values) == OK
+        assert me.set(**{name: value for name, value in values.items() if name != "time"}) == OK
         return me.get(*unknowns)
 
     expected = differences(evaluate, knowns)
     evaluate(knowns)
     error = np.abs(jacobian(me, unknowns, knowns) - expected).max()
     assert error < 1e-9  # of the differences; measured 1.1e-10
-    assert abs(expected[0, list(knowns).index("load")]) > 0.1  # w does depend on load
+    on_w = dict(zip(knowns, expected[0], strict=True))
+    assert min(abs(on_w[name]) for name in ("load", "push", "time")) > 0.1  # w does depend on them
 
 
 def test_seeds_add_up(me):

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.series import csv_file
 from cosim.series.column import Column
-from cosim.series.csv_file import repr_17, write_columns
+from cosim.series.csv_file import repr_17, write_csv
 from cosim.trajectory import Trajectory
 
 
@@ -22,7 +22,7 @@ def test_every_row_is_written_once_and_every_number_in_17_digits(n, monkeypatch)
     monkeypatch.setattr(csv_file, "_BLOCK", 5)
     time, values = table(n)
     stream = io.StringIO()
-    write_columns(stream, [Column(name) for name in "abc"], time, values, "si")
+    write_csv(stream, [Column(name) for name in "abc"], time, values, "si")
     rows = np.column_stack((time, values)).tolist()
     expected = ["time,a,b,c", *(",".join(map(repr_17, row)) for row in rows)]
     assert stream.getvalue().splitlines() == expected

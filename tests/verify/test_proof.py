@@ -87,7 +87,7 @@ def test_model_exchange_takes_as_many_steps_as_it_needs(tmp_path, monkeypatch):
     finer = simulate_fmu(path, output_interval=0.02, **options)
     assert "note" not in finer.stats
     assert run["x"][-1] == pytest.approx(finer["x"][-1], abs=1e-5)  # measured 7e-7
-    monkeypatch.setattr(patient, "MOST_STEPS", 500)
+    monkeypatch.setattr(patient, "PATIENT_STEPS", 500)
     with pytest.raises(FmuError, match=r"mxstep.*looser relative tolerance, or co-simulation"):
         simulate_fmu(path, output_interval=2.0, **options)
 

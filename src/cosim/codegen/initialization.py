@@ -12,30 +12,40 @@ from casadi_models.dae import Dae, StartRule
 from cosim.codegen.functions import CALL, symbols_like
 from cosim.memo import kept_per_thread
 
+KNOWN = ["t", "x", "u", "p"]
 DEFECT_LIMIT = 1e-9  # of an implicit start equation, as a Newton step relative to the states' size
 
 
 @kept_per_thread(16)
 def start_function(dae: Dae) -> ca.Function:
-    """Return `model_start(x, p) -> (x, defect)`: exact starts kept, calculated ones solved.
+    """Return `model_start(t, x, u, p) -> (x, defect)`: exact starts kept, calculated ones solved.
 
     `defect` is the largest Newton step left in an implicit start rule; not a number where its
     solution does not exist.
     """
-    x, p = MX.sym("x", dae.x.numel()), MX.sym("p", dae.p.numel())
+    t, x, _, u, p = symbols_like(dae)
     rows, defect = ca.vertsplit(x), MX(0)
     for i, rule in enumerate(dae.start_rules):
-        current = ca.vertcat(*rows)
+        known = [t, ca.vertcat(*rows), u, p]
         if rule.implicit:
-            solution, left = _solve_rule(dae, rule, f"start_{i}", current, p)
+            solution, left = _solve_rule(dae, rule, f"start_{i}", known)
             defect += left  # a sum keeps what is not a number
         else:
-            law = ca.Function(f"start_{i}", [dae.x, dae.p], [rule.expression], {"cse": True})
-            solution = law(current, p)
+            solution = law_of_knowns(dae, f"start_{i}", rule.expression)(*known)
         for row, value in zip(rule.states, ca.vertsplit(solution), strict=True):
             rows[row] = value
     result = ca.vertcat(MX(0, 1), *rows)
-    return ca.Function("model_start", [x, p], [result, defect], ["x", "p"], ["x_start", "defect"])
+    return ca.Function("model_start", [t, x, u, p], [result, defect], KNOWN, ["x_start", "defect"])
+
+
+def law_of_knowns(dae: Dae, name: str, *expressions: SX) -> ca.Function:
+    """Return a function of all but the algebraic unknowns: `(t, x, u, p) -> expressions`."""
+    return ca.Function(name, knowns(dae), [*expressions], {"cse": True})
+
+
+def knowns(dae: Dae) -> list[SX]:
+    """Return the symbols t, x, u, p of a model: what its algebraic unknowns follow from."""
+    return [dae.t, dae.x, dae.u, dae.p]
 
 
 @kept_per_thread(16)
@@ -51,13 +61,11 @@ def algebraic_function(dae: Dae) -> ca.Function:
     t, x, z, u, p = symbols_like(dae)
     if not ca.depends_on(matrix, dae.z):
         offset = ca.substitute(dae.alg, dae.z, SX.zeros(dae.z.numel()))
-        linear = ca.Function(
-            "linear_alg", [dae.t, dae.x, dae.u, dae.p], [matrix, -offset], {"cse": True}
-        )
+        linear = law_of_knowns(dae, "linear_alg", matrix, -offset)
         slope, negated = linear(t, x, u, p)
         solution = ca.solve(slope, negated, "qr")
     else:
-        known = [dae.t, dae.x, dae.u, dae.p]
+        known = knowns(dae)
         root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
     return ca.Function("model_algebraic", [t, x, z, u, p], [solution], CALL, ["z_solved"])
@@ -73,18 +81,19 @@ def usual_start(dae: Dae) -> tuple[ca.DM, ca.DM, list[float], list[float]]:
         [float(variable.start or 0.0) for variable in group]
         for group in (dae.parameters, dae.inputs, dae.algebraics)
     )
-    x, _ = start_function(dae)(list(dae.x_start), p)
+    x, _ = start_function(dae)(0.0, list(dae.x_start), u, p)
     return x, algebraic_function(dae)(0.0, x, guess, u, p), u, p
 
 
-def _solve_rule(dae: Dae, rule: StartRule, name: str, x: MX, p: MX) -> tuple[MX, MX]:
+def _solve_rule(dae: Dae, rule: StartRule, name: str, arguments: list[MX]) -> tuple[MX, MX]:
     unknown = SX.sym("unknown", len(rule.states))
     filled = dae.x + 0
     for i, row in enumerate(rule.states):
         filled[row] = unknown[i]
     expression = ca.substitute(rule.expression, dae.x, filled)
+    _, x, _, _ = arguments
     guess = ca.vertcat(*(x[i] for i in rule.states))
-    return _newton_root(name, unknown, expression, [dae.x, dae.p], guess, [x, p])
+    return _newton_root(name, unknown, expression, knowns(dae), guess, arguments)
 
 
 def _newton_root(

@@ -16,6 +16,13 @@ def constraint_condition(dae: Dae) -> SX | None:
     return next((expression for v, expression in known if v.name == MONITOR), None)
 
 
+def distance_from_loss(dae: Dae) -> SX:
+    """Return one over the condition of a model that tells it: 1 at best, 0 where rank is lost."""
+    condition = constraint_condition(dae)
+    assert condition is not None
+    return 1 / condition
+
+
 def watches_rank(dae: Dae) -> bool:
     """Tell whether a model keeps constraints by multipliers and tells their condition."""
     return bool(dae.algebraics) and constraint_condition(dae) is not None

@@ -12,6 +12,19 @@ MARK = "COSIM_RUN"  # of the environment: `/OURS/ITS/...`; children inherit it
 _DIE_WITH_PARENT, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of Linux
 
 
+# Exit codes of SIGKILL, for want of memory too, and of SIGTERM; on Windows those that its tools and
+# Python give to `TerminateProcess`
+_KILLED = {"posix": (-9, -15), "nt": (1, 15)}
+
+
+def was_killed(code: int | None, system: str = os.name) -> bool:
+    """Tell by its exit code whether a process was ended from outside.
+
+    On Windows an error that nobody caught, whose exit code is 1, cannot be told from that.
+    """
+    return code in _KILLED.get(system, ())
+
+
 def end_all(process: int, mark: str) -> None:
     """End a process, its group, and on Linux all that carry a mark in their environment.
 

@@ -5,7 +5,12 @@ import numpy as np
 
 from casadi_models.dae import Dae, StartRule
 from cosim.arrays import Vector
-from cosim.codegen.initialization import DEFECT_LIMIT, algebraic_function, start_function
+from cosim.codegen.initialization import (
+    DEFECT_LIMIT,
+    algebraic_function,
+    law_of_knowns,
+    start_function,
+)
 from cosim.errors import InitialConditionError
 from cosim.memo import kept_per_thread
 from cosim.model.values import Values
@@ -14,22 +19,22 @@ DEPENDENT = 1e-14  # least singular value, over the largest, of rows of length 1
 WILD = 1e10  # nominal values: unknowns of such a size are looked at twice
 
 
-def start_values(dae: Dae, values: Values) -> Vector:
-    """Return the start of every state, (nx,).
+def start_values(dae: Dae, t: float, values: Values) -> Vector:
+    """Return the start of every state where a run begins at t [s], (nx,).
 
     Raises:
         InitialConditionError: A calculated start has no solution or leaves its bounds.
     """
-    return _start_values(dae, values.x.tobytes(), values.p.tobytes()).copy()
+    return _start_values(dae, t, *(row.tobytes() for row in (values.x, values.p, values.u))).copy()
 
 
 @kept_per_thread(64)
-def _start_values(dae: Dae, guesses: bytes, parameters: bytes) -> Vector:
-    values = Values(np.frombuffer(guesses), np.frombuffer(parameters), np.empty(0))
-    solved, defect = start_function(dae)(values.x, values.p)
+def _start_values(dae: Dae, t: float, guesses: bytes, parameters: bytes, inputs: bytes) -> Vector:
+    values = Values(*map(np.frombuffer, (guesses, parameters, inputs)))
+    solved, defect = start_function(dae)(t, values.x, values.u, values.p)
     x = np.array(solved).ravel()
     if dae.start_rules and not (np.isfinite(x).all() and float(defect) < DEFECT_LIMIT):
-        raise _no_start(dae, x, values)
+        raise _no_start(dae, t, x, values)
     for variable, value in zip(dae.states, x, strict=True):
         if not variable.minimum <= value <= variable.maximum:
             raise InitialConditionError(
@@ -88,31 +93,32 @@ def _slope_function(dae: Dae) -> ca.Function:
     return ca.Function("slopes", dae.arguments, [ca.densify(ca.jacobian(dae.alg, dae.z))])
 
 
-def _no_start(dae: Dae, x: Vector, values: Values) -> InitialConditionError:
+def _no_start(dae: Dae, t: float, x: Vector, values: Values) -> InitialConditionError:
     """Say which rule has no solution: the first that yields no number, or the worst."""
     missing = [r for r in dae.start_rules if not np.isfinite(x[list(r.states)]).all()]
     implicit = [r for r in dae.start_rules if r.implicit]
-    rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, x, values))
+    rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, t, x, values))
     names = ", ".join(dae.states[i].name for i in rule.states)
-    near = _closest(dae, rule, x, values) if rule.implicit else "its formula has no value"
+    near = _closest(dae, rule, t, x, values) if rule.implicit else "its formula has no value"
     return InitialConditionError(
         f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
-        f"{near}; change the other start values or parameters"
+        f"{near}; change the other start values, parameters or inputs"
     )
 
 
-def _residual(dae: Dae, rule: StartRule, x: Vector, values: Values) -> float:
-    return float(ca.norm_inf(ca.Function("law", [dae.x, dae.p], [rule.expression])(x, values.p)))
+def _residual(dae: Dae, rule: StartRule, t: float, x: Vector, values: Values) -> float:
+    law = law_of_knowns(dae, "law", rule.expression)
+    return float(ca.norm_inf(law(t, x, values.u, values.p)))
 
 
-def _closest(dae: Dae, rule: StartRule, x: Vector, values: Values) -> str:
+def _closest(dae: Dae, rule: StartRule, t: float, x: Vector, values: Values) -> str:
     """Say how near to a solution a scan around the guess comes, for one unknown."""
     trial, first = x.copy(), rule.states[0]
     trial[list(rule.states)] = values.x[list(rule.states)]
     best, at = np.inf, float("nan")
     for shift in np.linspace(-np.pi, np.pi, 721) if len(rule.states) == 1 else (0.0,):
         trial[first] = values.x[first] + shift
-        residual = _residual(dae, rule, trial, values)
+        residual = _residual(dae, rule, t, trial, values)
         if residual < best:
             best, at = residual, trial[first]
     return (

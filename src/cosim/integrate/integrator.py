@@ -131,7 +131,7 @@ def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> 
         array([ 0., 10.])
     """
     values = assign(dae, start_values)
-    x0 = initial_values.start_values(dae, values)
+    x0 = initial_values.start_values(dae, 0.0, values)
     return {
         "x0": x0,
         "z0": initial_values.algebraic_values(dae, 0.0, x0, values),

@@ -28,6 +28,7 @@ from cosim.integrate.drift_control import controlled
 from cosim.integrate.engine import Problem
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.families.plugin import MOST_STEPS
 from cosim.integrate.plan import Asked, Plan, Times, plan
 from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.run.pieces import pieces_of
@@ -43,6 +44,7 @@ from cosim.model.values import Values, assign, listed, numbers_of
 from cosim.trajectory import Trajectory
 
 Given = TypeVar("Given")
+TOO_MANY_STEPS = ("TOO_MUCH_WORK", "too many steps at")  # SUNDIALS' words, and our solvers'
 
 
 class Shorthand(TypedDict, total=False):
@@ -106,8 +108,9 @@ def simulate(
         ParameterError: A value is not finite or out of its bounds, or asks for what cannot be.
         UsageError: The solver cannot integrate the model, or something is said twice.
         InitialConditionError: The start values contradict the constraints.
-        SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the run up
-            to there.
+        SolverError: The solver gave up, or the run stopped at a limit; `partial` holds the outputs
+            up to there. The time in its `status` may lie after the last of them: where outputs are
+            far apart, a form with constraints is looked at between them, too.
         Interrupted: Ctrl-C, a `KeyboardInterrupt` whose `partial` holds the run up to there.
         MissingTool: `compiled` is True and no compiler works.
 
@@ -262,10 +265,13 @@ def _failure(
     if dae.algebraics and dae.invariants and not own.problem.project:
         which += f"; {Dop853.name} with projection steps across positions where loops lose rank"
     kink = _kink(dae, run.time, computed.last.last, values)
+    closer = ""
+    if any(words in computed.first.reason for words in TOO_MANY_STEPS):
+        closer = f", or closer output times (for {MOST_STEPS:,} steps from one to the next)"
     return SolverError(
         f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; look for a "
         "singularity near that state, or use another tolerance or step, formulation or "
-        f"solver{which}{why_not}",
+        f"solver{which}{why_not}{closer}",
         run,
     )
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import casadi_models
 from casadi_models.dae import Dae
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.foreign.from_casadi import from_casadi
 from cosim.model.foreign.named_symbols import identifier
 from cosim.model.user_model import load_user_model
@@ -32,11 +32,20 @@ def load(name: str) -> Dae:
     if ".py:" in name:
         return load_user_model(*name.rsplit(":", 1))
     if name.endswith(".casadi"):
-        return from_casadi(name, name=identifier(Path(name).stem))
+        return _saved_function(name)
     try:
         return casadi_models.load(name)
     except KeyError:
         raise _unknown_model(name) from None
+
+
+def _saved_function(path: str) -> Dae:
+    try:
+        return from_casadi(path, name=identifier(Path(path).stem))
+    except ParameterError as error:  # the file holds no start values
+        raise ParameterError(
+            f"{error}, in a function of a Python file that returns '{Path(path).name}' and these"
+        ) from error
 
 
 def formulations(model: str) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.starts import refuse_disorder
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.memo import kept_per_thread
@@ -151,6 +152,11 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...]) -> Dae:
     left = [i for i, name in enumerate(known) if name not in dict(laws)]
     u = ca.vertcat(*(dae.u[i] for i in left)) if left else SX(0, 1)
     followed = dae.rewritten(lambda laws: ca.substitute(laws, [dae.u], [ca.vertcat(*rows)]))
+    try:
+        refuse_disorder(followed.start_rules, dae.t, dae.x, u, dae.p)
+    except ValueError as error:
+        names = ", ".join(name for name, _ in laws)
+        raise UsageError(f"{dae.full_name}: {names}: {error}; give it as numbers") from None
     return replace(followed, u=u, inputs=tuple(dae.inputs[i] for i in left))
 
 

@@ -153,7 +153,7 @@ def _consistent_start(dae: Dae) -> tuple[Vector | None, Vector | None]:
     """Return consistent states and algebraic unknowns at the start; None where there are none."""
     values = assign(dae)
     try:
-        x = start_values(dae, values)
+        x = start_values(dae, 0.0, values)
         return x, algebraic_values(dae, 0.0, x, values)
     except InitialConditionError:  # `simulate` says why
         return None, None

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import casadi_models
 from casadi_models.dae import Dae, Start, Variable
-from casadi_models.dae.printed import Printed
+from casadi_models.printed import Printed
 from casadi_models.units import UNITS, convert
 from cosim.errors import MissingTool
 from cosim.model.reduction.size import size

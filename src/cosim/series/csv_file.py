@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -39,21 +40,43 @@ class CsvSamples:
     values: Vector
 
 
-def write_columns(
-    stream: TextIO, columns: Sequence[Column], time: Vector, values: Vector, units: str
+def write_csv(
+    target: str | os.PathLike[str] | TextIO,
+    columns: Sequence[Column],
+    time: Vector,
+    values: Vector,
+    units: str,
 ) -> None:
     """Write samples over time: names, units where people read them, every number in 17 digits.
 
     Args:
-        stream: An open text file.
+        target: File name, replaced atomically, or an open text file.
         columns: What is known of each.
         time: s, (n,).
         values: SI, (n, len(columns)).
         units: One of `UNIT_KINDS`; "book" is display units, and a second line that names them.
 
     Raises:
+        ExportError: The file cannot be written.
+        UsageError: The target is neither.
         UnknownName: There is no such kind of units.
     """
+    if not isinstance(target, str | os.PathLike):
+        if not hasattr(target, "write"):
+            raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
+        _write_lines(target, columns, time, values, units)
+        return
+    from cosim.files import written_atomically  # only where a file is wanted
+
+    with written_atomically(target) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        _write_lines(text, columns, time, values, units)
+        text.detach()
+
+
+def _write_lines(
+    stream: TextIO, columns: Sequence[Column], time: Vector, values: Vector, units: str
+) -> None:
     if units not in UNIT_KINDS:
         raise UnknownName.among("to_csv", "kind of units", units, UNIT_KINDS)
     writer = csv.writer(stream, lineterminator="\n")

@@ -16,27 +16,40 @@ from cosim.errors import UsageError
 from cosim.series.column import Column
 
 
-def npz_bytes(
-    columns: Sequence[Column], time: Vector, values: Vector, facts: Mapping[str, Any]
-) -> bytes:
-    """Return the content of a file.
+def write_npz(
+    target: str | os.PathLike[str] | BinaryIO,
+    columns: Sequence[Column],
+    time: Vector,
+    values: Vector,
+    facts: Mapping[str, Any],
+) -> None:
+    """Write samples over time, and what else is known of them.
 
     Args:
+        target: File name, replaced atomically, or an open binary file.
         columns: What is known of each.
         time: s, (n,).
         values: SI, (n, len(columns)).
         facts: What else is kept, as JSON has it.
+
+    Raises:
+        ExportError: The file cannot be written.
     """
     told = {**facts, "columns": [asdict(column) for column in columns]}
     content = io.BytesIO()
     np.savez(content, time=time, values=values, facts=json.dumps(told))
-    return content.getvalue()
+    if not isinstance(target, str | os.PathLike):
+        target.write(content.getvalue())
+        return
+    from cosim.files import write_atomically  # only where a file is wanted
+
+    write_atomically(target, content.getvalue())
 
 
 def read_npz(
     source: str | os.PathLike[str] | BinaryIO,
 ) -> tuple[tuple[Column, ...], Vector, Vector, dict[str, Any]]:
-    """Return columns, time, values and facts of what `npz_bytes` made.
+    """Return columns, time, values and facts of what `write_npz` wrote.
 
     Raises:
         UsageError: It is no such file.

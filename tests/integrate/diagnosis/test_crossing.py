@@ -41,6 +41,14 @@ def test_crossing_stops_a_run_that_is_to_stop(bars):
     assert "invalid" not in other_branch(bars, on_invalid="ignore").stats
 
 
+def test_status_names_the_last_good_time_though_the_outputs_are_far_apart(bars):
+    with pytest.raises(SolverError) as caught:
+        other_branch(bars, on_invalid="stop", output_interval=0.1)
+    partial = caught.value.partial
+    np.testing.assert_allclose(partial.time, np.linspace(0, 0.7, 8))
+    assert partial.status.startswith("stopped after 0.71 s: ")
+
+
 def test_projected_steps_keep_to_their_motion_and_nothing_is_told(bars):
     """The cranks stay parallel; along the other branch one of them stops."""
     for solver in ("dop853", "ode8", "rk4"):

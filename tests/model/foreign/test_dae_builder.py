@@ -6,6 +6,7 @@ where those leave them out.
 
 import math
 
+import casadi as ca
 import pytest
 from helpers.accepted_builders import (
     ACCEPTED,
@@ -103,3 +104,14 @@ def test_calculated_start_follows_its_parameter():
     dae = cosim.from_dae_builder(calculated_start())
     run = cosim.simulate(dae, stop_time=0.01, start={"p": 5.0}, compiled=False)
     assert run["x"][0] == 10.0
+
+
+def test_builder_that_holds_an_fmu_is_refused_and_so_is_what_it_creates(tmp_path):
+    path = cosim.export_fmu(cosim.from_dae_builder(ACCEPTED["dependent"][0]()), tmp_path / "m.fmu")
+    imported = ca.DaeBuilder("imported", str(path))
+    with pytest.raises(UsageError, match="it holds an FMU, whose equations lie in its library"):
+        cosim.from_dae_builder(imported)
+    x = ca.MX.sym("x", len(imported.x()))
+    law = imported.create("law", ["x"], ["ode"])
+    with pytest.raises(UsageError, match="calls 'law', of type FmuFunction: an FMU has no eq"):
+        cosim.from_casadi({"x": x, "ode": law(x)})

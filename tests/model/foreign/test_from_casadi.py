@@ -136,7 +136,26 @@ def test_file_of_a_function_without_parameters_is_loaded_by_name(tmp_path):
     assert final(dae) == pytest.approx(1 - np.exp(-1), abs=1e-9)
 
 
+def test_defaults_of_a_function_are_its_start_values(tmp_path):
+    x, p = SX.sym("x"), SX.sym("p", 2)
+    options = {"default_in": [2.0, 3.0]}
+    function = ca.Function("f", [x, p], [-p[0] * p[1] * x], ["x", "p"], ["ode"], options)
+    function.save(str(tmp_path / "decay.casadi"))
+    dae = cosim.load(str(tmp_path / "decay.casadi"))
+    run = cosim.simulate(dae, start={"p_2": 0.5}, **END)
+    assert run["x"][[0, -1]] == pytest.approx([2.0, 2 * np.exp(-1.5)], abs=1e-8)
+    assert cosim.from_casadi(function, {"p_1": 7}).parameters[0].start == 7
+
+
+def test_file_whose_parameters_have_no_value_says_who_gives_them(tmp_path):
+    x, k = SX.sym("x"), SX.sym("k")
+    ca.Function("f", [x, k], [-k * x], ["x", "p"], ["ode"]).save(str(tmp_path / "f.casadi"))
+    with pytest.raises(ParameterError, match=r"function of a Python file that returns 'f\.casadi'"):
+        cosim.load(str(tmp_path / "f.casadi"))
+
+
 USER = """
+import pathlib
 import casadi as ca
 x, k = ca.SX.sym("x"), ca.SX.sym("k")
 system = {"x": x, "p": k, "ode": -k * x}
@@ -152,6 +171,19 @@ def function():
 
 def function_and_start():
     return ca.Function("f", [x, k], [-k * x], ["x", "p"], ["ode"]), {"x": 1, "p": 2}
+
+def saved():
+    path = pathlib.Path(__file__).with_name("f.casadi")
+    function_and_start()[0].save(str(path))
+    return path, {"x": 1, "p": 2}
+
+def reduced():
+    dx, y = ca.SX.sym("dx"), ca.SX.sym("y")
+    laws = ca.vertcat(dx + y, y - 2 * x)
+    return ca.dae_reduce_index({"x_impl": x, "dx_impl": dx, "z": y, "alg": laws})
+
+def reduced_and_start():
+    return reduced(), {"x": 1}
 """
 
 
@@ -162,6 +194,9 @@ def function_and_start():
         ("pair", "mine", np.exp(-2)),
         ("function", "mine", 0.0),
         ("function_and_start", "mine", np.exp(-2)),
+        ("saved", "mine", np.exp(-2)),
+        ("reduced", "mine", 0.0),
+        ("reduced_and_start", "mine", np.exp(-2)),
     ],
 )
 def test_user_file_may_return_any_of_them(tmp_path, builder, name, end):
@@ -246,3 +281,28 @@ def test_names_that_c_does_not_take_are_changed():
     assert [s.name for s in dae.states] == ["body_x", "v_1"]
     assert dae.states[0].start == 1
     assert dae.states[0].meaning == "body.x"
+
+
+def test_letters_beyond_ascii_are_written_out():
+    names = ["φ", "φ\u0307", "Δx", "x", "größe", "π", "x₁"]
+    dae = cosim.from_casadi({"x": [SX.sym(n) for n in names], "ode": SX.ones(len(names))})
+    found = [s.name for s in dae.states]
+    assert found == ["phi", "phi_dot", "Deltax", "x", "grosse", "pi", "x1"]
+    assert [s.meaning for s in dae.states] == names
+
+
+def test_symbols_that_would_be_called_alike_are_refused_by_their_own_names():
+    x, y = SX.sym("body.x"), SX.sym("body_x")
+    with pytest.raises(UsageError, match=r"'body\.x' and 'body_x' are both called 'body_x'"):
+        cosim.from_casadi({"x": [x, y], "ode": ca.vertcat(y, -x)})
+    with pytest.raises(UsageError, match="'time' cannot name a variable: it is the independent"):
+        cosim.from_casadi({"x": SX.sym("time_"), "ode": 1})
+
+
+def test_a_symbol_without_a_name_a_sparse_one_and_a_start_of_none():
+    nameless = SX.sym("")
+    assert cosim.from_casadi({"x": nameless, "ode": -nameless}).states[0].name == "v"
+    with pytest.raises(UsageError, match="x is sparse; give dense symbols"):
+        cosim.from_casadi({"x": SX.sym("d", ca.Sparsity.diag(2)), "ode": SX(4, 1)})
+    with pytest.raises(ParameterError, match="start of x is None; give numbers"):
+        cosim.from_casadi({"x": SX.sym("x"), "ode": 1}, {"x": None})

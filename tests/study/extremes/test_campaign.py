@@ -13,7 +13,15 @@ from cosim.integrate.simulate import simulate
 from cosim.present.extremes_map import draw_map
 from cosim.present.picture_files import save
 from cosim.study.extremes import oracles
-from cosim.study.extremes.campaign import WRONG, CaseFinding, explore, family_rows, select_cases
+from cosim.study.extremes.campaign import (
+    HANG,
+    WRONG,
+    CaseFinding,
+    explore,
+    extremes,
+    family_rows,
+    select_cases,
+)
 from cosim.study.extremes.cases import EXPLICIT, Case, Counterpart, catalogue
 from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, judge
 
@@ -31,6 +39,7 @@ def test_catalogue_has_at_least_300_cases_each_of_them_once():
     assert len({(case.family, case.model, case.name) for case in CASES}) == len(CASES) >= 300
 
 
+@pytest.mark.sample_of("test_every_case_of_a_family_ends_as_it_may")
 @pytest.mark.parametrize("family", FAMILIES)
 def test_sample_of_a_family_ends_as_it_may(family):
     members = [case for case in CASES if case.family == family and case.name != SLOWEST]
@@ -44,7 +53,7 @@ def test_sample_of_a_family_ends_as_it_may(family):
 def test_every_case_of_a_family_ends_as_it_may(family):
     members = [case for case in select_cases() if case.family == family]
     # one process, so that cases of the same values share their reference
-    findings = list(explore(members, jobs=1, timeout=600))  # s, on a busy machine
+    findings = list(explore(members, jobs=1))
     assert [f.row() for f in findings if f.verdict.outcome in WRONG] == []
 
 
@@ -117,6 +126,23 @@ def test_hang_and_crash_of_a_child_are_counted_and_the_next_case_runs(tmp_path):
     findings = list(explore([*cases, good], timeout=8, jobs=1))
     assert [f.verdict.outcome for f in findings] == ["hang", "crash", "accurate"]
     assert "code 3" in findings[1].verdict.reason
+
+
+def test_function_and_verb_have_one_limit_of_time(monkeypatch, capsys):
+    limits = []
+
+    def noted(_cases, *, timeout):
+        limits.append(timeout)
+        return iter(())
+
+    monkeypatch.setattr("cosim.study.extremes.campaign.explore", noted)
+    extremes("crank_shaft")
+    assert main(["extremes", "crank_shaft", "-q"]) == 0
+    assert main(["extremes", "crank_shaft", "-q", "--timeout", "7"]) == 0
+    assert limits == [HANG, HANG, 7.0]
+    with pytest.raises(SystemExit):
+        main(["extremes", "--help"])
+    assert f"for one case, s; {HANG:g}" in capsys.readouterr().out
 
 
 def test_unknown_model_is_refused():

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.fmu_files import remove, with_description
 
 import cosim
+from casadi_models.dae import Model
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.store import Store
@@ -280,6 +282,23 @@ def test_an_fmu_is_instantiated_once_and_reset(tmp_path):
         cosim.sweep(path, {"omega": omegas}, solver="cvodes", workers=0)
     with pytest.raises(UnknownName, match="omega"):
         cosim.sweep(path, {"omegaa": omegas}, workers=0)
+
+
+def test_an_fmu_of_model_exchange_takes_as_many_steps_as_it_needs(tmp_path):
+    model = Model("fast", stop_time=2.0, output_interval=2.0)
+    x = model.state("x", "m", 1.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    rate = model.parameter("rate", "rad/s", 1.0, "angular frequency")
+    model.derivative(x, v)
+    model.derivative(v, -(rate**2) * x)
+    whole = cosim.export_fmu(model.freeze(), tmp_path / "whole.fmu")
+    path = with_description(whole, tmp_path / "fast.fmu", remove(".", "CoSimulation"))
+    rates = np.array([1.0, 300.0])
+    found = cosim.sweep(path, {"rate": rates}, outputs=["x"], relative_tolerance=1e-9, workers=0)
+    assert found.status == "2 complete"
+    np.testing.assert_allclose(found.numbers["x_final"], np.cos(2 * rates), atol=1e-4)
+    assert {*found.reasons} == {1}
+    assert "more than 500 steps between two outputs" in found.reasons[1]
 
 
 def test_what_is_wrong_for_all_runs_is_refused_before_any(growth):

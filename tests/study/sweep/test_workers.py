@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from cosim.host.processes import was_killed
+
 CALL = """
 import sys
 import casadi_models
@@ -44,3 +46,24 @@ def test_function_whose_module_is_nowhere_is_told_in_words(tmp_path, monkeypatch
     found = cosim.sweep("crank_shaft", {"omega": [1.0]}, stop_time=0.1, workers=1,
                         function=gone.last)  # fmt: skip
     assert "gone_away" in found.reasons[0]
+
+
+@pytest.mark.parametrize("end", ["kill", "terminate"])
+def test_process_that_was_ended_from_outside_is_told_from_one_that_crashed(end):
+    idle = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    getattr(idle, end)()
+    idle.communicate()
+    assert was_killed(idle.returncode)
+    crash = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+    assert not was_killed(subprocess.run([sys.executable, "-c", crash], check=False).returncode)
+    assert not was_killed(0)
+    assert not was_killed(None)
+
+
+@pytest.mark.parametrize(
+    ("code", "killed"),
+    [(1, True), (15, True), (3, False), (0xC0000005, False)],
+    ids=["task manager", "Python", "exit", "access violation"],
+)
+def test_exit_codes_of_windows(code, killed):
+    assert was_killed(code, "nt") is killed

@@ -372,9 +372,18 @@ def test_figure_names_the_front_and_shows_the_floor(study):
         ("--figure t.bmp", 3),
         ("--solvers erkk", 3),
         ("--tolerances 1e-3,x", 2),
+        ("--tolerances 1e-3 --relative-tolerance 1e-4", 2),
         ("--outputs thetta", 3),
     ],
 )
 def test_wrong_options_are_refused_before_anything_runs(words, code, capsys):
     assert main(["tradeoff", "bar_on_frame/reduced", *words.split()]) == code
     assert "reference" not in capsys.readouterr().err
+
+
+def test_one_relative_tolerance_is_the_only_one_that_is_measured(tmp_path):
+    path = tmp_path / "t.json"
+    words = "--relative-tolerance 1e-5 --solvers erk --roads native --repeats 1 --stop-time 0.5 -q"
+    call = ["tradeoff", "bar_on_frame/reduced", *words.split(), "--output-file", str(path)]
+    assert main(call) == 0
+    assert {row["tolerance"] for row in json.loads(path.read_text())["measurements"]} == {1e-5}

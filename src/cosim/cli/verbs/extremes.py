@@ -17,9 +17,7 @@ def add_options(parser: Parser) -> None:
     """Declare the verb."""
     parser.add_argument("models", metavar="MODEL", nargs="*", help="all by default")
     parser.add_argument("--long", action="store_true", help="with hours of simulated time")
-    parser.add_argument(
-        "--timeout", type=float, default=120.0, metavar="S", help="for one case, s; 120"
-    )
+    parser.add_argument("--timeout", type=float, metavar="S", help="for one case, s; 120")
     add_output_file(parser, "FILE", "every case, as CSV")
     add_figure(parser, "the map as PNG, SVG or PDF")
 
@@ -27,8 +25,9 @@ def add_options(parser: Parser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the limit cases."""
     from cosim.host.progress import doing
-    from cosim.study.extremes.campaign import WRONG, explore, select_cases
+    from cosim.study.extremes.campaign import HANG, WRONG, explore, select_cases
 
+    limit = HANG if args.timeout is None else args.timeout
     cases = select_cases(args.models, long=args.long)
     findings: list[CaseFinding] = []
 
@@ -37,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         return f"{len(findings)}/{len(cases)} {now.model}, {now.name}"
 
     with doing(current, lambda: len(findings) / len(cases)):
-        for finding in explore(cases, timeout=args.timeout):
+        for finding in explore(cases, timeout=limit):
             findings.append(finding)
             if not args.quiet:
                 _tell(finding, f"{len(findings)}/{len(cases)}", every=args.verbose)

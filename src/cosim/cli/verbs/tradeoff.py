@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cosim.cli.options import Parser, add_figure, add_output_file, add_run, add_timeout, add_values
 
 if TYPE_CHECKING:
+    from cosim.study.tradeoff.configuration import Selection
     from cosim.study.tradeoff.result import Tradeoff
 
 _RUN_COLUMNS = (
@@ -45,24 +46,16 @@ def add_options(parser: Parser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
-    from cosim.cli.arguments import names_in, numbers_in, scene_from
+    from cosim.cli.arguments import scene_from
     from cosim.cli.running import refuse_timeout
     from cosim.errors import UnknownName
-    from cosim.study.tradeoff.configuration import Selection
     from cosim.study.tradeoff.study import tradeoff
 
     refuse_timeout(args)
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
-    names = ("solvers", "roads", "drift_controls")
-    chosen: dict[str, Any] = {
-        name: names_in(text) for name in names if (text := getattr(args, name))
-    }
-    for name in ("tolerances", "steps"):
-        if text := getattr(args, name):
-            chosen[name] = numbers_in(f"--{name}", text)
-    scene = scene_from(args)
+    selection, scene = _selection(args), scene_from(args)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
@@ -74,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         study = tradeoff(
             scene,
-            selection=Selection(**chosen),
+            selection=selection,
             every_formulation=not named,
             repeats=args.repeats,
             resume=args.resume,
@@ -85,6 +78,29 @@ def run(args: argparse.Namespace) -> int:
         raise
     _deliver_study(args, study)
     return 0
+
+
+def _selection(args: argparse.Namespace) -> Selection:
+    """Return what to measure; one relative tolerance is a list of one."""
+    from cosim.cli.arguments import names_in, numbers_in
+    from cosim.errors import UsageError
+    from cosim.study.tradeoff.configuration import Selection
+
+    names = ("solvers", "roads", "drift_controls")
+    chosen: dict[str, Any] = {
+        name: names_in(text) for name in names if (text := getattr(args, name))
+    }
+    for name in ("tolerances", "steps"):
+        if text := getattr(args, name):
+            chosen[name] = numbers_in(f"--{name}", text)
+    if args.relative_tolerance is not None:
+        if "tolerances" in chosen:
+            raise UsageError(
+                "--relative-tolerance and --tolerances both say at which tolerance to measure; "
+                "give one of them"
+            )
+        chosen["tolerances"] = (args.relative_tolerance,)
+    return Selection(**chosen)
 
 
 def _deliver_study(args: argparse.Namespace, study: Tradeoff) -> None:

@@ -37,7 +37,7 @@ def explicit_library(
         rhs: `rhs(t, x, z, u, c) -> (dx/dt, z)`; z is a guess of the algebraic unknowns.
         name: Of the method.
         method: Its C text: `dop853_method` or `fixed_step_method`.
-        project: `project(x, c) -> (x, change)`, applied after each step; nothing is when None.
+        project: `project(t, x, u, c) -> (x, change)`, applied after each step, or None.
 
     Raises:
         MissingTool: There is no compiler, or it fails.

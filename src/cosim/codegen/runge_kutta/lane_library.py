@@ -43,7 +43,7 @@ class Batch(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class LaneLibrary:
-    """A compiled solver: `run(Batch)`, and `start(runs, x, p, defect)` for calculated starts."""
+    """A compiled solver: `run(Batch)`; `start(runs, t, x, u, p, defect)` calculates starts."""
 
     lanes: int
     library: ctypes.CDLL
@@ -79,7 +79,7 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
     if found := _elementary(lanes):
         library.lanes_use(*found)
     library.lanes_run.argtypes = [ctypes.POINTER(Batch)]
-    library.lanes_start.argtypes = [_LONG, _ARRAY, _ARRAY, _ARRAY]
+    library.lanes_start.argtypes = [_LONG, ctypes.c_double, *[_ARRAY] * 4]
     return LaneLibrary(lanes, library)
 
 
@@ -184,15 +184,18 @@ def _start_text(dae: Dae) -> str:
     generator = ca.CodeGenerator("start", {"with_header": False})
     generator.add(function)
     arg, res, iw, w = (getattr(function, f"sz_{size}")() + 1 for size in ("arg", "res", "iw", "w"))
-    nx, np = dae.x.numel(), dae.p.numel()
+    nx, nu, np = (symbol.numel() for symbol in (dae.x, dae.u, dae.p))
     return f"""{generator.dump()}
-CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double *x, const double *p, double *defect) {{
+CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double t, double *x, const double *u,
+                                      const double *p, double *defect) {{
     const double *arg[{arg}];
     double *res[{res}], w[{w}], solved[{nx}];
     casadi_int iw[{iw}];
-    for (long long run = 0; run < runs; ++run, x += {nx}, p += {np}) {{
-        arg[0] = x;
-        arg[1] = p;
+    for (long long run = 0; run < runs; ++run, x += {nx}, u += {nu}, p += {np}) {{
+        arg[0] = &t;
+        arg[1] = x;
+        arg[2] = u;
+        arg[3] = p;
         res[0] = solved;
         res[1] = defect + run;
         if (model_start(arg, res, iw, w, 0)) defect[run] = 1;

@@ -8,10 +8,11 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae
+from cosim.codegen.initialization import law_of_knowns
 
 
 def projection_step(dae: Dae, constants: int) -> ca.Function:
-    """Return `project(x, c) -> (x, change)`, one Newton step on every invariant in its order.
+    """Return `project(t, x, u, c) -> (x, change)`, a Newton step on each invariant in its order.
 
     Each step moves the invariant's states by the least sum of squares, in its sizes; `change` is
     the largest of these moves. Later invariants are evaluated where earlier ones have moved to.
@@ -21,17 +22,19 @@ def projection_step(dae: Dae, constants: int) -> ca.Function:
         constants: Size of c, which begins with the parameters.
     """
     x, c = SX.sym("x", dae.x.numel()), SX.sym("c", constants)
+    t, u = dae.t, dae.u
     p = c[: dae.p.numel()]
     here, change = SX(x), SX(0)
     for invariant in dae.invariants:
         rows = list(invariant.states)
         slopes = ca.jacobian(invariant.residual, dae.x[rows])
-        law = ca.Function("law", [dae.x, dae.p], [invariant.residual, slopes, invariant.sizes])
-        residual, slopes, sizes = law(here, p)
+        law = law_of_knowns(dae, "law", invariant.residual, slopes, invariant.sizes)
+        residual, slopes, sizes = law(t, here, u, p)
         scaled = slopes @ ca.diag(sizes)
         multiplier = ca.ldl_solve(residual, *ca.ldl(ca.triu2symm(ca.triu(scaled @ scaled.T))))
         move = -scaled.T @ multiplier
         here[rows] += sizes * move
         change = ca.fmax(change, ca.norm_inf(move))
     options = {"cse": True}
-    return ca.Function("project", [x, c], [here, change], ["x", "c"], ["moved", "change"], options)
+    names = ["t", "x", "u", "c"], ["moved", "change"]
+    return ca.Function("project", [t, x, u, c], [here, change], *names, options)

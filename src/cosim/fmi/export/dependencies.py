@@ -35,17 +35,11 @@ def structural_dependencies(dae: Dae) -> Dependencies:
     direct[nx : nx + nz] = through
     direct[nx + nz :] |= for_z[1] @ through
 
-    start = _start_pattern(dae)  # x on [starts, p]
-    on_x = direct[:, 1 : 1 + nx]
-    nu = len(dae.inputs)
-    initial = np.zeros((nx + len(direct), 1 + nx + nu + len(dae.parameters)), dtype=bool)
-    initial[:nx, 1 : 1 + nx] = start[:, :nx]
-    initial[:nx, 1 + nx + nu :] = start[:, nx:]
-    initial[nx:, 0] = direct[:, 0]
-    initial[nx:, 1 : 1 + nx] = on_x @ start[:, :nx]
-    initial[nx:, 1 + nx : 1 + nx + nu] = direct[:, 1 + nx : 1 + nx + nu]
-    initial[nx:, 1 + nx + nu :] = direct[:, 1 + nx + nu :] | (on_x @ start[:, nx:])
-    return Dependencies(direct, initial)
+    start = _start_pattern(dae)  # x on [time, starts, u, p]
+    is_start = np.zeros(direct.shape[1], dtype=bool)
+    is_start[1 : 1 + nx] = True
+    others = np.where(is_start, False, direct) | direct[:, is_start] @ start
+    return Dependencies(direct, np.vstack((start, others)))
 
 
 def _stack(patterns: Sequence[Pattern], algebraics: Sequence[Variable]) -> Pattern:
@@ -73,21 +67,21 @@ def _solved_for(dae: Dae) -> Pattern:
 
 def start_parameters(dae: Dae) -> tuple[str, ...]:
     """Return the names of the parameters that calculated start values follow from."""
-    pattern = _start_pattern(dae)[:, len(dae.states) :]
+    pattern = _start_pattern(dae)[:, 1 + len(dae.states) + len(dae.inputs) :]
     return tuple(p.name for p, uses in zip(dae.parameters, pattern.T, strict=True) if uses.any())
 
 
 def _start_pattern(dae: Dae) -> Pattern:
-    """Return what each state's start depends on: the starts that are given, the parameters."""
-    nx = len(dae.states)
-    result = np.hstack((np.eye(nx, dtype=bool), np.zeros((nx, len(dae.parameters)), dtype=bool)))
+    """Return what each state's start depends on: [time, starts that are given, inputs, p]."""
+    nx, others = len(dae.states), len(dae.inputs) + len(dae.parameters)
+    result = np.eye(nx, 1 + nx + others, 1, dtype=bool)
     for rule in dae.start_rules:
-        law = pattern(rule.expression, dae.x, dae.p)
+        law = pattern(rule.expression, dae.t, dae.x, dae.u, dae.p)
         own = list(rule.states)
-        on_x = law[:, :nx]
+        on_x = law[:, 1 : 1 + nx].copy()
+        law[:, 1 : 1 + nx] = False
         if rule.implicit:
             on_x[:, own] = False
-        needs = on_x @ result
-        needs[:, nx:] |= law[:, nx:]
+        needs = on_x @ result | law
         result[own] = needs.any(axis=0) if rule.implicit else needs
     return result

@@ -113,8 +113,8 @@ def _rate_display(state: Variable) -> str | None:
 
 def _settled(dae: Dae) -> list[float | None]:
     """Return the starts of all states, as initialization solves for them; None where it cannot."""
-    p = [float(parameter.start or 0.0) for parameter in dae.parameters]
-    x, _ = start_function(dae)(list(dae.x_start), p)
+    u, p = ([float(v.start or 0.0) for v in group] for group in (dae.inputs, dae.parameters))
+    x, _ = start_function(dae)(0.0, list(dae.x_start), u, p)
     return [
         _rounded(float(value), state.nominal) if isfinite(value) else None
         for value, state in zip(x.full().ravel(), dae.states, strict=True)

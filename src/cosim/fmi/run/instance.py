@@ -18,6 +18,8 @@ INTERFACES = ("ModelExchange", "CoSimulation")
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
+_ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # and nothing says why
+_CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
 _MESSAGES = 3  # of an FMU's log, in an error
 
 
@@ -113,8 +115,11 @@ def instantiated(
 
     def explained(error: Exception) -> FmuError:
         told = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
-        advice = (ADVICE,) if LIMIT in told else ()
-        reasons = dict.fromkeys(map(sentence, (told, *log[-_MESSAGES:], *advice)))
+        last = log[-_MESSAGES:]
+        advice = [ADVICE] if LIMIT in told else []
+        if last and _ENDED_WITHIN_A_STEP.search(last[-1]):
+            advice.append(_CLOSER)
+        reasons = dict.fromkeys(map(sentence, (told, *last, *advice)))
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
     with chdir("."):  # fmpy stays in the library's folder where it cannot load it

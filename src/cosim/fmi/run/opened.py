@@ -4,6 +4,7 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from threading import local
 from time import perf_counter
@@ -23,6 +24,7 @@ from cosim.fmi.run.instance import (
     instantiated,
     read_description,
 )
+from cosim.fmi.run.patient import patiently
 from cosim.fmi.run.request import (
     Span,
     column_of,
@@ -102,16 +104,24 @@ class OpenedFmu:
         outputs: Sequence[str] | None = None,
         master: str = FMPY,
     ) -> Trajectory:
-        """Run it once more, from its initial state; arguments and errors as of `simulate_fmu`.
-
-        In model exchange, fmpy's 500 steps between two outputs are the most.
-        """
-        began = perf_counter()
+        """Run it once more, from its initial state; arguments and errors as of `simulate_fmu`."""
         span = span_of(self.path, self.description, start_time, stop_time, output_interval)
         values = self.settable(start)
+        tolerance = tolerance_of(self.path, relative_tolerance)
+        once = partial(self._run, values, span, tolerance, outputs, master)
+        return patiently(once) if master == FMPY else once()
+
+    def _run(
+        self,
+        values: dict[str, float],
+        span: Span,
+        tolerance: float | None,
+        outputs: Sequence[str] | None,
+        master: str,
+    ) -> Trajectory:
+        began = perf_counter()
         columns = self.columns(outputs)
         names = [column.name for column in columns]
-        tolerance = tolerance_of(self.path, relative_tolerance)
         instance, explained = self._ready()
         ready, stats = perf_counter(), dict[str, Any]()
         try:

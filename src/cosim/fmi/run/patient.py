@@ -15,9 +15,12 @@ from cosim.errors import FmuError
 from cosim.trajectory import Trajectory
 
 USUAL = 500
-MOST_STEPS = 20_000  # between two output times: a second of a small FMU
+PATIENT_STEPS = 20_000  # between two output times: a second of a small FMU
 LIMIT = "mxstep steps taken"  # CVODE's words
-ADVICE = "try a looser relative tolerance, or co-simulation, which takes the FMU's own solver"
+ADVICE = (
+    "try closer output times, a looser relative tolerance, or co-simulation, which takes the FMU's "
+    "own solver"
+)
 _ALONE = Lock()
 _WHERE = re.compile(r"At t = ([\d.eE+-]+)")
 
@@ -50,14 +53,14 @@ def patiently(simulate: Callable[[], Trajectory]) -> Trajectory:
 
 @contextmanager
 def _many_steps() -> Iterator[None]:
-    """Let fmpy's solver take `MOST_STEPS` between two output times."""
+    """Let fmpy's solver take `PATIENT_STEPS` between two output times."""
     from fmpy import sundials
 
     with _ALONE:  # or the last one to leave would put back what it found
         usual = sundials.CVodeSolver
 
         def patient(*arguments: Any, **more: Any) -> Any:
-            return usual(*arguments, **{"maxNumSteps": MOST_STEPS} | more)
+            return usual(*arguments, **{"maxNumSteps": PATIENT_STEPS} | more)
 
         sundials.CVodeSolver = patient
         try:

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
-from cosim.codegen.rank import LOST, MONITOR, constraint_condition, watches_rank
+from cosim.codegen.rank import LOST, MONITOR, constraint_condition, distance_from_loss, watches_rank
 from cosim.integrate.diagnosis.validity import Breach
 from cosim.memo import kept_per_thread
 
@@ -129,9 +129,7 @@ def rank_losses(
 
 @kept_per_thread(8)
 def _law(dae: Dae) -> ca.Function:
-    condition = constraint_condition(dae)
-    assert condition is not None
-    return ca.Function("rank", dae.arguments, [1 / condition], {"cse": True})
+    return ca.Function("rank", dae.arguments, [distance_from_loss(dae)], {"cse": True})
 
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:

@@ -30,7 +30,7 @@ def inspect_start(dae: Dae) -> Inspection:
     expressions = [e for _, e in dae.monitors] + [margin for margin, _ in dae.limits]
     values = assign(dae)
     try:
-        x = start_values(dae, values)
+        x = start_values(dae, 0.0, values)
         z = algebraic_values(dae, 0.0, x, values)
     except InitialConditionError:  # `simulate` says why
         return Inspection((None,) * n, (None,) * len(dae.limits))

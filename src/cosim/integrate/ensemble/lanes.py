@@ -52,19 +52,22 @@ class LaneResults:
     interrupted: bool
 
 
-def lane_starts(compiled: LaneLibrary, dae: Dae, x: Vector, p: Vector) -> Truths:
+def lane_starts(
+    compiled: LaneLibrary, dae: Dae, t: float, x: Vector, u: Vector, p: Vector
+) -> Truths:
     """Replace calculated start values; tell which runs have a start within its bounds, (runs,).
 
     Args:
         compiled: The model's library.
         dae: The model.
+        t: Where the runs begin, s.
         x: Start values, guesses where they are calculated, (runs, nx); overwritten.
-        p: Parameters, (runs, np).
+        u, p: Inputs and parameters, (runs, nu) and (runs, np).
     """
     defect = np.zeros(len(x))
     if dae.start_rules:
-        addresses = (x.ctypes.data, p.ctypes.data, defect.ctypes.data)
-        compiled.library.lanes_start(len(x), *addresses)
+        addresses = (row.ctypes.data for row in (x, u, p, defect))
+        compiled.library.lanes_start(len(x), t, *addresses)
     low = np.array([v.minimum for v in dae.states])
     high = np.array([v.maximum for v in dae.states])
     good: Truths = ((x >= low) & (x <= high)).all(axis=1) & (defect < DEFECT_LIMIT)

@@ -61,10 +61,11 @@ def in_lanes(
     compiled = lane_library(dae, names, lanes or processor_lanes())
     refused, runs = dict(values.refused), len(values)
     x = np.ascontiguousarray(values.x)
-    possible = lane_starts(compiled, dae, x, np.ascontiguousarray(values.p))
+    known = (np.ascontiguousarray(rows) for rows in (values.u, values.p))
+    possible = lane_starts(compiled, dae, float(grid[0]), x, *known)
     for i in np.flatnonzero(~possible):
         if int(i) not in refused:
-            refused[int(i)] = _why_no_start(dae, values, int(i))
+            refused[int(i)] = _why_no_start(dae, float(grid[0]), values, int(i))
     going = np.array([i for i in range(runs) if i not in refused], dtype=np.int64)
     table = (x, values.u, values.p)
     result = run_lanes(
@@ -136,9 +137,9 @@ def _outcome(dae: Dae, result: LaneResults, i: int, grid: Vector) -> tuple[RunSt
     return state, f"stopped after {last}: {CAUSES[code]}{at_time}", outside
 
 
-def _why_no_start(dae: Dae, values: ManyValues, run: int) -> str:
+def _why_no_start(dae: Dae, t: float, values: ManyValues, run: int) -> str:
     try:
-        start_values(dae, Values(values.x[run], values.p[run], values.u[run]))
+        start_values(dae, t, Values(values.x[run], values.p[run], values.u[run]))
     except InitialConditionError as error:
         return str(error)
     return f"{dae.full_name}: its calculated start values do not exist or leave their bounds"

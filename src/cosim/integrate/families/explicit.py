@@ -65,7 +65,7 @@ def explicit_engine(
         t, x, z, u, c = symbols = symbols_of(function)
         solved = z
     ode, _ = function(t, x, solved, inputs_at(dae, inputs, t, u), c)
-    projection = projection_step(dae, c.numel()) if problem.project else None
+    projection = _projection(problem, c.numel()) if problem.project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
     path = explicit_library(rhs, name, method, projection)
     grid, breaks = problem.grid, np.empty(0)
@@ -87,6 +87,16 @@ def explicit_engine(
     counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known)
     every = problem.piecewise
     return Engine(make, len(grid), every, counts, True, library, kept, direct=direct)
+
+
+def _projection(problem: Problem, constants: int) -> ca.Function:
+    """Return the projection of a run, its inputs those of its series."""
+    step = projection_step(problem.dae, constants)
+    if problem.inputs is None:
+        return step
+    t, x, u, c = symbols = [MX.sym(step.name_in(i), step.numel_in(i)) for i in range(4)]
+    moved, change = step(t, x, inputs_at(problem.dae, problem.inputs, t, u), c)
+    return ca.Function("project", symbols, [moved, change])
 
 
 class DirectCall:

@@ -13,8 +13,8 @@ from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
 from cosim.integrate.solver import AdaptiveSolver
 
-# of every plugin; the number of steps is per output interval
-COMMON = {"show_eval_warnings": False, "max_num_steps": 100_000}
+MOST_STEPS = 100_000  # from one output time to the next
+COMMON = {"show_eval_warnings": False, "max_num_steps": MOST_STEPS}  # of every plugin
 
 
 def plugin_engine(

@@ -89,9 +89,10 @@ class _Motion:
 
 def _settled(problem: Problem, values: Values, u: Vector) -> Start:
     """Return where a run begins, with its inputs there."""
-    dae = problem.dae
-    x0, first = start_values(dae, values), Values(values.x, values.p, u[:, 0])
-    return Start(x0, algebraic_values(dae, float(problem.grid[0]), x0, first), first)
+    dae, begin = problem.dae, float(problem.grid[0])
+    first = Values(values.x, values.p, u[:, 0])
+    x0 = start_values(dae, begin, first)
+    return Start(x0, algebraic_values(dae, begin, x0, first), first)
 
 
 def _moved(problem: Problem, solver: Solver, start: Start, *, looking: bool) -> _Motion:

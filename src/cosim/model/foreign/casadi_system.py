@@ -10,7 +10,7 @@ import casadi as ca
 from casadi import DM, MX, SX
 
 from cosim.errors import UnknownName, UsageError
-from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols
+from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols, refuse_alike
 from cosim.model.foreign.scalar_graph import refuse_calls, scalar_graph
 
 SYMBOLS = ("t", "x", "z", "u", "p")
@@ -26,11 +26,13 @@ class System:
         symbols: Of t, x, z, u, p.
         laws: ode, alg, quad: columns; I: invariants.
         outputs: By name.
+        starts: That come with a Function: its own `default_in`, where it is not 0.
     """
 
     symbols: dict[str, tuple[Symbol, ...]]
     laws: dict[str, Any]
     outputs: dict[str, Any] = field(default_factory=dict)
+    starts: dict[str, float] = field(default_factory=dict)
 
     @property
     def every(self) -> tuple[Symbol, ...]:
@@ -39,11 +41,13 @@ class System:
 
 
 def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
-    """Return symbols and laws of a mapping, a Function or the path of one.
+    """Return symbols and laws of a mapping, a Function, the path of one, or an index reduction.
 
     Raises:
         UsageError, UnknownName: See `from_casadi`.
     """
+    if is_reduction(system):
+        system = system[0]
     if isinstance(system, str | os.PathLike):
         system = _loaded(who, Path(system))
     if isinstance(system, ca.Function):
@@ -59,12 +63,21 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
         if extra in given:
             symbols[kind] += named_symbols(who, extra, given[extra])
     symbols = dict(zip(symbols, named_apart([*symbols.values()]), strict=True))
+    refuse_alike(who, [*symbols.values()])
     laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "I") if key in given}
     if "x_impl" in given:
         laws["ode"] = ca.vertcat(
             laws.get("ode", SX(0, 1)), _stacked(who, "dx_impl", given["dx_impl"])
         )
     return System(symbols, laws, {n: _expression(who, n, e) for n, e in outputs.items()})
+
+
+def is_reduction(value: Any) -> bool:
+    """Tell whether this is what `casadi.dae_reduce_index` returns: a DAE and its index."""
+    match value:
+        case ({"x_impl": _}, {"index": _, **others}):
+            return isinstance(value, tuple) and not others
+    return False
 
 
 def _of_function(who: str, function: ca.Function, outputs: Mapping[str, Any]) -> System:
@@ -83,7 +96,9 @@ def _of_function(who: str, function: ca.Function, outputs: Mapping[str, Any]) ->
     others = {n: e for n, e in results.items() if n not in laws and e.numel()}
     for output, expression in outputs.items():
         others[output] = _expression(who, output, expression)
-    return System(symbols, {k: law for k, law in laws.items() if law.numel()}, others)
+    defaults = {n: function.default_in(i) for i, n in enumerate(function.name_in()) if symbols[n]}
+    starts = {n: value for n, value in defaults.items() if value and n != "t"}
+    return System(symbols, {k: law for k, law in laws.items() if law.numel()}, others, starts)
 
 
 def _loaded(who: str, path: Path) -> ca.Function:

@@ -43,6 +43,10 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
     if not isinstance(builder, ca.DaeBuilder):
         raise UsageError.of_type("from_dae_builder", builder, "a casadi.DaeBuilder")
     who = f"DaeBuilder {builder.name()}"
+    if not builder.symbolic():
+        raise UsageError(
+            f"{who}: it holds an FMU, whose equations lie in its library; run that by simulate_fmu"
+        )
     if builder.nzero():
         raise UsageError(f"{who}: it has events, which cannot be exported")
     try:

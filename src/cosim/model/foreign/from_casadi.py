@@ -5,7 +5,9 @@
 in the keys of CasADi's own `integrator`, in SX or MX.
 """
 
+import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -18,6 +20,7 @@ from cosim.model.foreign.casadi_system import (
     SYMBOLS,
     System,
     evaluated,
+    is_reduction,
     read_system,
     refuse_sizes,
     scalars,
@@ -27,7 +30,10 @@ from cosim.model.foreign.named_symbols import Symbol
 from cosim.model.foreign.variable_facts import Facts
 
 CONSTRAINTS = "the constraints that index reduction keeps"
-_OPTIONS = ("start_values", "outputs", "units", "meanings", "nominals", "name", "description")
+_OPTIONS = (
+    *("start_values", "outputs", "units", "meanings", "nominals", "name", "description"),
+    *("stop_time", "output_interval"),
+)
 
 
 def from_casadi(
@@ -54,8 +60,9 @@ def from_casadi(
             outputs of these names, other outputs being outputs; the path of a saved Function
             (.casadi); or what `casadi.dae_reduce_index` returns. A quadrature becomes a state.
         start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters,
-            first guesses of z; or expressions of parameters. 0 where nothing is said, except for
-            parameters, which need a value.
+            first guesses of z; of states expressions of parameters, inputs and time, too. Where
+            nothing is said, a Function's own `default_in`, or 0, except for parameters, which need
+            a value.
         outputs: Expressions by name.
         name, description: Of the model.
         units, meanings, nominals: "1", the name, and 1 where nothing is said. A unit that is
@@ -79,6 +86,7 @@ def from_casadi(
     found = read_system(who, system, outputs or {})
     facts = Facts(who, start_values or {}, units or {}, meanings or {}, nominals or {})
     facts.refuse_strangers(found)
+    facts = replace(facts, starts=found.starts | dict(facts.starts))
     try:
         model = Model(
             name,
@@ -96,6 +104,8 @@ def is_system(value: object) -> bool:
     """Tell whether `from_casadi` may take this, alone or with its start values as a pair."""
     if isinstance(value, tuple) and len(value) == 2:
         return is_system(value[0])
+    if isinstance(value, str | os.PathLike):
+        return os.fspath(value).endswith(".casadi")
     return isinstance(value, ca.Function) or (
         isinstance(value, Mapping) and not {"ode", "alg", "quad"}.isdisjoint(value)
     )
@@ -110,10 +120,10 @@ def from_user(value: Any, name: str) -> Dae:
         name: Of the model, where the mapping does not say.
     """
     options: dict[str, Any] = {"name": name}
-    if isinstance(value, tuple):
+    if isinstance(value, tuple) and not is_reduction(value):
         value, options["start_values"] = value
     if isinstance(value, Mapping):
-        options |= {key: value[key] for key in (*_OPTIONS, "stop_time") if key in value}
+        options |= {key: value[key] for key in _OPTIONS if key in value}
         value = {key: item for key, item in value.items() if key not in options}
     return from_casadi(value, **options)
 
@@ -195,8 +205,10 @@ def _consistent(
     sizes = {kind: sum(len(s.entries) for s in system.symbols[kind]) for kind in SYMBOLS}
     values = {kind: SX.sym(kind, size) for kind, size in (sizes | {"t": 1}).items()}
     law = ca.densify(evaluated(who, system, values, {"I": system.laws["I"]})["I"])
-    if ca.depends_on(law, ca.vertcat(values["t"], values["z"], values["u"])):
-        raise UsageError(f"{who}: I depends on time, inputs or z; only x and p may stand there")
+    if ca.depends_on(law, values["z"]):
+        raise UsageError(f"{who}: I depends on z; only time, x, u and p may stand there")
+    u = ca.DM([*starts["u"].values()])
+    law = ca.substitute(law, ca.vertcat(values["t"], values["u"]), ca.vertcat(0, u))
     constraints = ca.Function("I", [values["x"], values["p"]], [law], ["x", "p"], ["I"])
     names = [*starts["x"]]
     given = {
@@ -210,4 +222,4 @@ def _consistent(
 
 
 def _meaning(symbol: Symbol, entry: str) -> str:
-    return symbol.name if len(symbol.entries) == 1 else f"{entry} of {symbol.name}"
+    return symbol.name or entry if len(symbol.entries) == 1 else f"{entry} of {symbol.name}"

@@ -1,6 +1,7 @@
 """Scalar variables of vector and matrix symbols: `y` has `y_1` ... `y_n`, `A` has `A_1_2`."""
 
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from casadi import MX, SX
 from cosim.errors import UsageError
 
 _NUMBERED = re.compile(r"(.+)_(\d+)")
+_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:FINAL )?([A-Z]+)")
+_DOT_ABOVE = "\u0307"
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -41,9 +44,25 @@ class Symbol:
 
 
 def identifier(name: str) -> str:
-    """Return a name that C, XML and Python take: `body.x` is `body_x`, `v[1]` is `v_1`."""
-    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "v"
+    """Return a name that C, XML and Python take: `body.x` is `body_x`, `v[1]` `v_1`, `φ` `phi`."""
+    plain = re.sub(r"\W+", "_", _in_ascii(name), flags=re.ASCII).strip("_") or "v"
     return plain if plain[0].isalpha() else f"v_{plain}"
+
+
+def _in_ascii(name: str) -> str:
+    """Write out Greek letters, leave out what stands above or below others but for a rate's dot."""
+    if name.isascii():
+        return name
+    return "".join(_letter(c) for c in unicodedata.normalize("NFKD", name.replace("ß", "ss")))
+
+
+def _letter(character: str) -> str:
+    greek = _GREEK.fullmatch(unicodedata.name(character, ""))
+    if greek:
+        return greek[2].title() if greek[1] == "CAPITAL" else greek[2].lower()
+    if unicodedata.combining(character):
+        return "_dot" if character == _DOT_ABOVE else ""
+    return character
 
 
 def named_symbols(who: str, kind: str, value: Any) -> tuple[Symbol, ...]:
@@ -85,6 +104,23 @@ def named_apart(groups: Sequence[tuple[Symbol, ...]]) -> list[tuple[Symbol, ...]
     ]
 
 
+def refuse_alike(who: str, groups: Sequence[tuple[Symbol, ...]]) -> None:
+    """Refuse symbols that their authors tell apart, and C and XML do not.
+
+    Raises:
+        UsageError: Names both, and what they would be called.
+    """
+    owners: dict[str, str] = {}
+    for symbol in (symbol for group in groups for symbol in group):
+        for entry in symbol.entries:
+            other = owners.setdefault(entry, symbol.name)
+            if other != symbol.name:
+                raise UsageError(
+                    f"{who}: '{other}' and '{symbol.name}' are both called '{entry}' in letters, "
+                    "digits and _; choose other names"
+                )
+
+
 def _scalars(symbol: Symbol) -> list[Symbol]:
     if not isinstance(symbol.symbol, SX) or 1 not in symbol.shape:
         return [symbol]
@@ -102,6 +138,8 @@ def _of_mx(who: str, kind: str, value: MX) -> Iterator[Symbol]:
 def _of_sx(who: str, kind: str, value: SX) -> Iterator[Symbol]:
     if not value.is_valid_input():
         raise UsageError(f"{who}: {kind} is the expression {value}; give symbols only")
+    if not value.is_dense():
+        raise UsageError(f"{who}: {kind} is sparse; give dense symbols, or a list of its entries")
     scalars = ca.vertsplit(ca.vec(value)) if value.numel() else []
     names = [scalar.name() for scalar in scalars]
     if 1 not in value.shape and value.numel():

@@ -45,6 +45,7 @@ _REPEATED = ("Map", "OmpMap", "ThreadMap")
 _INSTEAD = {
     "CallbackInternal": "Python has no equations; write them with CasADi operations",
     "Newton": "use rootfinder 'fast_newton', or declare its unknowns as z and its residual as alg",
+    "FmuFunction": "an FMU has no equations; couple FMUs in the tool that runs them",
     "KinsolInterface": "declare its unknowns as z and its residual as alg",
 }
 

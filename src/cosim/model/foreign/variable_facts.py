@@ -98,7 +98,7 @@ class Facts:
             entries: list[Any] = ca.vertsplit(ca.vec(given))
         else:
             try:
-                if np.asarray(given).dtype == bool:
+                if given is None or np.asarray(given).dtype == bool:
                     raise TypeError
                 entries = [float(v) for v in np.asarray(given, dtype=float).flatten(order="F")]
             except (TypeError, ValueError):

@@ -87,7 +87,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         x_start=tuple(frozen.x_start[i] for i in states),
         monitors=(),
         drawing=frozen.drawing.with_numbers({v.name: v.start or 0.0 for v in frozen.parameters}),
-        invariants=tuple(_kept_invariants(frozen, states, parameters)),
+        invariants=tuple(_kept_invariants(frozen, states, inputs, parameters)),
         closing=frozen.closing
         and replace(frozen.closing, residual=frozen.closing.residual[equations]),
     )
@@ -132,13 +132,14 @@ def _computable(small: Dae, expression: SX) -> bool:
 
 
 def _kept_invariants(
-    dae: Dae, states: Sequence[int], parameters: Sequence[int]
+    dae: Dae, states: Sequence[int], inputs: Sequence[int], parameters: Sequence[int]
 ) -> Iterator[Invariant]:
     """Yield the invariants of which everything is kept; a part of one is none."""
     for invariant in dae.invariants:
         everything = ca.vertcat(invariant.residual, invariant.sizes)
         needed = {*invariant.states, *used(everything, dae.x)}
-        if needed <= set(states) and set(used(everything, dae.p)) <= set(parameters):
+        kept = ((dae.u, inputs), (dae.p, parameters))
+        if needed <= {*states} and all({*used(everything, v)} <= {*rows} for v, rows in kept):
             yield replace(invariant, states=tuple(states.index(i) for i in invariant.states))
 
 

@@ -24,7 +24,8 @@ from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, judge
 from cosim.text.tables import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
-LONGER = 10  # times the limit of other cases, for those that simulate an hour
+HANG = 120.0  # s, after which a case counts as hanging
+LONGER = 10  # times that, for those that simulate an hour
 MODULE = "cosim.study.extremes.campaign"
 RUNNER = "cosim.study.extremes.oracles:run_case"
 
@@ -66,7 +67,7 @@ def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case
 
 
 def extremes(
-    models: str | Sequence[str] = (), *, long: bool = False, timeout: float = 120.0
+    models: str | Sequence[str] = (), *, long: bool = False, timeout: float = HANG
 ) -> Table:
     """Run models at their limits; return how each case ended, a row each.
 
@@ -85,7 +86,7 @@ def extremes(
 
 
 def explore(
-    cases: Iterable[Case], *, timeout: float = 120.0, jobs: int = 2, runner: str = RUNNER
+    cases: Iterable[Case], *, timeout: float = HANG, jobs: int = 2, runner: str = RUNNER
 ) -> Iterator[CaseFinding]:
     """Run cases in child processes, in their order.
 

@@ -10,6 +10,7 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
+from cosim.codegen.initialization import law_of_knowns
 from cosim.errors import InitialConditionError, UnknownName, UsageError
 from cosim.fmi.run.linear import fmu_linear
 from cosim.integrate.initial_values import algebraic_values
@@ -82,7 +83,7 @@ def linearize(
             outputs=states,
         )
         return _of_dae(dae, names, run.values[-1], values, at, f"{at:g} s of a run")
-    x, point = consistent_start(dae, values), "its start"
+    x, point = consistent_start(dae, 0.0, values), "its start"
     if at == EQUILIBRIUM:
         x, point = _equilibrium(dae, x, values)
     return _of_dae(dae, names, x, values, 0.0, point)
@@ -239,12 +240,12 @@ def _rest(
     sizes = np.array([v.nominal for v in dae.states])
     nominal = sizes[kept]
     residual = ca.vertcat(SX(0, 1), *(invariant.residual for invariant in dae.invariants))
-    law = ca.Function("law", [dae.x, dae.p], [residual, ca.jacobian(residual, dae.x)])
+    law = law_of_knowns(dae, "law", residual, ca.jacobian(residual, dae.x))
 
     def defect(x: Vector) -> tuple[Vector, Vector]:
         z = algebraic_values(dae, 0.0, x, values)
         local = _at_point(dae, (), 0.0, x, z, values)
-        left, slope = (np.array(block) for block in law(x, values.p))
+        left, slope = (np.array(block) for block in law(0.0, x, values.u, values.p))
         rows = np.concatenate(((local.rates / sizes)[resting], left.ravel()))
         by_x = (local.jacobian[: len(x)] / sizes[:, None])[np.ix_(resting, kept)]
         return rows, np.vstack((by_x, slope[:, kept])) * nominal

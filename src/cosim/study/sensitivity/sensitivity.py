@@ -12,6 +12,7 @@ from cosim.codegen.compiler import has_compiler
 from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import simulate_many
+from cosim.integrate.run.pieces import input_values
 from cosim.integrate.simulate import simulate
 from cosim.memo import kept_per_thread
 from cosim.model.inputs import InputSeries
@@ -166,7 +167,10 @@ class _Task:
             options = {**self.options, "relative_tolerance": tolerance}
             run = simulate(self.dae, start_values=self.start, outputs=self.names, **options)
             return run, np.zeros((len(run), len(self.names), 0))
-        slopes = start_slopes(self.dae, assign(self.dae, self.start), targets)
+        begin = float(self.options.get("start_time", 0.0))
+        values = assign(self.dae, self.start)
+        u = input_values(self.dae, np.array([begin]), values, self.options["inputs"])[:, 0]
+        slopes = start_slopes(self.dae, begin, replace(values, u=u), targets)
         given: dict[str, Any] = dict(self.start)
         for state, row in zip(self.dae.states, slopes, strict=True):
             given[derivative(state.name)] = row

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from casadi import MX, SX
+from casadi import SX
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
+from cosim.codegen.functions import symbols_like
 from cosim.codegen.initialization import start_function
 from cosim.memo import kept_per_thread
 from cosim.model.values import Values
@@ -97,23 +98,25 @@ def variational(dae: Dae) -> Dae:
     )
 
 
-def start_slopes(dae: Dae, values: Values, targets: Sequence[SensitivityTarget]) -> Vector:
-    """Return the derivatives of the start of every state, calculated ones included, (nx, k).
+def start_slopes(
+    dae: Dae, t: float, values: Values, targets: Sequence[SensitivityTarget]
+) -> Vector:
+    """Return the derivatives of the start of every state at t [s], calculated ones included.
 
-    They are multiplied by the size of their target.
+    They are multiplied by the size of their target; (nx, k).
     """
-    by_x, by_p = (np.array(block) for block in _start_jacobians(dae)(values.x, values.p))
-    columns = {"state": by_x, "parameter": by_p, "input": np.zeros((len(values.x), len(values.u)))}
+    blocks = _start_jacobians(dae)(t, values.x, values.u, values.p)
+    columns = dict(zip(("state", "input", "parameter"), map(np.array, blocks), strict=True))
     chosen = [target.size * columns[target.kind][:, target.row] for target in targets]
     return np.column_stack(chosen)
 
 
 @kept_per_thread(8)
 def _start_jacobians(dae: Dae) -> ca.Function:
-    x, p = MX.sym("x", dae.x.numel()), MX.sym("p", dae.p.numel())
-    start, _ = start_function(dae)(x, p)
-    blocks = [ca.densify(ca.jacobian(start, symbol)) for symbol in (x, p)]
-    return ca.Function("start_jacobians", [x, p], blocks)
+    t, x, _, u, p = symbols_like(dae)
+    start, _ = start_function(dae)(t, x, u, p)
+    blocks = [ca.densify(ca.jacobian(start, symbol)) for symbol in (x, u, p)]
+    return ca.Function("start_jacobians", [t, x, u, p], blocks)
 
 
 def _derived(

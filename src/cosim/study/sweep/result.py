@@ -91,7 +91,8 @@ class SweepResult:
         columns: The outputs.
         time: Output times, s.
         codes: How each run ended, as positions in `STATES`, (runs,).
-        reasons: Why, by run, where it is not complete, or where it left the model's limits.
+        reasons: By run: why it is not complete, where it left the model's limits, or where an FMU
+            took a solver more steps than usual.
         steps, reached: Steps and good output times of each run, (runs,).
         numbers: What was kept by name, (runs,); not a number where a run is not complete.
         statistics: Over all complete runs, where they were asked for.

@@ -1,5 +1,6 @@
 """The solver's step of co-simulation, with its equations written out or called."""
 
+import math
 import re
 
 import casadi as ca
@@ -38,3 +39,21 @@ def test_rosenbrock_of_a_large_model_has_no_formulas_of_a_jacobian():
         re.search(rf"/\* {name}:.*?\n}}\n", code, re.DOTALL)[0] for name in ("jacF", "model_ode")
     )
     assert len(jacobian) < len(laws)  # formulas are twice as long
+
+
+@pytest.mark.parametrize("name", ["cart_", "cart__pole"])
+def test_underscores_that_casadi_takes_for_its_own_may_be_in_a_models_name(name, tmp_path):
+    """Its code generator refuses two in a row, at the end of a name, too."""
+    x = ca.SX.sym("x")
+    dae = cosim.from_casadi({"x": x, "ode": -x}, {"x": 1.0}, name=name)
+    run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "m.fmu"), stop_time=1.0)
+    assert run["x"][-1] == pytest.approx(math.exp(-1), abs=1e-8)
+
+
+def test_law_that_prints_is_exported(tmp_path):
+    """CasADi's code includes stdio.h, which must not be hidden with the model's functions."""
+    x = ca.SX.sym("x")
+    law = ca.if_else(x < 0, x.printme(x), -x)  # silent here, and compiled
+    dae = cosim.from_casadi({"x": x, "ode": law}, {"x": 1.0}, name="printing")
+    run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "m.fmu"), stop_time=1.0)
+    assert run["x"][-1] == pytest.approx(math.exp(-1), abs=1e-8)

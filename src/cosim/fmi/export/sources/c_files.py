@@ -68,8 +68,7 @@ const char *const limits[] = {{
 
 
 # Compilers of other people do not get our options; system headers must stay outside.
-_INCLUDES = """#include <math.h>
-#include "visibility.h"
+_INCLUDES = """#include "visibility.h"
 INSIDE_BEGIN
 #define CASADI_SYMBOL_EXPORT
 #if defined __GNUC__
@@ -90,6 +89,7 @@ _SMALL_FUNCTION = re.compile(
 # Some function must be headed so: a model may have no derivative that is worth its own.
 _HEADING = re.compile(r"^/\* \w+:.*\n(?:SMALL )?(?:static )?int ", re.MULTILINE)
 
+_SYSTEM_HEADER = re.compile(r"^#include <[^>]*>\n", re.MULTILINE)
 _MODEL_NAME = re.compile(r"\bmodel_")  # what CasADi makes around a function has its name, too
 
 
@@ -108,7 +108,9 @@ def equations_c(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
             f"casadi {ca.CasadiMeta.version()} names generated functions in another way; "
             "use casadi 3.8"
         )
-    return _INCLUDES + _MODEL_NAME.sub(f"{identifier}_model_", code)
+    # CasADi includes them itself, but where everything is hidden
+    headers = sorted({"#include <math.h>\n", *_SYSTEM_HEADER.findall(code)})
+    return "".join(headers) + _INCLUDES + _MODEL_NAME.sub(f"{identifier}_model_", code)
 
 
 def _fields(variable: FmuVariable) -> tuple[str, ...]:

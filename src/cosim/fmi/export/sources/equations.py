@@ -3,6 +3,7 @@
 Every function follows CasADi's calling convention; fmu/runtime/equations.h declares them.
 """
 
+import re
 from itertools import accumulate
 from math import log2
 
@@ -29,7 +30,8 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         fmi: Version of FMI; FMI 3.0 has adjoint derivatives.
         solver: Of `CO_SIMULATION_SOLVERS`.
     """
-    generator = ca.CodeGenerator(f"{identifier}_equations", {"with_header": False, "indent": 1})
+    prefix = re.sub("__+", "_", f"{identifier}_equations")  # CasADi takes one _ at a time
+    generator = ca.CodeGenerator(prefix, {"with_header": False, "indent": 1})
     for function in (
         start_function(dae),
         algebraic_function(dae),

@@ -1,10 +1,11 @@
 """What an FMU watches the rank of its constraints by, and how it keeps to them near its loss."""
 
 import casadi as ca
+from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.functions import CALL
-from cosim.codegen.rank import constraint_condition, watches_rank
+from cosim.codegen.rank import distance_from_loss, watches_rank
 from cosim.codegen.runge_kutta.projection import projection_step
 from cosim.memo import kept_per_thread
 
@@ -28,22 +29,26 @@ def rank_functions(dae: Dae) -> list[ca.Function]:
     if not has_rank(dae):
         return []
     projection = projection_step(dae, dae.p.numel())
-    x, p = ca.MX.sym("x", dae.x.numel()), ca.MX.sym("p", dae.p.numel())
-    moved = ca.Function("model_project", [x, p], projection.call([x, p]))
+    known = [ca.MX.sym(name, size) for name, size in zip("txup", _sizes(dae), strict=True)]
+    moved = ca.Function("model_project", known, projection.call(known))
     return [_distance(dae), _rate(dae), moved]
+
+
+def _sizes(dae: Dae) -> list[int]:
+    return [1, dae.x.numel(), dae.u.numel(), dae.p.numel()]
 
 
 @kept_per_thread(16)
 def _distance(dae: Dae) -> ca.Function:
     """Return `model_rank(t, x, z, u, p) -> distance`: one over the condition of the constraints."""
-    condition = constraint_condition(dae)
-    assert condition is not None
-    names = [CALL, ["distance"]]
-    return ca.Function("model_rank", dae.arguments, [1 / condition], *names, {"cse": True})
+    return _of_rank(dae, "", distance_from_loss(dae))
 
 
 def _rate(dae: Dae) -> ca.Function:
     """Return `model_rank_rate(t, x, z, u, p) -> rate` of the distance."""
-    distance = _distance(dae)(*dae.arguments)
-    rate = ca.jtimes(distance, dae.x, dae.ode)
-    return ca.Function("model_rank_rate", dae.arguments, [rate], CALL, ["rate"], {"cse": True})
+    moving, along = ca.vertcat(dae.x, dae.t), ca.vertcat(dae.ode, 1)
+    return _of_rank(dae, "_rate", ca.jtimes(distance_from_loss(dae), moving, along))
+
+
+def _of_rank(dae: Dae, what: str, value: SX) -> ca.Function:
+    return ca.Function(f"model_rank{what}", dae.arguments, [value], CALL, ["value"], {"cse": True})

@@ -3,12 +3,15 @@
 Algebraic unknowns and implicit start values follow the implicit function theorem.
 """
 
+from collections.abc import Sequence
+
 import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
 from cosim.codegen.directional_jacobian import derivative_along, jacobian_in_a_loop
 from cosim.codegen.functions import is_large
+from cosim.codegen.initialization import knowns
 from cosim.memo import kept_per_thread
 
 
@@ -126,19 +129,25 @@ def adjoint_function(dae: Dae) -> ca.Function:
 
 
 def start_directional_function(dae: Dae) -> ca.Function:
-    """Return `model_start_directional(x, p, seed_x, seed_p)`: of settled starts, along seeds."""
-    x, p, seed_x, seed_p = (argument_like(symbol) for symbol in (dae.x, dae.p, dae.x, dae.p))
-    moved = _along_starts(dae, x, p, seed_x, seed_p)
-    return ca.Function("model_start_directional", [x, p, seed_x, seed_p], [moved])
+    """Return `model_start_directional(t, x, u, p, seed_x, seed_u, seed_p, seed_t)`.
+
+    Its result is the derivative of settled starts along the seeds.
+    """
+    known = [argument_like(symbol) for symbol in knowns(dae)]
+    seeds = [argument_like(symbol) for symbol in (dae.x, dae.u, dae.p, dae.t)]
+    moved = _along_starts(dae, known, *seeds)
+    return ca.Function("model_start_directional", [*known, *seeds], [moved])
 
 
-def _along_starts(dae: Dae, x: MX, p: MX, seed_x: MX, seed_p: MX) -> MX:
-    """Push a seed of exact starts and parameters through the start rules."""
+def _along_starts(
+    dae: Dae, known: Sequence[MX], seed_x: MX, seed_u: MX, seed_p: MX, seed_t: MX
+) -> MX:
+    """Push a seed of what starts follow from through the start rules."""
     calculated = {row for rule in dae.start_rules for row in rule.states}
     rows = [MX(0) if i in calculated else seed for i, seed in enumerate(ca.vertsplit(seed_x))]
     for i, rule in enumerate(dae.start_rules):
         solved = _rule_derivative(dae, rule, f"start_along_{i}")
-        moved = solved(x, p, ca.vertcat(*rows), seed_p)
+        moved = solved(*known, ca.vertcat(*rows), seed_u, seed_p, seed_t)
         if rule.implicit:
             matrix, right = moved
             moved = ca.solve(matrix, right, "qr")
@@ -148,12 +157,13 @@ def _along_starts(dae: Dae, x: MX, p: MX, seed_x: MX, seed_p: MX) -> MX:
 
 
 def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
-    seeds = [SX.sym("seed", dae.x.numel()), SX.sym("seed", dae.p.numel())]
-    moved = ca.jtimes(rule.expression, ca.vertcat(dae.x, dae.p), ca.vertcat(*seeds))
+    variables = (dae.x, dae.u, dae.p, dae.t)
+    seeds = [SX.sym("seed", symbol.numel()) for symbol in variables]
+    moved = ca.jtimes(rule.expression, ca.vertcat(*variables), ca.vertcat(*seeds))
     results = [moved]
     if rule.implicit:
         results = [ca.jacobian(rule.expression, dae.x)[:, list(rule.states)], -moved]
-    return ca.Function(name, [dae.x, dae.p, *seeds], results, {"cse": True})
+    return ca.Function(name, [*knowns(dae), *seeds], results, {"cse": True})
 
 
 def argument_like(symbol: SX) -> MX:

@@ -8,6 +8,7 @@ from typing import Any
 
 from cosim.errors import CosimError
 from cosim.host.child import ASKED, Child
+from cosim.host.processes import was_killed
 from cosim.study.sweep.chunk import Job, Summary, compute_chunk, lost, summary_of
 from cosim.study.sweep.engines.schedule import Range, Schedule
 from cosim.study.sweep.samples import Samples
@@ -15,7 +16,6 @@ from cosim.study.sweep.store import Store
 
 WORKER = "cosim.study.sweep.engines.worker"
 _MOST_FAILED_STARTS = 5  # of processes, one after the other
-_KILLED = (-9, -15)  # exit codes of POSIX after SIGKILL, for want of memory too, and SIGTERM
 
 TellSummary = Callable[[Summary], None]
 
@@ -134,7 +134,7 @@ class _Worker(Thread):
             process, self._process = self._process, None
             code = None if process is None else process.end()
             if not self._ended:
-                cause, killed = f"exit code {code}", code in _KILLED
+                cause, killed = f"exit code {code}", was_killed(code)
                 told = after_death(self._job, self._schedule, chunk, cause, killed=killed)
                 if told is not None:
                     self._news.put(told)

@@ -52,7 +52,7 @@ class FmuSubject:
         """Run every row, one by one."""
         began = perf_counter()
         runs, given, outputs = len(rows), rows.given, rows.outputs
-        states, reasons = [RunState.FAILED] * runs, dict[int, str]()
+        states, reasons, notes = [RunState.FAILED] * runs, dict[int, str](), dict[int, str]()
         found: dict[int, Vector] = {}
         taken = {name: value for name, value in rows.settings.items() if name in _TAKEN}
         time = self._fmu.times(*(taken.get(name) for name in _TAKEN[:3]))
@@ -68,6 +68,8 @@ class FmuSubject:
             else:
                 if len(run) == len(time):
                     states[i], found[i] = RunState.COMPLETE, run.values
+                    if "note" in run.stats:
+                        notes[i] = run.stats["note"]
                 else:
                     reasons[i] = f"it recorded {len(run)} of {len(time)} output times"
         values = np.full((runs, len(time), len(outputs)), np.nan)
@@ -82,7 +84,7 @@ class FmuSubject:
             given,
             tuple(states),
             reasons,
-            {},
+            notes,
             reached=np.where([i in found for i in range(runs)], len(time), 0),
             steps=counts,
             rhs_calls=counts,

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
+from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
@@ -37,7 +38,7 @@ class ModelSubject:
         self.name = dae.full_name
         rules = [rule.expression for rule in dae.start_rules]
         function = ca.Function("model", dae.arguments, [dae.ode, dae.alg, dae.outputs])
-        starts = ca.Function("starts", [dae.x, dae.p], rules)
+        starts = law_of_knowns(dae, "starts", *rules)
         numbers = [v.start for v in dae.variables]
         said = repr((dae.full_name, numbers, dae.x_start, sorted(values.items()), inputs))
         self.digest = digest_of(
