@@ -74,6 +74,10 @@ void note_rank(Instance *self) {
     pass_present(self, values + TIME, values + FIRST_STATE);
     const double distance = rank_at(self, NULL);
     if (!(distance < watch->least)) return;
+    if (distance < LEAST_RANK && watch->least >= LEAST_RANK) /* a solver may end before its step */
+        log_text(self, WARNING,
+                 "near time %.6g the constraints lose rank, where branches of motion meet",
+                 values[TIME]);
     watch->least = distance;
     watch->when = values[TIME];
 }

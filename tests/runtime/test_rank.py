@@ -90,6 +90,7 @@ def test_an_evaluation_at_a_loss_within_a_step_is_an_error(me):
     assert completed(me, 1.0, 0.1, 0.0) == OK
     at(me, 1.05, 1e-6, 0.0)
     me.states("GetDerivatives" if me.prefix == "fmi2" else "GetContinuousStateDerivatives")
+    assert "near time 1.05 the constraints lose rank" in me.said
     assert completed(me, 1.1, 0.1, 0.0) == ERROR
     assert "lose rank at time 1.05 " in me.said
 
