@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from fmpy import read_model_description
 from helpers import example_oracles as oracles
 
 import cosim
@@ -101,6 +102,13 @@ def test_a02_steps_pass_every_position_on_its_branch(a02, interval, tolerance):
     run = cosim.simulate_fmu(a02, interface="CoSimulation", stop_time=10.0, **settings)
     assert abs(run["y1"] - run["y0"]).max() < tolerance
     assert error(LOSES_RANK, run) < 100 * tolerance
+
+
+def test_only_an_fmu_that_watches_its_constraints_asks_for_completed_steps(a02, tmp_path):
+    other = cosim.export_fmu(cosim.load("crank_shaft"), tmp_path / "crank.fmu")
+    for path, asks in ((a02, True), (other, False)):
+        exchange = read_model_description(path).modelExchange
+        assert exchange.needsCompletedIntegratorStep is asks
 
 
 @pytest.mark.parametrize("interval", [0.1, 0.01])

@@ -88,6 +88,12 @@ def test_variants_pass_like_single_runs(bars):
     assert not cosim.simulate_many(bars, {"x0_dot": [1.0]}, **asked).complete.any()
 
 
+def test_reduced_model_is_watched_like_the_whole(bars):
+    run = cosim.simulate(cosim.reduce(bars, ["x0", "y0"]), stop_time=2.0)
+    assert run.names == ("x0", "y0")
+    assert "speeds go on at 2 such positions" in run.stats["note"]
+
+
 def test_refusal_says_why_nothing_else_was_taken(bars, monkeypatch):
     monkeypatch.setattr(across, "SMOOTH", 0.0)
     with pytest.raises(SolverError, match=r"tried, and not taken: a state is .* off its way"):
