@@ -103,8 +103,9 @@ def test_refusal_says_why_nothing_else_was_taken(bars, monkeypatch):
 def test_failure_elsewhere_is_left_alone(bars):
     """The model ends where it has no solution; its constraints keep their rank."""
     ending = replace(bars, alg=bars.alg / (bars.t < 0.3))
-    with pytest.raises(SolverError, match=r"tried, and not taken: no constraints lose rank"):
+    with pytest.raises(SolverError, match=r"idas stopped after 0\.[23]") as caught:
         cosim.simulate(ending, stop_time=0.5)
+    assert "tried" not in str(caught.value)
 
 
 def test_another_branch_is_seen_by_its_speeds(bars):

@@ -35,7 +35,7 @@ FACTORS = tuple(10 ** (-k / 4) for k in range(14))  # of the tolerance, one afte
 TIGHTEST = 1e-13  # relative tolerance; beyond, rounding is all that one sees
 _WAY = 5  # outputs up to a position, or behind it, that tell where a state is heading
 _FEWEST = 3
-
+POOR = 0.5  # distance from a loss of rank, below which a solver may have failed of one
 
 Again = Callable[..., Trajectory]
 
@@ -81,8 +81,8 @@ def across(
     if not isinstance(solver, AdaptiveSolver):
         return None
     dae, grid, asked = problem.dae, problem.grid, solver.relative_tolerance
-    lost, possible = first.failed or first.rank_loss, dae.invariants and watches_rank(dae)
-    if not (lost and possible and asked):
+    lost = first.rank_loss or (first.failed and first.rank < POOR)
+    if not (lost and dae.invariants and watches_rank(dae) and asked):
         return None
     at = first.rank_loss.position if first.rank_loss else len(first.table) - 1
     ended = float(grid[max(at - 1, 0)]), float(grid[min(at + 2, len(grid) - 1)])

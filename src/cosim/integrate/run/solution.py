@@ -35,6 +35,8 @@ class Solution:
         invalid: Where the run leaves what its model, or its fixed step, is good for.
         note: What was done that was not asked for; empty where nothing was.
         rank_loss: The first position that it crosses in which constraints lose rank.
+        rank: How far they are from that at the last good time, 1 at best; infinite where nobody
+            looks.
     """
 
     grid: Vector
@@ -47,6 +49,7 @@ class Solution:
     invalid: tuple[Breach, ...]
     note: str
     rank_loss: RankLoss | None = None
+    rank: float = np.inf
 
 
 def solve(
@@ -135,10 +138,11 @@ def _recorded(
         found.sort()
         if found and on_invalid == "stop":
             n, reason = found[0]
+    rank = float(seen.margins[n - 1, -1]) if ranked and n else np.inf
     last = (motion.states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
     return Solution(
         grid, seen.table[:n], last, motion.counts, motion.solve_time, reason, bool(motion.reason),
-        tuple(found), motion.note, rank_loss,
+        tuple(found), motion.note, rank_loss, rank,
     )  # fmt: skip
 
 
