@@ -11,8 +11,16 @@ import numpy as np
 from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
 from cosim.codegen.compiler import time_compiling
-from cosim.errors import CompilerExhausted, Interrupted, SolverError, UnknownName, UsageError
+from cosim.errors import (
+    CompilerExhausted,
+    CosimError,
+    Interrupted,
+    SolverError,
+    UnknownName,
+    UsageError,
+)
 from cosim.host.progress import doing
+from cosim.integrate.across import across
 from cosim.integrate.diagnosis.crossing import times_between
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
@@ -150,8 +158,24 @@ def simulate(
     run = _trajectory(own, values, computed, stats)
     if computed.reason == INTERRUPTED:
         raise Interrupted(f"{run.model}: {run.status}", run)
+    why_not = ""
+    if solver is None and drift_control is None and compiled is not False:
+        start = one_of(dae, start_values, shorthand.get("start"))
+        again = partial(simulate, given, start_values=start, inputs=inputs, compiled=compiled)
+        again = partial(again, on_invalid=on_invalid)
+        try:
+            other = across(own.problem, own.solver, values, computed.first, again, outputs)
+        except Interrupted as stopped:
+            raise Interrupted(f"{run.model}: {run.status}; interrupted", run) from stopped
+        except CosimError as error:
+            why_not = f" (tried, and not taken: {error})"
+            told = "; ".join(filter(None, (stats.note, f"{Dop853.name} with projection{why_not}")))
+            run = replace(run, stats=replace(stats, note=told))
+        else:
+            if other is not None:
+                return other
     if computed.reason:
-        raise _failure(own, values, computed, run)
+        raise _failure(own, values, computed, run, why_not)
     return run
 
 
@@ -238,8 +262,10 @@ def _trajectory(own: Plan, values: Values, computed: _Computed, stats: RunStats)
     )
 
 
-def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) -> SolverError:
-    """Say why a run stopped, and what else there is."""
+def _failure(
+    own: Plan, values: Values, computed: _Computed, run: Trajectory, why_not: str
+) -> SolverError:
+    """Say why a run stopped, and what else there is; `why_not` follows the last of it."""
     dae, solver = own.problem.dae, own.solver
     others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
     which = f" ({', '.join(others)})" if dae.algebraics else ""
@@ -252,7 +278,7 @@ def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) ->
     return SolverError(
         f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; look for a "
         "singularity near that state, or use another tolerance or step, formulation or "
-        f"solver{which}{closer}",
+        f"solver{which}{why_not}{closer}",
         run,
     )
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.rank import watches_rank
 from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.integrate.diagnosis.validity import ON_INVALID
@@ -120,7 +121,12 @@ def simulate_many(
                 "input series; leave lanes out"
             )
         settings = {"solver": chosen, "inputs": inputs, "on_invalid": on_invalid}
-        ensemble, interrupted = one_by_one(dae, values, names, grid, settings, watch)
+        ours = solver is None and watches_rank(dae)
+        numbers = {"relative_tolerance": relative_tolerance}
+        unnamed = {"solver": None, "absolute_tolerance": absolute_tolerance, **numbers}
+        ensemble, interrupted = one_by_one(
+            dae, values, names, grid, settings, watch, unnamed if ours else None
+        )
     ensemble = _without_first(ensemble, first)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **ensemble.stats}
