@@ -156,7 +156,7 @@ def simulate(
         computed = _computed(own, values, on_invalid, insisting=bool(compiled))
     stats = _stats(own.solver, computed, perf_counter() - began, time_compiling() - before)
     run = _trajectory(own, values, computed, stats)
-    if computed.first.reason == INTERRUPTED:
+    if computed.reason == INTERRUPTED:
         raise Interrupted(f"{run.model}: {run.status}", run)
     why_not = ""
     if solver is None and drift_control is None and compiled is not False:
@@ -172,7 +172,7 @@ def simulate(
         else:
             if other is not None:
                 return other
-    if computed.first.reason:
+    if computed.reason:
         raise _failure(own, values, computed, run, why_not)
     return run
 
@@ -208,6 +208,11 @@ class _Computed:
     choice: Choice
     solver: Solver
 
+    @property
+    def reason(self) -> str:
+        """Why it ended early; Ctrl-C counts while a failure is looked at, too."""
+        return INTERRUPTED if self.last.reason == INTERRUPTED else self.first.reason
+
 
 def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) -> _Computed:
     """Compute a run; interpreted where a compiler gives up that nobody insists on."""
@@ -237,7 +242,7 @@ def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) ->
 
 def _trajectory(own: Plan, values: Values, computed: _Computed, stats: RunStats) -> Trajectory:
     """Return what was computed with what is known of it."""
-    dae, reason, table = own.problem.dae, computed.first.reason, computed.last.table
+    dae, reason, table = own.problem.dae, computed.reason, computed.last.table
     time, status = computed.first.grid[: len(table)], "complete"
     if reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
