@@ -30,6 +30,7 @@ from cosim.model.values import Values
 from cosim.trajectory import Trajectory
 
 AGREEMENT = 100.0  # tolerances, of a state's size, that two runs may be apart
+FARTHEST = 1e-2  # of a state's size, however loose the tolerance
 SMOOTH = 1e-3  # of its size, that a state may be off where it was heading
 FACTORS = tuple(10 ** (-k / 4) for k in range(14))  # of the tolerance, one after the other
 TIGHTEST = 1e-13  # relative tolerance; beyond, rounding is all that one sees
@@ -141,7 +142,7 @@ def _passing(
             why = f"a state is {now.jump:.1g} of its size off its way"
             continue
         apart = min((now.distance(other) for other in smooth), default=np.inf)
-        if apart <= AGREEMENT * asked:
+        if apart <= min(AGREEMENT * asked, FARTHEST):
             arrived = True
             yield tolerance, _evidence(now, apart)
         why = "no second run arrives"
