@@ -16,7 +16,6 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.rank import LOST, MONITOR, watches_rank
 from cosim.errors import SolverError
 from cosim.integrate.diagnosis.crossing import close_times, rank_losses
 from cosim.integrate.engine import Problem
@@ -26,13 +25,14 @@ from cosim.integrate.run.run_stats import RunStats
 from cosim.integrate.run.solution import Solution
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.model.inputs import InputSeries
+from cosim.model.rank import LOST, MONITOR, watches_rank
 from cosim.model.values import Values
 from cosim.trajectory import Trajectory
 
 AGREEMENT = 100.0  # tolerances, of a state's size, that two runs may be apart
 FARTHEST = 1e-2  # of a state's size, however loose the tolerance
 SMOOTH = 1e-3  # of its size, that a state may be off where it was heading
-FACTORS = tuple(10 ** (-k / 4) for k in range(14))  # of the tolerance, one after the other
+TIGHTER = tuple(10 ** (-k / 4) for k in range(14))  # of the tolerance, one after the other
 TIGHTEST = 1e-13  # relative tolerance; beyond, rounding is all that one sees
 _WAY = 5  # outputs up to a position, or behind it, that tell where a state is heading
 _FEWEST = 3
@@ -129,7 +129,7 @@ def _passing(
         SolverError: No run arrives, or nothing tells that it is right.
     """
     arrived, why, smooth = False, "no run arrives", list[_Crossed]()
-    for tolerance in (factor * asked for factor in FACTORS):
+    for tolerance in (factor * asked for factor in TIGHTER):
         if tolerance < min(asked, TIGHTEST):
             break
         try:

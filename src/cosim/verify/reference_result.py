@@ -23,7 +23,6 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
-from cosim.codegen.rank import watches_rank
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
 from cosim.files import refuse_unwritable, write_atomically
 from cosim.fmi.aliases import flat_names
@@ -36,6 +35,7 @@ from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.simulate import simulate
+from cosim.model.rank import watches_rank
 from cosim.scene.roads import FMU_ROADS
 from cosim.text.escaping import sentence
 from cosim.trajectory import Column, Trajectory

@@ -16,9 +16,9 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
-from cosim.codegen.rank import LOST, MONITOR, constraint_condition, distance_from_loss, watches_rank
 from cosim.integrate.diagnosis.validity import Breach
 from cosim.memo import kept_per_thread
+from cosim.model.rank import LOST, MONITOR, constraint_condition, distance_from_loss, watches_rank
 
 SUSPECTED = 3.0  # intervals within which lines through neighbours reach 0 from both sides, at most
 _POINTS, _ZOOMS = 33, 4

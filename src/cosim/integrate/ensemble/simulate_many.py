@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
-from cosim.codegen.rank import watches_rank
 from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.integrate.diagnosis.validity import ON_INVALID
@@ -24,6 +23,7 @@ from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import chosen_solver
 from cosim.model.inputs import InputSeries
 from cosim.model.many_values import assign_many
+from cosim.model.rank import watches_rank
 from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import assign, number, numbers_of
 

@@ -7,7 +7,6 @@ import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.codegen.pieces import in_pieces
-from cosim.codegen.rank import LOST
 from cosim.errors import UsageError
 from cosim.fmi.export.description.model_description import Identity
 from cosim.fmi.export.solver_choice import uses_dop853
@@ -16,6 +15,7 @@ from cosim.fmi.export.sources.folding import folded
 from cosim.fmi.export.sources.rank import has_rank
 from cosim.fmi.export.sources.work import most_trials
 from cosim.fmi.export.variables import FmuVariable, Role
+from cosim.model.rank import LOST
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
 

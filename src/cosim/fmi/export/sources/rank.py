@@ -5,11 +5,11 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.functions import CALL
-from cosim.codegen.rank import distance_from_loss, watches_rank
 from cosim.codegen.runge_kutta.projection import projection_step
 from cosim.memo import kept_per_thread
+from cosim.model.rank import distance_from_loss, watches_rank
 
-MOST = 5.0  # times the operations of the equations, that it may take
+LARGEST_SHARE = 5.0  # times the operations of the equations, that it may take
 
 
 @kept_per_thread(16)
@@ -21,7 +21,7 @@ def has_rank(dae: Dae) -> bool:
     """
     if not (dae.states and dae.invariants and watches_rank(dae)):
         return False
-    return _distance(dae).n_instructions() <= MOST * max(1, dae.operations())
+    return _distance(dae).n_instructions() <= LARGEST_SHARE * max(1, dae.operations())
 
 
 def rank_functions(dae: Dae) -> list[ca.Function]:
