@@ -39,6 +39,7 @@ JUDGES = {
     "heat": "its slowest mode",
     "chain": "Lagrange's equations",
 }
+DEFAULT = {"four_bars_a02": {"compiled": None}}  # whose way across positions takes a compiler
 ACROSS = {"solver": "dop853", "drift_control": "projection"}  # where loops lose rank
 TIGHT = {"four_bars_a02": ACROSS, "heat": {}}
 NAMES = {"dop853": "`dop853`, projected", "rosenbrock": "`rosenbrock`"}
@@ -84,7 +85,7 @@ def fmu_cell(dae: Dae, ends: dict[str, float], path: Path, interface: str) -> st
     try:
         run = cosim.simulate_fmu(path, **settings)
     except CosimError as failure:
-        at = re.search(r"(?:t = |after |at )([\d.]+)", str(failure))
+        at = re.search(r"(?:t = |after |at |time )([\d.]+)", str(failure))
         return f"ends at {float(at[1].rstrip('.')):.2g} s" if at else "ends early"
     return f"{error(dae, run, ends):.0e}".replace("e-0", "e-")
 
@@ -103,8 +104,8 @@ def errors_of_examples() -> str:
         row = [
             f"`{name}`",
             JUDGES[name],
-            cell(dae, ends),
-            cell(dae, ends, relative_tolerance=1e-10),
+            cell(dae, ends, **DEFAULT.get(name, {})),
+            cell(dae, ends, relative_tolerance=1e-10, **DEFAULT.get(name, {})),
             f"{tight} {NAMES.get(best.get('solver', ''), '')}".strip(),
             *fmus,
         ]

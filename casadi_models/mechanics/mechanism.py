@@ -15,9 +15,10 @@ from casadi import DM, SX
 
 from casadi_models.dae import Model
 from casadi_models.mechanics import conditions, kane
+from casadi_models.mechanics.slopes import determined, first_repeating
 
 CLOSING_RATE = 1.0  # 1/s
-REPEATED = 1e-9  # of the largest entry: what is left of a loop that repeats others
+DAMPING = 1e-10  # of the steps to the nearest closed position, of the squares of the slopes
 STEPS = 50  # of Newton's method at the start
 
 
@@ -106,6 +107,7 @@ def mechanism(
     driven: Mapping[str, SX | float] | None = None,
     speed_starts: Mapping[str, float] | None = None,
     closing_rate: float = CLOSING_RATE,
+    constant: SX | None = None,
 ) -> Mechanism:
     """Declare the motion of a mechanism in a model.
 
@@ -123,6 +125,8 @@ def mechanism(
             with them. Their speeds are states; the loads that this takes are `drives`.
         speed_starts: By coordinate, 0 where it is not named; of dependent ones, it follows.
         closing_rate: Of drift from the loops in the DAE, 1/s; see `Model.closing_rate`.
+        constant: States and inputs that count as constant where momenta are differentiated: the
+            mass of a rocket, whose fuel takes its momentum along.
 
     Raises:
         ValueError: A rate is not linear in u, a loop or a momentum depends on something whose rate
@@ -131,10 +135,12 @@ def mechanism(
     names = tuple(variable.name for variable in model.declared(q))
     g = ca.vertcat(SX(0, 1), *(loops or {}).values())
     _refuse_nonlinear(inertias, loads, u)
-    changing = {f"loop '{name}'": SX(rows) for name, rows in (loops or {}).items()}
-    changing |= {f"the momentum of inertia {i}": x.momentum for i, x in enumerate(inertias, 1)}
-    _refuse_foreign(model, changing, ca.vertcat(q, u))
-    moves = ca.depends_on(ca.vertcat(*map(ca.vec, changing.values())), model.t)
+    closed = {f"loop '{name}'": SX(rows) for name, rows in (loops or {}).items()}
+    _refuse_foreign(model, closed, q, "let a coordinate of driven={...} move it")
+    momenta = {f"the momentum of inertia {i}": x.momentum for i, x in enumerate(inertias, 1)}
+    known = ca.vertcat(q, u, SX(0, 1) if constant is None else constant)
+    _refuse_foreign(model, momenta, known, "make it a coordinate, or name it in constant=")
+    moves = ca.depends_on(ca.vertcat(*map(ca.vec, (closed | momenta).values())), model.t)
     clock = model.t if moves else SX(0, 1)
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
     for name in (*(speed_starts or {}), *(driven or {})):
@@ -154,12 +160,13 @@ def mechanism(
         kept = [variable.name for variable in model.declared(independent)]
         dependent = [i for i in moving if names[i] not in kept]
         if len(dependent) != g.numel():
+            _dependent(parts, loops or {}, jacobian[:, moving])  # one too many by repetition?
             raise ValueError(
                 f"{g.numel()} loops for {len(moving)} coordinates leave {len(moving) - g.numel()} "
                 f"independent ones; {len(kept)} are named"
             )
         _dependent(parts, loops or {}, jacobian[:, dependent])
-    model.start_equation(q[dependent], g, "the loops are closed")
+    model.start_equation(q[dependent], g, "closure of the loops")
     model.invariant("position_drift", q[moving], g, "the loops are closed")
     if independent is None:
         return _with_multipliers(parts, loops or {}, dependent, closing_rate)
@@ -334,15 +341,15 @@ def _refuse_nonlinear(
             raise ValueError(f"the rate of {what} is not linear in the speeds")
 
 
-def _refuse_foreign(model: Model, rows: Mapping[str, SX], motion: SX) -> None:
+def _refuse_foreign(model: Model, rows: Mapping[str, SX], own: SX, way_out: str) -> None:
     """Refuse what depends on something whose rate of change is not known, by name."""
-    known = ca.vertcat(motion, model.t, model.constants)
+    known = ca.vertcat(own, model.t, model.constants)
     for what, expression in rows.items():
         for symbol in ca.symvar(SX(expression)):
             if not ca.depends_on(known, symbol):
                 raise ValueError(
                     f"{what} depends on '{symbol}', which is no coordinate, parameter or time, and "
-                    "whose rate is not known; let a coordinate of driven={...} move it"
+                    f"whose rate is not known; {way_out}"
                 )
 
 
@@ -363,27 +370,15 @@ def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int
         residual = law(place)[:m]
         if float(ca.norm_inf(residual)) < 1e-12:
             break
-        place -= ca.pinv(ca.densify(full(place)) + 1e-14 * DM.ones(*full.size_out(0))) @ residual
-    rows = [
-        [float(v) for v in ca.horzsplit(row)]
-        for row in ca.vertsplit(ca.reshape(law(place)[m:], m, n))
-    ]
-    largest = max((abs(v) for row in rows for v in row), default=0.0)
-    names, found, open_rows = _rows(loops), list[int](), list(range(m))
-    for column in reversed(range(n)):
-        if not open_rows:
-            break
-        pivot = max(open_rows, key=lambda r: abs(rows[r][column]))
-        if abs(rows[pivot][column]) <= max(REPEATED, 1e-6 * (n > m)) * largest:
-            continue
-        open_rows.remove(pivot)
-        found.append(column)
-        for r in open_rows:
-            factor = rows[r][column] / rows[pivot][column]
-            rows[r] = [a - factor * b for a, b in zip(rows[r], rows[pivot], strict=True)]
-    if open_rows:
+        slope = ca.densify(full(place))  # its rows may repeat each other
+        damped = slope @ slope.T + DAMPING * ca.sumsqr(slope) * DM.eye(m)
+        place -= slope.T @ ca.solve(damped + DM.eye(m) * (ca.sumsqr(slope) == 0), residual)
+    slopes = ca.reshape(law(place)[m:], m, n)
+    found, left = determined(slopes)
+    if left:
+        name = _rows(loops)[first_repeating(slopes, left[0])]
         raise ValueError(
-            f"loop '{names[open_rows[0]]}' repeats others at the start, or the dependent "
+            f"loop '{name}' repeats others at the start, or the dependent "
             "coordinates cannot close it; leave it out, or choose other independent ones"
         )
-    return sorted(found)
+    return found

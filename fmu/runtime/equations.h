@@ -10,6 +10,9 @@
    model_directional        t, x, z, u, p, seed_x, seed_u, seed_p, seed_t -> sens_dx, sens_z, sens_y
    model_adjoint            t, x, z, u, p, seed_dx, seed_z, seed_y -> sens_x, sens_u, sens_p, sens_t
    model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
+   model_rank               t, x, z, u, p                         -> distance (1)
+   model_rank_rate          t, x, z, u, p                         -> its time derivative (1)
+   model_project            t, x, u, p                            -> x_moved, change (1)
    model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
 
    The start derivative is of x as function of t, the exact starts, u and p: calculated entries of
@@ -19,7 +22,11 @@
 
    The model holds while each margin is positive; `limits` in variables.h says what that means.
 
-   model_adjoint is there where model.h has HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0. */
+   model_rank is 1 where the constraints are independent at their best and 0 where they lose rank;
+   model_project makes a step of Newton's method towards where the constraints hold.
+
+   These three are there where model.h has HAS_RANK 1, model_adjoint where it has HAS_ADJOINT 1,
+   model_step where SOLVER_DOP853 is 0. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -36,10 +43,12 @@ INSIDE_BEGIN
 Equation model_start, model_start_directional;
 Equation model_algebraic, model_ode, model_outputs;
 Equation model_directional, model_adjoint, model_jacobian, model_step;
+Equation model_rank, model_rank_rate, model_project;
 
 WorkSize model_start_work, model_start_directional_work;
 WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
 WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
+WorkSize model_rank_work, model_rank_rate_work, model_project_work;
 
 INSIDE_END
 

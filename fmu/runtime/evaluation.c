@@ -7,7 +7,11 @@
 
 #include "equations.h"
 #include "logging.h"
+#include "rank.h"
 
+#if HAS_RANK
+static const double LOW_RANK = 0.1; /* of the constraints, 1 at best: a likely cause of a failure */
+#endif
 static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
 
 bool all_finite(const double values[], int count) {
@@ -76,6 +80,11 @@ static int compute_margins(Instance *self, double margins[]) {
 
 /* What to add to a message of failure at the present values. */
 Hint limit_hint(Instance *self) {
+#if HAS_RANK
+    pass_values(self);
+    if (rank_at(self, NULL) < LOW_RANK)
+        return (Hint){"; nearby, ", "the constraints lose rank, where branches of motion meet"};
+#endif
     double margins[ROOM(N_LIMITS)] = {0};
     for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
     if (N_LIMITS > 0) compute_margins(self, margins);
@@ -117,12 +126,18 @@ static Status compute_outputs(Instance *self) {
     return status;
 }
 
+static Status compute_derivatives(Instance *self) {
+    const Status status =
+        compute(self, model_ode, self->state.values + FIRST_DERIVATIVE, "derivatives");
+    if (status == OK) note_rank(self);
+    return status;
+}
+
 static Status renew(Instance *self, unsigned result) {
-    double *values = self->state.values;
     switch (result) {
     case START_VALUES: return settle_start(self);
     case ALGEBRAICS: return solve_algebraics(self);
-    case DERIVATIVES: return compute(self, model_ode, values + FIRST_DERIVATIVE, "derivatives");
+    case DERIVATIVES: return compute_derivatives(self);
     case OUTPUTS: return compute_outputs(self);
     default:
         self->res[1] = self->jacobian + NX * (NX + NU);
@@ -147,6 +162,16 @@ Status refresh(Instance *self, unsigned results) {
 /* Look whether limits are left, where nobody has read an output. */
 void note_limits(Instance *self) {
     if (N_LIMITS > 0) refresh(self, OUTPUTS);
+}
+
+/* Watch the rank of the constraints from here on, where the model has a watch. */
+void begin_watching(Instance *self) {
+    if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
+}
+
+/* Look whether the constraints have lost rank since the last look: `status` where they have. */
+Status look_back(Instance *self, Status status) {
+    return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
 }
 
 /* The margins of the limits at the present values, which need not be those of a solution. */

@@ -13,6 +13,8 @@ void pass_values(Instance *self);
 Status refresh(Instance *self, unsigned results);
 void note_limits(Instance *self);
 Hint limit_hint(Instance *self);
+void begin_watching(Instance *self);
+Status look_back(Instance *self, Status status);
 Status get_margins(Instance *self, double margins[]);
 
 INSIDE_END

@@ -1,5 +1,6 @@
 /* FMI 2.0: the functions of model exchange. Events change nothing but what `valid` says. */
 #include "access.h"
+#include "evaluation.h"
 #include "fmi2_modes.h"
 #include "fmi2_status.h"
 
@@ -16,7 +17,10 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
-    return enter(c, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
+    const fmi2Status status =
+        enter(c, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
+    if (status == fmi2OK) begin_watching(c);
+    return status;
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) {
@@ -37,7 +41,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c,
     if (!enterEventMode || !terminateSimulation)
         return fmi2_status(refuse(self, ERROR, "there is no room for the results"));
     *enterEventMode = *terminateSimulation = fmi2False;
-    return fmi2OK;
+    return fmi2_status(look_back(self, ERROR));
 }
 
 /* -- time and states -------------------------------------------------------------------------- */

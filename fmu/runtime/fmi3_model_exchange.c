@@ -1,5 +1,6 @@
 /* FMI 3.0: the functions of model exchange. Events change nothing but what `valid` says. */
 #include "access.h"
+#include "evaluation.h"
 #include "fmi3_modes.h"
 #include "fmi3_status.h"
 
@@ -16,7 +17,10 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
 }
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
-    return enter(instance, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
+    const fmi3Status status =
+        enter(instance, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
+    if (status == fmi3OK) begin_watching(instance);
+    return status;
 }
 
 /* There are no discrete states. */
@@ -50,7 +54,7 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
     if (!enterEventMode || !terminateSimulation)
         return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     *enterEventMode = *terminateSimulation = fmi3False;
-    return fmi3OK;
+    return fmi3_status(look_back(self, ERROR));
 }
 
 /* -- time and states -------------------------------------------------------------------------- */

@@ -20,6 +20,9 @@ static WorkSize *const work_sizes[] = {
 #if !SOLVER_DOP853
     model_step_work,
 #endif
+#if HAS_RANK
+    model_rank_work,    model_rank_rate_work,         model_project_work,
+#endif
 };
 
 typedef struct {

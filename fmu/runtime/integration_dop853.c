@@ -13,6 +13,7 @@
 #include "equations.h"
 #include "evaluation.h"
 #include "midway.h"
+#include "rank.h"
 
 /* Errors of steps add up, and the order is high: a hundredth of the tolerance asked for in each
    step costs 1.8 times the right-hand sides, and brings the error of a run near the tolerance. */
@@ -28,14 +29,19 @@ typedef struct {
     int trials; /* of steps that are left: MOST_TRIALS of model.h bound the time of a call */
 } Problem;
 
+static void inputs_at(const Problem *self, double t, double u[]) {
+    const State *state = &self->fmu->state;
+    for (int i = 0; i < NU; i++)
+        u[i] = state->values[FIRST_INPUT + i] + state->slopes[i] * (t - self->began);
+}
+
 /* dx/dt; the algebraic unknowns are solved from their last values. */
 static int problem_slope(void *problem, double t, const double *x, double *dx) {
     Problem *self = problem;
     Instance *fmu = self->fmu;
     const double *values = fmu->state.values;
     double u[ROOM(NU)] = {0}, z[ROOM(NZ)] = {0};
-    for (int i = 0; i < NU; i++)
-        u[i] = values[FIRST_INPUT + i] + fmu->state.slopes[i] * (t - self->began);
+    inputs_at(self, t, u);
     fmu->arg[0] = &t;
     fmu->arg[1] = x;
     fmu->arg[2] = self->z;
@@ -53,6 +59,59 @@ static int problem_slope(void *problem, double t, const double *x, double *dx) {
 static double problem_scale(const void *problem, int i, double x) {
     const Problem *self = problem;
     return self->tolerance * (ABSOLUTE * variables[FIRST_STATE + i].nominal + fabs(x));
+}
+
+#if HAS_RANK
+static const double POOR = 0.5; /* distance from a loss of rank, 1 at best */
+
+/* The middle of the widest gap between the nodes of the stages. */
+static const double GAP = 7.0 / 15;
+
+static double distance_at(Problem *self, double t, const double *x, double *rate) {
+    Instance *fmu = self->fmu;
+    double u[ROOM(NU)] = {0};
+    inputs_at(self, t, u);
+    fmu->arg[0] = &t;
+    fmu->arg[1] = x;
+    fmu->arg[2] = self->z;
+    fmu->arg[3] = u;
+    fmu->arg[4] = fmu->state.values + FIRST_PARAMETER;
+    return rank_at(fmu, rate);
+}
+
+/* What is left until the constraints lose rank, by their rate; infinite where that is far. */
+static double time_to_loss(Problem *self, double t, const double *x) {
+    double rate = 0;
+    if (distance_at(self, t, x, NULL) >= POOR) return INFINITY;
+    const double distance = distance_at(self, t, x, &rate);
+    return rate < 0 ? -distance / rate : INFINITY;
+}
+
+/* Move the end of a step to where the constraints hold, if they are poor there; false where that
+   cannot be, or rank is lost. */
+static bool keep_to_constraints(Problem *self, double t, double *x) {
+    double u[ROOM(NU)] = {0};
+    inputs_at(self, t, u);
+    const double distance = distance_at(self, t, x, NULL);
+    return distance >= POOR || (distance >= LEAST_RANK && restore(self->fmu, t, u, x));
+}
+#else
+static double time_to_loss(Problem *self, double t, const double *x) {
+    (void)self, (void)t, (void)x;
+    return INFINITY;
+}
+static bool keep_to_constraints(Problem *self, double t, double *x) {
+    (void)self, (void)t, (void)x;
+    return true;
+}
+static const double GAP = 1;
+#endif
+
+/* The size of a step on the way to a loss of rank, near which no evaluation should be: either the
+   loss falls into the gap between two stages, or the step ends well before. */
+static double size_before(double loss, double size) {
+    if (loss == INFINITY) return size;
+    return loss <= GAP * size ? loss / GAP : fmin(size, loss / 2);
 }
 
 /* Start from the instance's own state. */
@@ -73,15 +132,18 @@ static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, dou
 static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end, double ahead) {
     Slopes k;
     double x[NX];
-    const double t = memory->until;
+    const double t = memory->until, loss = time_to_loss(self, t, memory->end);
     const double shortest = 10 * DBL_EPSILON * fmax(fabs(t), end - self->began);
     memcpy(k[0], memory->slope, sizeof k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
-        const bool final = t + 1.01 * memory->next >= ahead;
-        const double h = final ? ahead - t : memory->next, after = final ? ahead : t + h;
+        const double size = size_before(loss, memory->next);
+        const double most = loss < size ? 1 / OF_TOLERANCE : 1; /* all that was asked for */
+        const bool final = t + 1.01 * size >= ahead;
+        const double h = final ? ahead - t : size, after = final ? ahead : t + h;
         const int lost = stages(ode, t, h, memory->end, k, x);
         const double error = lost ? NAN : error_of(ode, h, memory->end, x, k);
-        if (!(error <= 1) || slope(ode, after, x, k[END]) || !is_finite(k[END])) {
+        if (!(error <= most) || !keep_to_constraints(self, after, x) ||
+            slope(ode, after, x, k[END]) || !is_finite(k[END])) {
             memory->next = h * (error > 1 ? growth(error, rejected) : 0.1);
             continue;
         }
@@ -92,7 +154,8 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
             continue;
         }
         const double next = h * growth(error, rejected);
-        memory->next = fmin(final ? fmax(memory->next, next) : next, LARGEST_STEP);
+        const bool shortened = final || size < memory->next;
+        memory->next = fmin(shortened ? fmax(memory->next, next) : next, LARGEST_STEP);
         memory->until = after;
         memcpy(memory->end, x, sizeof x);
         memcpy(memory->slope, k[END], sizeof memory->slope);

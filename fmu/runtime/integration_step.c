@@ -47,8 +47,18 @@ bool integrate_to(Instance *self, double end) {
         if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
         const double rest = end - *time;
         const bool last = length >= rest;
+#if HAS_RANK
+        if (self->state.watch.looks == 0) begin_watching(self);
+        const State before = self->state;
+#endif
         if (advance(self, last ? rest : length)) {
             *time = last ? end : *time + length;
+#if HAS_RANK
+            if (look_back(self, DISCARD) != OK) {
+                self->state = before;
+                return false;
+            }
+#endif
             if (*time < end && !pass_midway(self, &end)) return false;
         } else {
             failed++;

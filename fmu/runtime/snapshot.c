@@ -82,6 +82,9 @@ static bool plausible(const Instance *self, const State *state) {
         if (!isfinite(state->slopes[i])) return false;
     if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;
     if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
+#if HAS_RANK
+    if (!all_finite((const double *)&state->watch, WATCH_SIZE)) return false;
+#endif
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;
         if (!result && !isfinite(state->values[i])) return false;

@@ -38,6 +38,24 @@ enum {
     EVERYTHING = START_VALUES | AFTER_START
 };
 
+/* A look at the rank of the constraints: their distance from losing it, 1 at best. */
+typedef struct {
+    double time, distance, rate;
+    double x[ROOM(NX)], dx[ROOM(NX)];
+} Look;
+
+/* The last two looks; all of it doubles. */
+typedef struct {
+    double looks; /* how many of them there are */
+    Look last, before;
+    double least,
+        when; /* distance of what was evaluated since and is nearest to a loss; its time */
+} Watch;
+
+enum { WATCH_SIZE = sizeof(Watch) / sizeof(double) };
+
+_Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubles");
+
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */
 typedef struct {
@@ -45,6 +63,9 @@ typedef struct {
     double slopes[ROOM(NU)];    /* du/dt within the communication step */
     double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
     SolverMemory memory;
+#if HAS_RANK
+    Watch watch;
+#endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double stop_time;              /* infinite where none was given */
     double tolerance;              /* relative, of co-simulation */

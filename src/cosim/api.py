@@ -63,7 +63,8 @@ def simulate(
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.
         solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
-            the name of one; CVODES, or IDAS for a DAE, when None.
+            the name of one; CVODES, or IDAS for a DAE, when None: and where constraints lose rank,
+            `dop853` with projection if the run itself tells that it keeps to its branch.
         accuracy: Instead of solver and tolerance: largest global error of the outputs, in nominal
             values. The cheapest configuration that was measured to do is taken, and checked.
         budget: Instead of these, too: time that the solver may take, s.

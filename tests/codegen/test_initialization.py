@@ -153,3 +153,26 @@ def test_systems_without_algebraic_unknowns_have_none():
     dae = cosim.load("crank_shaft")
     values = assign(dae)
     assert algebraic_values(dae, 0.0, values.x, values).shape == (0,)
+
+
+def test_start_equations_that_repeat_each_other_are_refused_with_a_sentence():
+    """CasADi's factorization of their slopes raises an error of its own."""
+    model = Model("twice")
+    a, b = model.state("a", "1", 0.3, "a"), model.state("b", "1", 0.4, "b")
+    both = ca.vertcat(a, b)
+    model.derivative(both, -both)
+    model.start_equation(both, ca.vertcat(a + b - 1, 2 * a + 2 * b - 2), "the sum")
+    with pytest.raises(InitialConditionError, match="no start value of a, b satisfies the sum;"):
+        cosim.simulate(model.freeze(), compiled=False)
+
+
+def test_first_guess_from_which_nothing_is_found_is_what_to_change():
+    """z^2 = x has slope 0 at z = 0, the guess that nobody gave; exp z = x is flat far below."""
+    x, z = ca.SX.sym("x"), ca.SX.sym("z")
+    flat = cosim.from_casadi({"x": x, "z": z, "ode": -x, "alg": z**2 - x}, {"x": 1.0})
+    told = r"equation 1 of 1 has slope 0 at the first guess\); .*give another first guess, as start"
+    with pytest.raises(InitialConditionError, match=told):
+        cosim.simulate(flat, compiled=False)
+    far = {"x": x, "z": z, "ode": -x, "alg": ca.exp(z) - x}
+    with pytest.raises(InitialConditionError, match=r"z is not finite\); .*start value of z, or"):
+        cosim.simulate(cosim.from_casadi(far, {"x": 1.0, "z": -50.0}), compiled=False)

@@ -1,5 +1,7 @@
 """Large models: the same derivatives by a loop, the same bits in pieces."""
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,8 +9,9 @@ from casadi import SX
 
 import casadi_models
 import cosim
+from cosim.codegen import directional_jacobian
 from cosim.codegen.directional_jacobian import has_long_jacobian
-from cosim.codegen.functions import is_large
+from cosim.codegen.functions import driven_equations, equations, is_large
 from cosim.fmi.export.sources.sensitivities import directional_function, jacobian_function
 from cosim.integrate.run.worthwhile import SMALL
 
@@ -46,3 +49,17 @@ def test_no_formulation_of_the_catalogue_is_large(name):
     assert not is_large(dae)
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     assert ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions() <= SMALL
+
+
+@pytest.mark.parametrize("function", [driven_equations, partial(equations, sensitivities=False)])
+def test_jacobian_in_a_loop_is_as_sparse_as_the_equations(function, monkeypatch):
+    """Solvers take its pattern from the function: 2500 nodes of a grid are 12,300 entries."""
+    monkeypatch.setattr(directional_jacobian, "MOST_OPERATIONS", 100)
+    x, z = ca.MX.sym("x", 60), ca.MX.sym("z", 60)
+    laws = {"ode": ca.diff(ca.vertcat(0, z)), "alg": z - ca.diff(ca.vertcat(x, 0))}
+    dae = cosim.from_casadi({"x": x, "z": z, **laws}, name="band")
+    found = function(dae)
+    assert "loop" in str([f.name() for f in found.jacobian().find_functions()])
+    for i, law in enumerate((dae.ode, dae.alg)):
+        for j, unknown in ((1, dae.x), (2, dae.z)):
+            assert found.jac_sparsity(i, j) == ca.jacobian_sparsity(law, unknown)

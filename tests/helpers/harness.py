@@ -107,13 +107,16 @@ def program(
 def fuzzers(new_folder: Callable[[str], Path]) -> Callable[..., Path]:
     """Return what builds a program of random calls on the toy, once for a solver and flags.
 
-    That of FMI 2 lets memory run out, and counts it. What both versions compile, they share.
+    "step rank" is the solver "step" of a toy with a watch. That of FMI 2 lets memory run out, and
+    counts it. What both versions compile, they share.
     """
 
     @cache
     def folder(solver: str, *flags: str) -> Path:
         made = new_folder("fuzz")
-        toy.write(made, toy.toy(), toy.TABLE, solver, most_steps=FUZZED_STEPS)
+        kind, _, watched = solver.partition(" ")
+        options = {"rank": bool(watched), "most_steps": FUZZED_STEPS}
+        toy.write(made, toy.toy(), toy.TABLE, kind, **options)
         return made
 
     @cache

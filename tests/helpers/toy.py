@@ -106,11 +106,13 @@ def write(
     solver: str = "step",
     *,
     valid: bool = False,
+    rank: bool = False,
     most_steps: int = 1000,
 ) -> None:
     """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs.
 
-    With `valid`, the model tells whether it holds, and its margins are its last outputs.
+    With `rank`, constraints are watched that lose rank where x_1 = 0. With `valid`, the model tells
+    whether it holds, and its margins are its last outputs.
     The generated solver takes up to `most_steps` in an attempt, dop853 tries 20 times as many.
     """
     if valid:
@@ -124,6 +126,8 @@ def write(
         f'#define MODEL_GUID "{GUID}"',
         "#define DEFAULT_TOLERANCE 1e-8",
         "#define HAS_ADJOINT 1",
+        f"#define HAS_RANK {int(rank)}",
+        "#define LEAST_RANK 1e-3",
         f"#define SOLVER_DOP853 {int(solver == 'dop853')}",
         "#define LARGEST_STEP 0.5",
         f"#define MOST_TRIALS {20 * most_steps}",
@@ -134,7 +138,7 @@ def write(
     (folder / "model.h").write_text("\n".join(header) + "\n")
     (folder / "dop853_coefficients.h").write_text(dop853_coefficients())
     generator = ca.CodeGenerator("model.c", {"with_export": False})
-    for function in _contract(model, most_steps):
+    for function in (*_contract(model, most_steps), *_rank_functions(model)[: 3 * rank]):
         generator.add(function)
     generator.generate(f"{folder}/")
     code = (folder / "model.c").read_text()
@@ -191,6 +195,15 @@ def _contract(m: Equations, most_steps: int) -> list[ca.Function]:
         ca.Function("model_adjoint", [*known, *weights], ca.vertsplit(backward, sizes)),
         ca.Function("model_jacobian", known, [_dense(ode, m), _dense(solved, m)]),
         _step_function(m, most_steps),
+    ]
+
+
+def _rank_functions(m: Equations) -> list[ca.Function]:
+    known, distance = [m.t, m.x, m.z, m.u, m.p], ca.fabs(m.x[0])
+    return [
+        ca.Function("model_rank", known, [distance]),
+        ca.Function("model_rank_rate", known, [ca.jtimes(distance, m.x, m.ode)]),
+        ca.Function("model_project", [m.t, m.x, m.u, m.p], [m.x, 0]),
     ]
 
 

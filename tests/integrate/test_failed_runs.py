@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -25,6 +26,7 @@ from helpers.oscillators import (
 import cosim
 from casadi_models.dae import Model
 from cosim.errors import InitialConditionError, Interrupted, SolverError
+from cosim.integrate.run.call import INTERRUPTED
 from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
 
@@ -232,6 +234,20 @@ def test_interrupt_reaches_a_run_within_a_second(solver, compiled):
     assert 1 <= len(partial) < 4001
     assert np.isfinite(partial.values).all()
     np.testing.assert_array_equal(partial.values[0], short.values[0])
+
+
+def test_interrupt_while_a_failed_run_is_repeated_is_one(monkeypatch):
+    module, reasons = sys.modules["cosim.integrate.simulate"], ["", INTERRUPTED]
+    solve = module.solve
+
+    def interrupted(*arguments):
+        found = solve(*arguments)
+        return replace(found, reason=reasons.pop(0) or found.reason)
+
+    monkeypatch.setattr(module, "solve", interrupted)
+    with pytest.raises(Interrupted) as caught:
+        simulate(blow_up(), output_interval=0.04, compiled=False)
+    assert caught.value.partial.status.endswith("s: interrupted")
 
 
 def test_interrupted_command_writes_what_it_has(tmp_path):

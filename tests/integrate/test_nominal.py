@@ -142,3 +142,20 @@ def test_scaled_invariants_vanish_with_the_model_s():
         (residual, sizes), (again, less) = laws[0](x, p), laws[1](x / 4, p)
         np.testing.assert_array_equal(np.array(residual), np.array(again))
         np.testing.assert_allclose(np.array(sizes), 4 * np.array(less))
+
+
+@pytest.mark.parametrize("solver", ["idas", "rosenbrock"])
+def test_one_library_serves_every_start(solver):
+    """An unknown without nominal value begins at 3, at 3e3 and at 3e6."""
+    model = Model(f"served_by_{solver}", stop_time=1.0)
+    x = model.state("x", "m", 1.0, "place")
+    z = model.algebraic("z", "N", 0.0, "force")
+    model.derivative(x, -x)
+    model.equation(z - 3 * x)
+    dae = model.freeze()
+    compiled = []
+    for size in (1.0, 1e3, 1e6):
+        run = simulate(dae, start_values={"x": size}, solver=solver, compiled=True)
+        compiled.append(run.stats.compile_time is not None)
+        np.testing.assert_allclose(run["z"], 3 * size * np.exp(-run.time), rtol=0, atol=1e-4 * size)
+    assert compiled[1:] == [False, False]

@@ -167,18 +167,29 @@ def small(loops=None, inertias=None, **options):
     [
         (lambda q: {"one": q[0] - q[1], "two": 2 * q[0] - 2 * q[1]}, "loop '(one|two)' repeats"),
         (lambda q: {"one": q[0] - 1, "two": q[0] ** 2 - 1}, "loop '(one|two)' repeats"),
-        (lambda q: {"both": ca.vertcat(q[0], q[0] + q[1] - q[1])}, "loop 'both_[12]' repeats"),
+        (lambda q: {"both": ca.vertcat(q[0], q[0] + q[1] - q[1])}, "loop 'both_2' repeats"),
+        (lambda q: circle_and_line(q, 0.0), "loop 'sum' repeats"),  # the starts are not on them
+        (lambda q: circle_and_line(q, 1.0), "loop 'sum' repeats"),
+        (lambda q: {"one": q[0] - q[1], "nothing": SX(0)}, "loop 'nothing' repeats"),
     ],
 )
 def test_loop_that_repeats_another_is_named(loops, named):
     with pytest.raises(ValueError, match=named):
         small(loops)
+    with pytest.raises(ValueError, match="repeats others"):  # not a coordinate too many
+        small(loops, independent=0)
+
+
+def circle_and_line(q, offset):
+    circle, line = ca.sumsqr(q[:2]) - 1, q[2] - 2 * q[1]
+    return {"circle": circle, "line": line, "sum": 2 * circle + line + offset}
 
 
 @pytest.mark.parametrize(
     ("moving", "told"),
     [
         (lambda model, u: SX.sym("stranger"), "loop 'rod' depends on 'stranger', which is no coor"),
+        (lambda model, u: u[0], "loop 'rod' depends on 'u_0', which is no coordinate"),
         (
             lambda model, u: model.input("f", "m", 0.0, "f"),
             r"loop 'rod' depends on 'f', .* rate is not known; let a coordinate of driven",
@@ -205,8 +216,20 @@ def test_loop_of_something_whose_rate_is_not_known_is_refused_by_name(moving, to
 def test_momentum_of_something_whose_rate_is_not_known_is_refused_by_name():
     model, u = Model("tank"), SX.sym("u")
     x, mass = model.state("x", "m", 0.0, "place"), model.input("mass", "kg", 1.0, "mass")
-    with pytest.raises(ValueError, match="the momentum of inertia 1 depends on 'mass', which is"):
+    told = "the momentum of inertia 1 depends on 'mass', .* name it in constant="
+    with pytest.raises(ValueError, match=told):
         mechanism(model, x, u, [kane.InertialTerm(u, mass * u)])
+
+
+def test_rocket_s_fuel_takes_its_momentum_along():
+    """Tsiolkovsky's equation: the exhaust leaves at 2 m/s."""
+    model, u = Model("rocket"), SX.sym("u")
+    x, mass = model.state("x", "m", 0.0, "place"), model.state("mass", "kg", 1.0, "mass")
+    model.derivative(mass, -0.5)
+    loads = [kane.Load(u, 2 * SX(0.5))]
+    mechanism(model, x, u, [kane.InertialTerm(u, mass * u)], loads, constant=mass)
+    run = cosim.simulate(model.freeze(), stop_time=1.0, relative_tolerance=1e-9, compiled=False)
+    assert run["x_dot"][-1] == pytest.approx(2 * np.log(2), abs=1e-7)
 
 
 # -- what moves with time: a pendulum of changing length, its pivot shaken ------------------------

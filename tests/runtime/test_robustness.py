@@ -19,6 +19,12 @@ def test_random_calls_do_no_harm(fuzzer, solver, version):
     check(fuzzer(solver, version, *SANITIZED), seed=1, calls=100_000)
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("version", [2, 3])
+def test_random_calls_do_no_harm_to_a_model_that_watches_its_constraints(fuzzer, solver, version):
+    check(fuzzer(f"{solver} rank", version, *SANITIZED), seed=1, calls=30_000)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("seed", [2, 3])

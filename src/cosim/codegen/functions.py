@@ -143,5 +143,5 @@ def _jacobian_in_a_loop(
         [*CALL, *(f"out_{name}" for name in _LAWS)],
         [f"jac_{law}_{name}" for law in _LAWS for name in CALL],
     )
-    only = {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
+    only = {"enable_forward": False, "enable_reverse": False}
     return {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True, **only}

@@ -31,8 +31,11 @@ def start_values(dae: Dae, t: float, values: Values) -> Vector:
 @kept_per_thread(64)
 def _start_values(dae: Dae, t: float, guesses: bytes, parameters: bytes, inputs: bytes) -> Vector:
     values = Values(*map(np.frombuffer, (guesses, parameters, inputs)))
-    solved, defect = start_function(dae)(t, values.x, values.u, values.p)
-    x = np.array(solved).ravel()
+    try:
+        solved, defect = start_function(dae)(t, values.x, values.u, values.p)
+        x = np.array(solved).ravel()
+    except RuntimeError:  # CasADi's factorization meets a singular matrix
+        x, defect = np.full(len(dae.states), np.nan), ca.DM(np.nan)
     if dae.start_rules and not (np.isfinite(x).all() and float(defect) < DEFECT_LIMIT):
         raise _no_start(dae, t, x, values)
     for variable, value in zip(dae.states, x, strict=True):
@@ -65,7 +68,7 @@ def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
         raise InitialConditionError(
             f"{dae.full_name}: the algebraic equations have no solution at the start "
             f"({dependent or f'{first} is not finite'}); start away from the singularity, leave "
-            "out what is said twice, or use another formulation"
+            f"out what is said twice, {_other_guess(dae)}or use another formulation"
         )
     return z
 
@@ -84,8 +87,17 @@ def _dependent(dae: Dae, t: float, x: Vector, z: Vector, values: Values) -> str:
     shares = np.abs(rows[:, -1])
     names = [str(i + 1) for i in np.flatnonzero(shares > 1e-3 * shares.max())]
     if len(names) == 1:
-        return f"equation {names[0]} of {len(shares)} holds no unknown"
+        row = ca.jacobian(dae.alg[int(names[0]) - 1], dae.z)
+        held = "has slope 0 at the first guess" if ca.depends_on(row, dae.z) else "holds no unknown"
+        return f"equation {names[0]} of {len(shares)} {held}"
     return f"equations {', '.join(names)} of {len(shares)} repeat each other"
+
+
+def _other_guess(dae: Dae) -> str:
+    """Advise another first guess, where that decides on what is found."""
+    if not ca.depends_on(ca.jacobian(dae.alg, dae.z), dae.z):
+        return ""
+    return f"give another first guess, as start value of {dae.algebraics[0].name}, "
 
 
 @kept_per_thread(8)
@@ -100,8 +112,9 @@ def _no_start(dae: Dae, t: float, x: Vector, values: Values) -> InitialCondition
     rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, t, x, values))
     names = ", ".join(dae.states[i].name for i in rule.states)
     near = _closest(dae, rule, t, x, values) if rule.implicit else "its formula has no value"
+    what = rule.meaning.removeprefix("the ")
     return InitialConditionError(
-        f"{dae.full_name}: no start value of {names} satisfies the {rule.meaning}; "
+        f"{dae.full_name}: no start value of {names} satisfies the {what}; "
         f"{near}; change the other start values, parameters or inputs"
     )
 

@@ -11,7 +11,7 @@ from math import log2
 
 import casadi as ca
 import numpy as np
-from casadi import DM
+from casadi import DM, SX
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
@@ -139,6 +139,35 @@ def in_nominal_values(
     return replace(problem, dae=scaled(problem.dae, nominal)), nominal
 
 
+def in_values_of_a_run(
+    problem: Problem, solver: Solver, nominal: Nominal
+) -> tuple[Problem, Nominal, Vector]:
+    """Return the same as `in_nominal_values`, and further parameters that its engine takes.
+
+    These are the nominal values of algebraic unknowns that nobody gave: they follow from the start,
+    and one library is to do for every start.
+    """
+    dae = problem.dae
+    found = tuple(i for i, v in enumerate(dae.algebraics) if not given(v))
+    if solver.counts_in_nominal or not found:
+        return *in_nominal_values(problem, solver, nominal), np.empty(0)
+    known = replace(nominal, z=tuple(1.0 if i in found else n for i, n in enumerate(nominal.z)))
+    sized = _sized(scaled(dae, known), found)
+    return replace(problem, dae=sized), nominal, np.array([nominal.z[i] for i in found])
+
+
+@kept_per_thread(16)
+def _sized(dae: Dae, which: tuple[int, ...]) -> Dae:
+    """Return a model some of whose algebraic unknowns are measured in further parameters."""
+    rows, sizes = list(which), SX.sym("size", len(which))
+    z = SX(dae.z)
+    z[rows] = sizes * dae.z[rows]
+    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.z], [z])
+    more = (Variable(f"size_{i}", "1", "what counts as 1 of an unknown", 1.0) for i in which)
+    p = ca.vertcat(dae.p, sizes)
+    return replace(dae, p=p, parameters=(*dae.parameters, *more), ode=ode, alg=alg)
+
+
 @kept_per_thread(16)
 def scaled(dae: Dae, nominal: Nominal) -> Dae:
     """Return a model whose states and algebraic unknowns are measured in nominal values.
@@ -149,7 +178,7 @@ def scaled(dae: Dae, nominal: Nominal) -> Dae:
         return dae
     x, z = DM(nominal.x), DM(nominal.z)
 
-    def rewritten(*expressions: ca.SX) -> list[ca.SX]:
+    def rewritten(*expressions: SX) -> list[SX]:
         return ca.substitute([*expressions], [dae.x, dae.z], [x * dae.x, z * dae.z])
 
     ode, alg = rewritten(dae.ode, dae.alg)

@@ -11,8 +11,16 @@ import numpy as np
 from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
 from cosim.codegen.compiler import time_compiling
-from cosim.errors import CompilerExhausted, Interrupted, SolverError, UnknownName, UsageError
+from cosim.errors import (
+    CompilerExhausted,
+    CosimError,
+    Interrupted,
+    SolverError,
+    UnknownName,
+    UsageError,
+)
 from cosim.host.progress import doing
+from cosim.integrate.across import across
 from cosim.integrate.diagnosis.crossing import times_between
 from cosim.integrate.diagnosis.kinks import nearest_kink
 from cosim.integrate.diagnosis.validity import ON_INVALID
@@ -148,10 +156,26 @@ def simulate(
         computed = _computed(own, values, on_invalid, insisting=bool(compiled))
     stats = _stats(own.solver, computed, perf_counter() - began, time_compiling() - before)
     run = _trajectory(own, values, computed, stats)
-    if computed.first.reason == INTERRUPTED:
+    if computed.reason == INTERRUPTED:
         raise Interrupted(f"{run.model}: {run.status}", run)
-    if computed.first.reason:
-        raise _failure(own, values, computed, run)
+    why_not = ""
+    if solver is None and drift_control is None and compiled is not False:
+        start = one_of(dae, start_values, shorthand.get("start"))
+        again = partial(simulate, given, start_values=start, inputs=inputs, compiled=compiled)
+        again = partial(again, on_invalid=on_invalid)
+        try:
+            other = across(own.problem, own.solver, values, computed.first, again, outputs)
+        except Interrupted as stopped:
+            raise Interrupted(f"{run.model}: {run.status}; interrupted", run) from stopped
+        except CosimError as error:
+            why_not = f" (tried, and not taken: {error})"
+            told = "; ".join(filter(None, (stats.note, f"{Dop853.name} with projection{why_not}")))
+            run = replace(run, stats=replace(stats, note=told))
+        else:
+            if other is not None:
+                return other
+    if computed.reason:
+        raise _failure(own, values, computed, run, why_not)
     return run
 
 
@@ -186,6 +210,11 @@ class _Computed:
     choice: Choice
     solver: Solver
 
+    @property
+    def reason(self) -> str:
+        """Why it ended early; Ctrl-C counts while a failure is looked at, too."""
+        return INTERRUPTED if self.last.reason == INTERRUPTED else self.first.reason
+
 
 def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) -> _Computed:
     """Compute a run; interpreted where a compiler gives up that nobody insists on."""
@@ -215,7 +244,7 @@ def _computed(own: Plan, values: Values, on_invalid: str, *, insisting: bool) ->
 
 def _trajectory(own: Plan, values: Values, computed: _Computed, stats: RunStats) -> Trajectory:
     """Return what was computed with what is known of it."""
-    dae, reason, table = own.problem.dae, computed.first.reason, computed.last.table
+    dae, reason, table = own.problem.dae, computed.reason, computed.last.table
     time, status = computed.first.grid[: len(table)], "complete"
     if reason:
         last = f"{time[-1]:g} s" if len(time) else "the start"
@@ -233,8 +262,10 @@ def _trajectory(own: Plan, values: Values, computed: _Computed, stats: RunStats)
     )
 
 
-def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) -> SolverError:
-    """Say why a run stopped, and what else there is."""
+def _failure(
+    own: Plan, values: Values, computed: _Computed, run: Trajectory, why_not: str
+) -> SolverError:
+    """Say why a run stopped, and what else there is; `why_not` follows the last of it."""
     dae, solver = own.problem.dae, own.solver
     others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
     which = f" ({', '.join(others)})" if dae.algebraics else ""
@@ -247,7 +278,7 @@ def _failure(own: Plan, values: Values, computed: _Computed, run: Trajectory) ->
     return SolverError(
         f"{dae.full_name}: {solver.name} {run.status} ({solver.settings}){kink}; look for a "
         "singularity near that state, or use another tolerance or step, formulation or "
-        f"solver{which}{closer}",
+        f"solver{which}{why_not}{closer}",
         run,
     )
 

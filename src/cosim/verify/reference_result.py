@@ -35,6 +35,7 @@ from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.simulate import simulate
+from cosim.model.rank import watches_rank
 from cosim.scene.roads import FMU_ROADS
 from cosim.text.escaping import sentence
 from cosim.trajectory import Column, Trajectory
@@ -53,6 +54,8 @@ LOOSER = 10.0  # tolerance of a run by the reference's own solver that tells how
 AFFORDABLE = 5000  # operations of equations that a second method runs interpreted
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
 PALETTE_SIZE = 16  # of the picture
+_Way = tuple[str | None, bool | None]  # a solver, and whether compiled
+_ACROSS: _Way = (None, None)  # positions where constraints lose rank
 
 
 def export_with_proof(
@@ -195,9 +198,10 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
         CosimError: None does; the first one's reason.
     """
     implicit = dae.algebraics or solver_for(dae, None) == ROSENBROCK  # as the FMU's own
-    ways: list[tuple[str, bool]] = [("rosenbrock" if implicit else "erk", False)]
+    ways: list[_Way] = [("rosenbrock" if implicit else "erk", False)]
     ways += [("dop853", True)] * has_compiler() + [("rosenbrock", False)]
     ways += [("idas" if dae.algebraics else "cvodes", False)]
+    ways += [_ACROSS] * (has_compiler() and watches_rank(dae))
     ways = [*dict.fromkeys(ways)]
     first: CosimError | None = None
     for i, (solver, compiled) in enumerate(ways):
@@ -206,7 +210,7 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
         except (SolverError, UsageError) as error:
             first = first or error
             continue
-        estimate = _doubt(dae, run, ways[i + 1 :], tolerance)
+        estimate = _doubt(dae, run, ways[i], ways[i + 1 :], tolerance)
         if estimate is None:
             continue
         doubt, by = estimate
@@ -216,24 +220,22 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
 
 
 def _doubt(
-    dae: Dae, run: Trajectory, others: Sequence[tuple[str, bool]], tolerance: float
+    dae: Dae, run: Trajectory, own: _Way, others: Sequence[_Way], tolerance: float
 ) -> tuple[float, str] | None:
     """Return the estimated error of a run in nominal values and what tells it, if anything does."""
     if not run.names:
         return 0.0, ""
-    solver = str(run.stats["solver"])
-    second = [way for way in others if not way[1]] if dae.operations() <= AFFORDABLE else []
-    ways = [*second, (solver, bool(run.stats["compiled"]))]
-    for name, compiled in ways:
-        looser = LOOSER if name == solver else 1.0
+    second = [way for way in others if way[1] is False] if dae.operations() <= AFFORDABLE else []
+    for name, compiled in [*second, own]:
+        looser = LOOSER if name == own[0] else 1.0
         with suppress(SolverError, UsageError):
             again = _plain(dae, name, compiled, looser * tolerance)
-            by = f"{name} at {looser * tolerance:g}"
+            by = f"{again.stats['solver']} at {looser * tolerance:g}"
             return compare(run, again).worst.scaled, by
     return None
 
 
-def _plain(dae: Dae, solver: str, compiled: bool, tolerance: float) -> Trajectory:
+def _plain(dae: Dae, solver: str | None, compiled: bool | None, tolerance: float) -> Trajectory:
     span, interval = dae.experiment.stop_time, dae.experiment.output_interval
     return simulate(
         dae,

@@ -32,6 +32,7 @@ from cosim.fmi.export.margins import with_margins
 from cosim.fmi.export.solver_choice import solver_for, uses_dop853
 from cosim.fmi.export.sources.c_files import equations_c, model_header, variable_table
 from cosim.fmi.export.sources.equations import embedded_sources
+from cosim.fmi.export.sources.rank import has_rank
 from cosim.fmi.export.tunable import tunable_parameters
 from cosim.fmi.export.variables import fmu_variables
 from cosim.fmi.platforms import NATIVE, targets
@@ -186,7 +187,8 @@ def source_files(
     tool = f"cosim-rigid {version('cosim-rigid')}"
     told = {ABOUT[key]: text for key, text in about.items()}
     indicators = len(dae.limits) if valid else 0
-    draft = Identity(name, "", tool, compiled, tolerance, adjoint, told, indicators)
+    watched = has_rank(dae)
+    draft = Identity(name, "", tool, compiled, tolerance, adjoint, told, indicators, watched)
     depends = structural_dependencies(dae)
     unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
     digest = hashlib.sha256()

@@ -6,20 +6,20 @@ branch without an error to be seen. The condition of the constraints, which a mo
 monitor, has its pole there; outputs alone would miss it.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.diagnosis.validity import Breach
 from cosim.memo import kept_per_thread
+from cosim.model.rank import LOST, MONITOR, constraint_condition, distance_from_loss, watches_rank
 
-MONITOR = "constraint_condition"
-LOST = 1e3  # condition, somewhere between two outputs, that counts as loss of rank
 SUSPECTED = 3.0  # intervals within which lines through neighbours reach 0 from both sides, at most
 _POINTS, _ZOOMS = 33, 4
 _COARSE = 1.5  # of the model's own output interval, at which branches can be told apart
@@ -33,7 +33,7 @@ def watching_rank(dae: Dae) -> Dae:
     It is one over their condition: 1 at best, 0 where rank is lost. A model without that monitor is
     returned as it is.
     """
-    condition = _condition(dae)
+    condition = constraint_condition(dae)
     if condition is None:
         return dae
     return replace(dae, limits=(*dae.limits, (1 / condition, "the constraints have full rank")))
@@ -46,7 +46,7 @@ def times_between(dae: Dae, grid: Vector) -> Vector | None:
         dae: A model; one without that monitor has nothing to see.
         grid: Output times, s, (n,).
     """
-    if not dae.algebraics or _condition(dae) is None:  # explicit forms end at such a position
+    if not watches_rank(dae):  # explicit forms end at such a position
         return None
     span = float(grid[-1] - grid[0])
     gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
@@ -61,10 +61,42 @@ def times_between(dae: Dae, grid: Vector) -> Vector | None:
     return np.concatenate((*inner, grid[-1:]))
 
 
-def crossings(
+def close_times(dae: Dae, grid: Vector) -> Vector:
+    """Return even times over the span of a grid, close enough to see a crossing, s."""
+    span = float(grid[-1] - grid[0])
+    gap = min(dae.experiment.output_interval, span / (len(grid) - 1))
+    pieces = int(np.ceil(span / max(gap, span / _MOST_TIMES)))
+    return np.linspace(grid[0], grid[-1], pieces + 1)
+
+
+class RankLoss(NamedTuple):
+    """A position between two outputs, or at one, in which constraints lose rank.
+
+    Attributes:
+        position: Of the output before it.
+        when: s.
+        distance: One over the condition there.
+    """
+
+    position: int
+    when: float
+    distance: float
+
+    def told(self, time: Vector) -> Breach:
+        """Say what it means for a run that has gone on."""
+        after = self.position + 1
+        return Breach(
+            after,
+            f"from {time[after]:g} s on the motion may be another one: the constraints lose rank "
+            f"at {self.when:.4g} s ({MONITOR} {1 / max(self.distance, 1e-16):.0e}), where branches "
+            "of motion meet; dop853 with projection keeps to its own",
+        )
+
+
+def rank_losses(
     dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
-) -> list[Breach]:
-    """Return the first position between outputs, or at one, where constraints lose rank.
+) -> Iterator[RankLoss]:
+    """Yield the positions in which constraints lose rank, in their order; of a stretch, its begin.
 
     Args:
         dae: The model.
@@ -73,14 +105,15 @@ def crossings(
         p: Parameters.
         rank: Last limit of `watching_rank` there, (n,).
     """
-    n, suspects = len(time), _suspects(time, rank)
+    n, lost = len(time), rank * LOST < 1
+    suspects = {*_suspects(time, rank), *(np.flatnonzero(lost[1:]).tolist())}
     if not suspects:
-        return []
-    law, u = _law(dae), np.broadcast_to(u, (len(u), n))
-    for k in suspects:
+        return
+    law, u, last = _law(dae), np.broadcast_to(u, (len(u), n)), -2
+    for k in sorted(suspects):
         # along the motion, and along what it was before and after, lest the branch has changed
         parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
-        found = []
+        found = [(float(rank[k + 1]), float(time[k + 1]))]
         for begin, end in parts:
             at = slice(begin, end)
             end_values = (time[at], states[:, at], algebraics[:, at], u[:, at])
@@ -88,44 +121,32 @@ def crossings(
             curve = _curve(time[at] - time[k], states[:, at], rates)
             found.append(_closest(law, curve, time[k : k + 2], algebraics[:, k], u[:, k], p))
         distance, when = min(found)
-        if distance * LOST < 1:
-            return [
-                Breach(
-                    k + 1,
-                    f"from {time[k + 1]:g} s on the motion may be another one: the constraints "
-                    f"lose rank at {when:.4g} s ({MONITOR} {1 / max(distance, 1e-16):.0e}), where "
-                    "branches of motion meet; dop853 with projection keeps to its own",
-                )
-            ]
-    return []
-
-
-def _condition(dae: Dae) -> SX | None:
-    known = [*dae.monitors]
-    known += zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)
-    return next((expression for v, expression in known if v.name == MONITOR), None)
+        if distance * LOST < 1 and time[0] < when < time[-1]:
+            if k > last + 1:
+                yield RankLoss(k, when, distance)
+            last = k
 
 
 @kept_per_thread(8)
 def _law(dae: Dae) -> ca.Function:
-    condition = _condition(dae)
-    assert condition is not None
-    return ca.Function("rank", dae.arguments, [1 / condition], {"cse": True})
+    return ca.Function("rank", dae.arguments, [distance_from_loss(dae)], {"cse": True})
 
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:
-    """Return the intervals in which a run of numbers seems to touch 0 like a modulus."""
-    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
-    steep = rank[1:-2] * length[:-2] <= SUSPECTED * length[1:-1] * falls[:-2]
-    steep &= falls[2:] < 0
-    if not steep.any():  # as in most runs
+    """Return the intervals in which a run of numbers seems to touch 0 like a modulus.
+
+    The first and the last one have a neighbour on one side only, which stands for both.
+    """
+    if len(time) < 3:
         return []
-    k = 1 + np.flatnonzero(steep)
+    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
     with np.errstate(divide="ignore", invalid="ignore"):  # at a time that stands twice
-        before, after = falls[k - 1] / length[k - 1], -falls[k + 1] / length[k + 1]
-        reach = rank[k] / before + rank[k + 1] / after
-    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length[k])
-    return [int(i) for i in k[touched]]
+        slope = falls / length
+        before = np.concatenate((-slope[1:2], slope[:-1]))
+        after = np.concatenate((-slope[1:], slope[-2:-1]))
+        reach = rank[:-1] / before + rank[1:] / after
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length)
+    return [int(k) for k in np.flatnonzero(touched)]
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:

@@ -23,6 +23,7 @@ from cosim.integrate.solver import Solver
 from cosim.integrate.solvers import chosen_solver
 from cosim.model.inputs import InputSeries
 from cosim.model.many_values import assign_many
+from cosim.model.rank import watches_rank
 from cosim.model.time_grid import checked_grid, time_grid
 from cosim.model.values import assign, number, numbers_of
 
@@ -120,7 +121,12 @@ def simulate_many(
                 "input series; leave lanes out"
             )
         settings = {"solver": chosen, "inputs": inputs, "on_invalid": on_invalid}
-        ensemble, interrupted = one_by_one(dae, values, names, grid, settings, watch)
+        ours = solver is None and watches_rank(dae)
+        numbers = {"relative_tolerance": relative_tolerance}
+        unnamed = {"solver": None, "absolute_tolerance": absolute_tolerance, **numbers}
+        ensemble, interrupted = one_by_one(
+            dae, values, names, grid, settings, watch, unnamed if ours else None
+        )
     ensemble = _without_first(ensemble, first)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **ensemble.stats}

@@ -1,6 +1,7 @@
 """The two ways to run many variants of a model: in SIMD lanes, and one by one."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, cast
 
@@ -151,6 +152,7 @@ def one_by_one(
     grid: Vector,
     settings: Mapping[str, Any],
     watch: Callable[[int], None] | None = None,
+    unnamed: Mapping[str, Any] | None = None,
 ) -> tuple[Ensemble, bool]:
     """Run every variant by `simulate`; see `in_lanes`.
 
@@ -158,8 +160,10 @@ def one_by_one(
         dae, values, names, grid: See `in_lanes`.
         settings: Of every run, by the names of `simulate`.
         watch: Called with the position of each run that begins.
+        unnamed: Other settings where nobody has named the solver, which let `simulate` pass
+            positions in which constraints lose rank.
     """
-    runs, interrupted = len(values), False
+    runs, interrupted, notes = len(values), False, list[str]()
     table = np.full((runs, len(grid), len(names)), np.nan)
     states, reasons, invalid = [RunState.INTERRUPTED] * runs, dict[int, str](), dict[int, str]()
     counts = np.zeros((3, runs), dtype=np.int64)
@@ -175,7 +179,7 @@ def one_by_one(
             watch(run)
         given = {name: float(column[run]) for name, column in values.given.items()}
         try:
-            found = simulate(dae, start=given, outputs=names, **span, **settings)
+            found = _simulated(dae, settings, unnamed, start=given, outputs=names, **span)
             states[run] = RunState.COMPLETE
             del reasons[run]
         except SolverError as error:
@@ -194,6 +198,8 @@ def one_by_one(
         counts[:, run] = (len(found), *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
         if "invalid" in found.stats:
             invalid[run] = found.stats["invalid"][0]
+        if found.stats["solver"] != settings["solver"].name:
+            notes.append(f"run {run}: {found.stats['note']}")
     ensemble = Ensemble(
         dae.full_name,
         grid,
@@ -207,8 +213,33 @@ def one_by_one(
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
+        stats={"note": "; ".join(notes)} if notes else {},
     )
     return ensemble, interrupted
+
+
+def _simulated(
+    dae: Dae, settings: Mapping[str, Any], unnamed: Mapping[str, Any] | None, **options: Any
+) -> Trajectory:
+    """Run a variant; where that fails, or leaves limits, as `simulate` does with other settings.
+
+    Raises:
+        CosimError: See `simulate`.
+    """
+    found: Trajectory | SolverError
+    try:
+        found = simulate(dae, **options, **settings)
+    except SolverError as error:
+        found = error
+    left = isinstance(found, SolverError) or "invalid" in found.stats
+    if left and unnamed is not None:
+        with suppress(SolverError):
+            other = simulate(dae, **options, **{**settings, **unnamed})
+            if other.stats["solver"] != settings["solver"].name:
+                return other
+    if isinstance(found, SolverError):
+        raise found
+    return found
 
 
 def _interval(grid: Vector) -> float | None:

@@ -7,7 +7,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.engine import Engine, Problem
-from cosim.integrate.nominal import Nominal, in_nominal_values
+from cosim.integrate.nominal import Nominal, in_values_of_a_run
 from cosim.integrate.run.call import INTERRUPTED, Reached, call
 from cosim.integrate.solver import AdaptiveSolver, Solver
 from cosim.integrate.solvers import engine_of
@@ -35,25 +35,28 @@ def integrated(problem: Problem, solver: Solver, start: Start) -> tuple[Reached,
     """
     dae = problem.dae
     if not isinstance(solver, AdaptiveSolver):
-        return call(engine_of(problem, solver), start.x, start.z, *_constants(start)), ""
+        numbers = start.x, start.z, start.values.p, start.values.u
+        return call(engine_of(problem, solver), *numbers), ""
     nominal = Nominal.declared(dae)
     found = solver.absolute_tolerance is None  # a given one counts in what the model says
     if found:
         nominal = nominal.from_start(dae, start.z)
-    engine, reached = _run(problem, solver, start, nominal)
+    own = _counting_engine(problem, solver, nominal)
+    reached = _scaled_call(own, problem, start)
     if reached.reason == INTERRUPTED:
         return reached, ""
     if found:
         sizes = nominal.from_failure if reached.reason else nominal.from_run
         other = sizes(dae, reached.states, reached.algebraics)
         if other != nominal:
-            _, again = _run(problem, solver, start, other)
+            again = _scaled_call(_counting_engine(problem, solver, other), problem, start)
             if not again.reason:
                 values = ", ".join(f"{n} {v:.1g}" for n, v in nominal.unlike(dae, other).items())
                 return _after(reached, again), f"with nominal values found from the run: {values}"
-    lenient = engine.fallback(reached.reason) if reached.reason and engine.fallback else None
+    fallback = own.engine.fallback if reached.reason else None
+    lenient = fallback(reached.reason) if fallback else None
     if lenient is not None:
-        again = _scaled_call(lenient, problem, start, nominal)
+        again = _scaled_call(replace(own, engine=lenient), problem, start)
         if not again.reason:
             note = f"without errors of algebraic unknowns, with which: {reached.reason}"
             return _after(reached, again), note
@@ -65,36 +68,40 @@ def _after(first: Reached, second: Reached) -> Reached:
     return replace(second, solve_time=first.solve_time + second.solve_time)
 
 
-def _run(
-    problem: Problem, solver: Solver, start: Start, nominal: Nominal
-) -> tuple[Engine, Reached]:
-    engine, sizes = _counting_engine(problem, solver, nominal)
-    return engine, _scaled_call(engine, problem, start, sizes)
+@dataclass(frozen=True)
+class _Counting:
+    """An engine that counts in nominal values.
+
+    Attributes:
+        engine: Takes parameters of its own behind the model's.
+        sizes: What its unknowns are divided by.
+        more: Those parameters.
+    """
+
+    engine: Engine
+    sizes: Nominal
+    more: Vector
 
 
 @kept_per_thread(32)
-def _counting_engine(problem: Problem, solver: Solver, nominal: Nominal) -> tuple[Engine, Nominal]:
-    """Return the engine that counts in nominal values, and what its unknowns are divided by."""
-    counted, sizes = in_nominal_values(problem, solver, nominal)
-    return engine_of(counted, solver), sizes
+def _counting_engine(problem: Problem, solver: Solver, nominal: Nominal) -> _Counting:
+    counted, sizes, more = in_values_of_a_run(problem, solver, nominal)
+    return _Counting(engine_of(counted, solver), sizes, more)
 
 
-def _scaled_call(engine: Engine, problem: Problem, start: Start, nominal: Nominal) -> Reached:
+def _scaled_call(own: _Counting, problem: Problem, start: Start) -> Reached:
     """Call an engine that counts in nominal values; once more where a consistent start fails."""
-    x, z = nominal.columns
-    numbers = (start.x / x.ravel(), start.z / z.ravel(), *_constants(start))
+    engine, (x, z) = own.engine, own.sizes.columns
+    p = np.concatenate((start.values.p, own.more)) if own.more.size else start.values.p
+    numbers = (start.x / x.ravel(), start.z / z.ravel(), p, start.values.u)
     reached = call(engine, *numbers)
     started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
     if engine.restart is not None and not started:
         rates = _rates(problem, start) / x.ravel()
         reached = _after(reached, call(engine.restart(rates), *numbers))
-    if nominal.in_si:
+    if own.sizes.in_si:
         return reached
     return replace(reached, states=reached.states * x, algebraics=reached.algebraics * z)
-
-
-def _constants(start: Start) -> tuple[Vector, Vector]:
-    return start.values.p, start.values.u
 
 
 def _rates(problem: Problem, start: Start) -> Vector:

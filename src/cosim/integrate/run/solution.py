@@ -7,7 +7,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.integrate.diagnosis.crossing import crossings, watching_rank
+from cosim.integrate.diagnosis.crossing import RankLoss, rank_losses, watching_rank
 from cosim.integrate.diagnosis.validity import Breach, breaches, too_coarse
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
@@ -34,6 +34,9 @@ class Solution:
         failed: Whether that was the solver's doing.
         invalid: Where the run leaves what its model, or its fixed step, is good for.
         note: What was done that was not asked for; empty where nothing was.
+        rank_loss: The first position that it crosses in which constraints lose rank.
+        rank: How far they are from that at the last good time, 1 at best; infinite where nobody
+            looks.
     """
 
     grid: Vector
@@ -45,6 +48,8 @@ class Solution:
     failed: bool
     invalid: tuple[Breach, ...]
     note: str
+    rank_loss: RankLoss | None = None
+    rank: float = np.inf
 
 
 def solve(
@@ -125,17 +130,19 @@ def _recorded(
         n, name = seen.lost, _not_finite(dae, solved, seen, places)
         reason = reason or f"{name} is not finite at {grid[n]:g} s"
     found = list(motion.invalid)
+    rank_loss = _first_rank_loss(dae, solved, seen, n) if ranked else None
     if limits:
         found += breaches(dae, grid[:n], seen.left[: len(dae.limits)])
-        if ranked:
-            found += _crossings(dae, solved, seen, n)
+        if rank_loss is not None:
+            found.append(rank_loss.told(grid))
         found.sort()
         if found and on_invalid == "stop":
             n, reason = found[0]
+    rank = float(seen.margins[n - 1, -1]) if ranked and n else np.inf
     last = (motion.states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
     return Solution(
         grid, seen.table[:n], last, motion.counts, motion.solve_time, reason, bool(motion.reason),
-        tuple(found), motion.note,
+        tuple(found), motion.note, rank_loss, rank,
     )  # fmt: skip
 
 
@@ -149,10 +156,11 @@ def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...
     return all_columns(dae)[place].name
 
 
-def _crossings(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
+def _first_rank_loss(dae: Dae, solved: Solved, seen: Observed, n: int) -> RankLoss | None:
     """Return where constraints lose rank before the time at position n."""
     time, states, unknowns = solved.time[:n], solved.states[:, :n], seen.unknowns[:n].T
-    return crossings(dae, time, states, unknowns, solved.u, solved.p, seen.margins[:n, -1])
+    rank = seen.margins[:n, -1]
+    return next(rank_losses(dae, time, states, unknowns, solved.u, solved.p, rank), None)
 
 
 def _step_check(

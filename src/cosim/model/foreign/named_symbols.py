@@ -5,6 +5,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -36,7 +37,7 @@ class Symbol:
     shape: tuple[int, int]
     symbol: SX | MX
 
-    @property
+    @cached_property
     def entries(self) -> tuple[str, ...]:
         """Names of its variables, column by column as in `ca.vec`."""
         rows, columns = self.shape

@@ -85,7 +85,6 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         inertias=_kept_inertias(frozen, parameters),
         observed=tuple(outputs),
         x_start=tuple(frozen.x_start[i] for i in states),
-        monitors=(),
         drawing=frozen.drawing.with_numbers({v.name: v.start or 0.0 for v in frozen.parameters}),
         invariants=tuple(_kept_invariants(frozen, states, inputs, parameters)),
         closing=frozen.closing
@@ -93,7 +92,8 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     )
     ways = tuple(_kept_ways(small, frozen, states))
     limits = tuple(limit for limit in small.limits if _computable(small, limit[0]))
-    small = replace(small, limits=limits, start_outputs=ways)
+    monitors = tuple(monitor for monitor in small.monitors if _computable(small, monitor[1]))
+    small = replace(small, limits=limits, start_outputs=ways, monitors=monitors)
     return replace(small, report=tuple(reduction_report(dae, small, freeze)))
 
 

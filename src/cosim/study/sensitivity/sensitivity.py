@@ -167,7 +167,7 @@ class _Task:
             options = {**self.options, "relative_tolerance": tolerance}
             run = simulate(self.dae, start_values=self.start, outputs=self.names, **options)
             return run, np.zeros((len(run), len(self.names), 0))
-        begin = float(self.options.get("start_time", 0.0))
+        begin = number(self.dae.full_name, "start_time", self.options.get("start_time", 0.0))
         values = assign(self.dae, self.start)
         u = input_values(self.dae, np.array([begin]), values, self.options["inputs"])[:, 0]
         slopes = start_slopes(self.dae, begin, replace(values, u=u), targets)

@@ -22,7 +22,7 @@ def _interfaces(identity: Identity) -> list[ET.Element]:
         "providesDirectionalDerivative": "true",
         "canNotUseMemoryManagementFunctions": "true",
     }
-    exchange = {"completedIntegratorStepNotNeeded": "true"}
+    exchange = {"completedIntegratorStepNotNeeded": str(not identity.watches_steps).lower()}
     stepping = {
         "canHandleVariableCommunicationStepSize": "true",
         "canInterpolateInputs": "true",

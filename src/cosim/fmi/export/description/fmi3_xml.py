@@ -19,7 +19,7 @@ def _interfaces(identity: Identity) -> list[ET.Element]:
     }
     if identity.adjoint:
         common["providesAdjointDerivatives"] = "true"
-    exchange = {"needsCompletedIntegratorStep": "false"}
+    exchange = {"needsCompletedIntegratorStep": str(identity.watches_steps).lower()}
     stepping = {
         "canHandleVariableCommunicationStepSize": "true",
         "canReturnEarlyAfterIntermediateUpdate": "true",

@@ -33,6 +33,7 @@ class Identity:
         adjoint: Whether it offers adjoint derivatives (FMI 3.0).
         about: author, license and generationDateAndTime, as far as they are given.
         indicators: Number of event indicators.
+        watches_steps: Whether it must be told of every step in model exchange.
     """
 
     identifier: str
@@ -43,6 +44,7 @@ class Identity:
     adjoint: bool = False
     about: Mapping[str, str] = field(default_factory=dict)
     indicators: int = 0
+    watches_steps: bool = False
 
 
 @dataclass(frozen=True)

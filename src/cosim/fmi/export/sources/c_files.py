@@ -12,8 +12,10 @@ from cosim.fmi.export.description.model_description import Identity
 from cosim.fmi.export.solver_choice import uses_dop853
 from cosim.fmi.export.sources.equations import equations_code
 from cosim.fmi.export.sources.folding import folded
+from cosim.fmi.export.sources.rank import has_rank
 from cosim.fmi.export.sources.work import most_trials
 from cosim.fmi.export.variables import FmuVariable, Role
+from cosim.model.rank import LOST
 
 LEAST_STEPS = 50  # of the solver in a model's span: it steps over no short event
 
@@ -36,6 +38,8 @@ def model_header(dae: Dae, identity: Identity, fmi: int, solver: str, *, valid: 
 #define N_LIMITS {len(dae.limits)}
 #define HAS_VALID {int(valid)}
 #define DEFAULT_TOLERANCE {identity.tolerance!r}
+#define HAS_RANK {int(has_rank(dae))}
+#define LEAST_RANK {1 / LOST!r}
 #define HAS_ADJOINT {int(fmi == 3)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
 #define LARGEST_STEP {span / LEAST_STEPS!r}

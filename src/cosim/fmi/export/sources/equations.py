@@ -16,6 +16,7 @@ from cosim.codegen.externals import add_integrator, sources_beside
 from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.initialization import algebraic_function, start_function
 from cosim.fmi.export.solver_choice import DOP853, uses_dop853
+from cosim.fmi.export.sources.rank import rank_functions
 from cosim.fmi.export.sources.sensitivities import argument_like, sensitivity_functions
 from cosim.fmi.export.sources.work import most_steps
 
@@ -36,6 +37,7 @@ def equations_code(dae: Dae, identifier: str, fmi: int, solver: str) -> str:
         algebraic_function(dae),
         _plain_function(dae, "model_ode", dae.ode),
         _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
+        *rank_functions(dae),
         *sensitivity_functions(dae, adjoint=fmi == 3),
     ):
         generator.add(function)

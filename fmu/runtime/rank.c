@@ -1,0 +1,158 @@
+/* Where the constraints of a model lose rank. */
+#include "rank.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "equations.h"
+#include "logging.h"
+
+#if HAS_RANK
+
+static const double FURTHEST = 2; /* lengths of a cubic, beyond its end */
+
+enum { POINTS = 32, ZOOMS = 4, MOST_CORRECTIONS = 5 };
+
+static const double ROOT_OF_ROUNDING = 1e-8; /* such a Newton step leaves an error of rounding */
+
+double rank_at(Instance *self, double *rate) {
+    double distance = 0;
+    self->res[0] = &distance;
+    if (model_rank(self->arg, self->res, self->iw, self->w, 0) || !isfinite(distance)) distance = 0;
+    if (!rate) return distance;
+    *rate = 0;
+    self->res[0] = rate;
+    if (model_rank_rate(self->arg, self->res, self->iw, self->w, 0) || !isfinite(*rate)) *rate = 0;
+    return distance;
+}
+
+bool restore(Instance *self, double t, const double u[], double x[]) {
+    for (int i = 0; i < MOST_CORRECTIONS; i++) {
+        double moved[NX], change = 0;
+        self->arg[0] = &t;
+        self->arg[1] = x;
+        self->arg[2] = u;
+        self->arg[3] = self->state.values + FIRST_PARAMETER;
+        self->res[0] = moved;
+        self->res[1] = &change;
+        if (model_project(self->arg, self->res, self->iw, self->w, 0) || !isfinite(change))
+            return false;
+        memcpy(x, moved, sizeof moved);
+        if (change <= ROOT_OF_ROUNDING) return true;
+    }
+    return false;
+}
+
+static void pass_present(Instance *self, const double *t, const double *x) {
+    const double *values = self->state.values;
+    self->arg[0] = t;
+    self->arg[1] = x;
+    self->arg[2] = values + FIRST_ALGEBRAIC;
+    self->arg[3] = values + FIRST_INPUT;
+    self->arg[4] = values + FIRST_PARAMETER;
+}
+
+static Look look(Instance *self) {
+    const double *values = self->state.values;
+    Look now = {.time = values[TIME]};
+    pass_present(self, values + TIME, values + FIRST_STATE);
+    now.distance = rank_at(self, &now.rate);
+    memcpy(now.x, values + FIRST_STATE, NX * sizeof *values);
+    memcpy(now.dx, values + FIRST_DERIVATIVE, NX * sizeof *values);
+    return now;
+}
+
+void begin_watch(Instance *self) {
+    self->state.watch = (Watch){.looks = 1, .last = look(self), .least = DBL_MAX};
+}
+
+void note_rank(Instance *self) {
+    const double *values = self->state.values;
+    Watch *watch = &self->state.watch;
+    if (watch->looks == 0 || !(values[TIME] > watch->last.time)) return;
+    pass_present(self, values + TIME, values + FIRST_STATE);
+    const double distance = rank_at(self, NULL);
+    if (!(distance < watch->least)) return;
+    if (distance < LEAST_RANK && watch->least >= LEAST_RANK) /* a solver may end before its step */
+        log_text(self, WARNING,
+                 "near time %.6g the constraints lose rank, where branches of motion meet",
+                 values[TIME]);
+    watch->least = distance;
+    watch->when = values[TIME];
+}
+
+/* The distance on the cubic through the states and derivatives of two looks. */
+static double distance_on(Instance *self, const Look *from, const Look *to, double share) {
+    const double h = to->time - from->time, t = from->time + share * h, rest = 1 - share;
+    double x[NX];
+    for (int i = 0; i < NX; i++)
+        x[i] = rest * rest * ((1 + 2 * share) * from->x[i] + share * h * from->dx[i]) +
+               share * share * ((3 - 2 * share) * to->x[i] - rest * h * to->dx[i]);
+    pass_present(self, &t, x);
+    return rank_at(self, NULL);
+}
+
+typedef struct {
+    double distance, when;
+} Place;
+
+/* The place nearest to a loss of rank on that cubic, between shares of its length. */
+static Place nearest_on(Instance *self, const Look *from, const Look *to, double begin,
+                        double end) {
+    Place nearest = {DBL_MAX, from->time};
+    double low = begin, high = end, best = begin;
+    for (int zoom = 0; zoom < ZOOMS; zoom++) {
+        const double width = (high - low) / POINTS, first = low;
+        for (int i = 0; i <= POINTS; i++) {
+            const double share = first + i * width;
+            const double distance = distance_on(self, from, to, share);
+            if (!(distance < nearest.distance)) continue;
+            nearest = (Place){distance, from->time + share * (to->time - from->time)};
+            best = share;
+        }
+        low = fmax(begin, best - width);
+        high = fmin(end, best + width);
+    }
+    return nearest;
+}
+
+static Place nearer(Place a, Place b) {
+    return b.distance < a.distance ? b : a;
+}
+
+Status watch_rank(Instance *self, Status status) {
+    const Watch watch = self->state.watch;
+    const Look last = watch.last, now = look(self);
+    if (watch.looks == 0 || !(now.time > last.time)) {
+        begin_watch(self);
+        return OK;
+    }
+    self->state.watch = (Watch){2, now, last, DBL_MAX, 0};
+    Place nearest = {now.distance, now.time};
+    if (watch.when <= now.time) {
+        nearest = nearer(nearest, (Place){watch.least, watch.when});
+    } else { /* it was evaluated ahead */
+        self->state.watch.least = watch.least;
+        self->state.watch.when = watch.when;
+    }
+    if (last.rate < 0 && now.rate > 0) {
+        nearest = nearer(nearest, nearest_on(self, &last, &now, 0, 1));
+        /* and along what the motion was before, lest it has left its branch */
+        const double further = (now.time - last.time) / (last.time - watch.before.time);
+        if (watch.looks > 1 && further <= FURTHEST)
+            nearest = nearer(nearest, nearest_on(self, &watch.before, &last, 1, 1 + further));
+    }
+    if (nearest.distance >= LEAST_RANK) return OK;
+    return refuse(self, status,
+                  "the constraints lose rank at time %.6g (constraint_condition %.0e), where "
+                  "branches of motion meet; from there on it may be another one%s",
+                  nearest.when, 1 / fmax(nearest.distance, 1e-16),
+                  self->state.interface == INTERFACE_ME && SOLVER_DOP853
+                      ? ": use co-simulation, whose solver passes such places on its branch"
+                      : "");
+}
+
+#else
+typedef int no_watch; /* C knows no empty file */
+#endif
