@@ -98,10 +98,11 @@ class Starting:
             refuse_faulty(law, ca.vertcat(x, p), "states and parameters")
             if state in calculated:
                 raise ValueError(f"the start of '{state}' is calculated; '{output}' cannot give it")
-        if self._through:
-            for rule in self._rules:
-                law = {f"start ({rule.meaning}), solved with '{output}',": rule.expression}
-                refuse_faulty(law, ca.vertcat(x, p), "states and parameters")
+            together = {
+                f"start ({rule.meaning}), solved with '{output}',": rule.expression
+                for rule in self._rules
+            }
+            refuse_faulty(together, ca.vertcat(x, p), "states and parameters")
         return tuple(
             StartThrough(self._variables[output], order.index(state), self._outputs[output])
             for output, state in self._through.items()

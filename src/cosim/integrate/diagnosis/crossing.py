@@ -33,10 +33,10 @@ def watching_rank(dae: Dae) -> Dae:
     It is one over their condition: 1 at best, 0 where rank is lost. A model without that monitor is
     returned as it is.
     """
-    condition = constraint_condition(dae)
-    if condition is None:
+    if constraint_condition(dae) is None:
         return dae
-    return replace(dae, limits=(*dae.limits, (1 / condition, "the constraints have full rank")))
+    margin = distance_from_loss(dae), "the constraints have full rank"
+    return replace(dae, limits=(*dae.limits, margin))
 
 
 def times_between(dae: Dae, grid: Vector) -> Vector | None:

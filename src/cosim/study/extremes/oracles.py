@@ -166,12 +166,8 @@ def _reference(
     """Return the first reference that succeeds, or why none does."""
     reason = "the case names no reference"
     for other in references:
-        # Code for algebraic unknowns holds their nominal values, which follow from the start: one
-        # run does not pay for compiling it
-        compiled = False if _model_of(other.model).algebraics else None
-        more = {"on_invalid": "ignore", "compiled": compiled}
         try:
-            return _run(other, stop_time, points, dict(values), **more)
+            return _run(other, stop_time, points, dict(values), on_invalid="ignore")
         except SolverError as failure:
             reason = str(failure)
     return reason

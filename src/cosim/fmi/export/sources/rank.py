@@ -5,7 +5,9 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from cosim.codegen.functions import CALL
+from cosim.codegen.initialization import knowns
 from cosim.codegen.runge_kutta.projection import projection_step
+from cosim.fmi.export.sources.sensitivities import argument_like
 from cosim.memo import kept_per_thread
 from cosim.model.rank import distance_from_loss, watches_rank
 
@@ -29,13 +31,9 @@ def rank_functions(dae: Dae) -> list[ca.Function]:
     if not has_rank(dae):
         return []
     projection = projection_step(dae, dae.p.numel())
-    known = [ca.MX.sym(name, size) for name, size in zip("txup", _sizes(dae), strict=True)]
+    known = [argument_like(symbol) for symbol in knowns(dae)]
     moved = ca.Function("model_project", known, projection.call(known))
     return [_distance(dae), _rate(dae), moved]
-
-
-def _sizes(dae: Dae) -> list[int]:
-    return [1, dae.x.numel(), dae.u.numel(), dae.p.numel()]
 
 
 @kept_per_thread(16)
