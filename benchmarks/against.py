@@ -2,10 +2,10 @@
 
     python benchmarks/against.py COMMIT [ROUNDS]
 
-Both are installed into folders of their own, with the packages of this Python, and take turns in
-shuffled order. Printed are medians of the time on the processor, all threads and children included,
-and their ratios: below 1 the last commit is faster; of runs also the ratio per step, for where
-tolerances mean something else than then. What one of them cannot do is left out.
+Both commits are installed into their own folders, with the packages of this Python, and run in
+turns in shuffled order. Prints medians of the CPU time, all threads and child processes included,
+and their ratios: below 1 the last commit is faster. For runs it also prints the ratio per step,
+since the meaning of a tolerance may have changed. A case that one commit cannot run is left out.
 """
 
 import json
@@ -84,7 +84,7 @@ class Installed:
         )  # fmt: skip
 
     def time(self, case: str) -> tuple[float, int | None] | None:
-        """Return the seconds that a case takes, and steps of a run; None where it fails."""
+        """Return the CPU time of a case in s, and the steps of a run; None if the case fails."""
         if case in COMMANDS:
             before = os.times()
             command = [sys.executable, "-m", "cosim", *COMMANDS[case]]
@@ -101,9 +101,9 @@ class Installed:
 
 
 def serve() -> None:
-    """Time the cases that are named on standard input; the first time prepares and warms up."""
+    """Time the cases named on standard input; the first call of each also prepares it."""
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # whatever else is printed
+    os.dup2(2, 1)  # other output
     ready: dict[str, Callable[[], object] | None] = {}
     for line in sys.stdin:
         case = line.strip()

@@ -1,10 +1,10 @@
-"""How bare fmpy and bare CasADi end on rows of the table of faults, beside `cosim simulate`.
+"""Error handling of bare fmpy, bare CasADi and `cosim simulate` on rows of the table of faults.
 
     python benchmarks/bare_faults.py
 
-Each call is a process of its own with a folder for temporary files of its own. A tool is asked
-where it can be: an FMU that misbehaves in a function that the tool calls, any file that is no FMU,
-and numbers that its own functions take.
+Each call is a process of its own with its own folder for temporary files. A tool is tested on the
+rows that apply to it: an FMU that misbehaves in a function that the tool calls, any file that is
+not an FMU, and numbers that its own functions accept.
 """
 
 import os
@@ -24,7 +24,7 @@ from helpers.hostile import hostile, hostile_binary
 LIMIT = 20  # s; rows that loop have `--timeout 5`
 MEMORY = 8 * 2**30  # bytes: some files are endless
 OURS = "`cosim simulate`"
-FILES = {  # how a tool is asked to run a file for a second: FILE, INTERFACE
+FILES = {  # program with which a tool runs a file for a second: FILE, INTERFACE
     "fmpy": """
 import fmpy, sys
 fmpy.simulate_fmu(sys.argv[1], stop_time=1.0, fmi_type=sys.argv[2])
@@ -45,16 +45,16 @@ option, value = sys.argv[1], float(sys.argv[2])
 x = ca.SX.sym("x", 2)
 times = {"--start-time": 0.0, "--stop-time": 1.0}
 times.update({option: value} if option in times else {})
-kept = {"--relative-tolerance": "reltol", "--absolute-tolerance": "abstol"}.get(option)
+renamed = {"--relative-tolerance": "reltol", "--absolute-tolerance": "abstol"}.get(option)
 dae = {"x": x, "ode": ca.vertcat(x[1], -x[0])}
-options = {kept: value} if kept else {}
+options = {renamed: value} if renamed else {}
 ca.integrator("run", "cvodes", dae, *times.values(), options)(x0=[1, 0])
 """
 TAKEN = ("--start-time", "--stop-time", "--relative-tolerance", "--absolute-tolerance")
 LEFT = "something left behind"
 KINDS = (
-    *("one sentence", "traceback", "crash or exit", "hang", "silent", "runs, as it should"),
-    *(LEFT, "not asked"),
+    *("one sentence", "traceback", "crash or exit", "hang", "undetected", "runs, as it should"),
+    *(LEFT, "not applicable"),
 )
 
 
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def _kind(row: Row) -> str:
-    """Return what a row is about, "" where no bare tool can be asked."""
+    """Return the subject of a row; "" if it applies to no bare tool."""
     if row.name.startswith("FMU fmi2"):
         return "misbehaving"
     if row.name.startswith("simulate FMU is"):
@@ -85,13 +85,13 @@ def _kind(row: Row) -> str:
 
 
 def _ends(tool: str, row: Row, place: Path, write) -> list[str]:
-    """Return how a tool ended on a row, and whether it left a folder."""
+    """Return how a tool ended on a row, and whether it left files."""
     place.mkdir()
     kind, words = _kind(row), list(row.words)
     if kind == "misbehaving":
         words[1] = str(write(words[1]))
         if tool != OURS and not _calls(tool, row.words[1].split()[0], _interface(row), write):
-            return ["not asked"]
+            return ["not applicable"]
     elif row.prepare:
         row.prepare(place)
     if tool == OURS:
@@ -102,12 +102,12 @@ def _ends(tool: str, row: Row, place: Path, write) -> list[str]:
         option = next(word for word in words if "=" in word).partition("=")[0]
         call = [sys.executable, "-c", NUMBERS, option, str(_value(row))]
     else:
-        return ["not asked"]
+        return ["not applicable"]
     return _ended(call, row.code == 0, place)
 
 
 def _value(row: Row) -> float | None:
-    """Return the number that a row gives; None where it is no number of Python's."""
+    """Return the number of a row; None if Python does not read it as a number."""
     try:
         return float(row.name.partition("=")[2])
     except ValueError:
@@ -122,7 +122,7 @@ def _interface(row: Row) -> str:
 
 @cache
 def _calls(tool: str, function: str, interface: str, write) -> bool:
-    """Tell whether a tool calls a function of an FMU, by what that then prints."""
+    """Return whether a tool calls a function of an FMU, which then prints a text."""
     path = str(write(f"{function} print 1"))
     call = [sys.executable, "-c", FILES[tool], path, interface]
     with tempfile.TemporaryDirectory() as place:
@@ -148,22 +148,22 @@ def _ended(call: list[str], good: bool, place: Path) -> list[str]:
             code = None
         left = (_ended_group(process) and code is not None) or _files(place) != before
         errors.seek(0)
-        told = errors.read()
-    return [_kind_of_end(code, told, good), *[LEFT] * left]
+        messages = errors.read()
+    return [_kind_of_end(code, messages, good), *[LEFT] * left]
 
 
-def _kind_of_end(code: int | None, told: str, good: bool) -> str:
+def _kind_of_end(code: int | None, messages: str, good: bool) -> str:
     if code is None:
         return "hang"
-    if "Traceback" in told:
+    if "Traceback" in messages:
         return "traceback"
     if code == 0:
-        return "runs, as it should" if good else "silent"
-    return "one sentence" if told.strip() and code > 0 else "crash or exit"
+        return "runs, as it should" if good else "undetected"
+    return "one sentence" if messages.strip() and code > 0 else "crash or exit"
 
 
 def _ended_group(process: "subprocess.Popen[bytes]") -> bool:
-    """End a process and its children; tell whether there were any."""
+    """End a process and its children; return whether any was running."""
     try:
         os.killpg(process.pid, signal.SIGKILL)
     except ProcessLookupError:

@@ -1,8 +1,9 @@
-"""Right-hand side of hinged chains by the articulated-body recursion, beside Pinocchio's.
+"""Right-hand side of hinged chains by the articulated-body recursion, compared with Pinocchio.
 
     python benchmarks/chains.py [LINKS ...]
 
-Times of one process, in turns, the least of many; `pip install pin` brings Pinocchio.
+Times are the smallest of many interleaved repeats in one process. `pip install pin` installs
+Pinocchio.
 """
 
 import sys
@@ -22,24 +23,24 @@ CALLS, TURNS = 20, 2000
 
 
 def compiled(function: ca.Function, q: np.ndarray, u: np.ndarray) -> tuple[Callable, np.ndarray]:
-    """Return a call of a function's machine code, and where it leaves its result."""
-    (twin,) = external([function], cache_key("chain", function), ["chain"])
-    buffer, call = twin.buffer()
+    """Return a call of a function's machine code, and the array for its result."""
+    (machine_code,) = external([function], cache_key("chain", function), ["chain"])
+    buffer, call = machine_code.buffer()
     result = np.empty(q.size)
     for i, argument in enumerate((q, u)):
         buffer.set_arg(i, memoryview(argument))
     buffer.set_res(0, memoryview(result))
 
-    def evaluate(held: tuple = (buffer, twin, q, u)) -> None:
+    def evaluate(held: tuple = (buffer, machine_code, q, u)) -> None:
         call()
 
     return evaluate, result
 
 
 def pinocchio(n: int, q: np.ndarray, u: np.ndarray) -> tuple[Callable, Callable]:
-    """Return a call of Pinocchio's articulated-body algorithm, and of what costs next to nothing.
+    """Return a call of Pinocchio's articulated-body algorithm, and a call that computes little.
 
-    The second is what a call from Python costs.
+    The second measures the cost of a call from Python.
     """
     import pinocchio as pin
 
@@ -56,7 +57,7 @@ def pinocchio(n: int, q: np.ndarray, u: np.ndarray) -> tuple[Callable, Callable]
 
 
 def least(*calls: Callable) -> list[float]:
-    """Return the least time of each call, in turns, s."""
+    """Return the smallest time of each call over interleaved repeats, s."""
     best = [np.inf] * len(calls)
     for _ in range(TURNS):
         for i, call in enumerate(calls):

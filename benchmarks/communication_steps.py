@@ -1,9 +1,9 @@
-"""Print how far co-simulation through fmpy is from road one, at several communication steps.
+"""Compare co-simulation through fmpy with native simulation at several communication steps.
 
     python benchmarks/communication_steps.py [MODEL...]
 
-Every formulation, FMI 2.0 and 3.0; largest difference of any variable over the model's whole span,
-in nominal values, at the relative tolerance of `cosim crosscheck` on both roads.
+The table has every formulation in FMI 2.0 and 3.0: the largest difference of any variable over the
+model's whole span, in nominal values, at the relative tolerance of `cosim crosscheck`.
 """
 
 import sys
@@ -15,11 +15,11 @@ import casadi_models
 import cosim
 
 STEPS = (1e-3, 1e-2, 1e-1)  # s
-INTERVAL = 0.1  # s, of what is compared
+INTERVAL = 0.1  # s, of the compared outputs
 
 
 def difference(path: Path, run: cosim.Trajectory, step: float, tolerance: float) -> float:
-    """Return the largest difference from a run with this interval of output."""
+    """Return the largest difference from a native run, in nominal values."""
     fine = cosim.simulate_fmu(
         path,
         interface="CoSimulation",

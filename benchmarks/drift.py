@@ -1,8 +1,8 @@
-"""Drift control of the forms with multipliers: what it leaves of drift and error, what it costs.
+"""Drift control of the multiplier formulations: remaining drift, error and cost.
 
 Prints the tables of docs/drift.md; with `--figure FILE` it only draws the drift of the long runs.
-Times are medians of interleaved repeats of the solver alone; only their ratio to the run without
-control counts. Runs of more than SLOW seconds are not repeated.
+Times are medians of interleaved repeats of the solver alone, given as ratios to the run without
+control. Runs of more than SLOW seconds are not repeated.
 """
 
 import sys
@@ -15,25 +15,25 @@ from matplotlib.figure import Figure
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.present.picture_files import save
+from cosim.plotting import save
 from cosim.trajectory import Trajectory
 
 REPEATS = 25
 SLOW = 1.0  # s
-_COLOURS = ("#d62728", "#4c78a8", "#f2b134", "#2a9d5c")  # one per control
+_COLORS = ("#d62728", "#4c78a8", "#f2b134", "#2a9d5c")  # one per drift control
 MONITORS = ("position_drift", "velocity_drift")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A run that is controlled in several ways.
+    """A run with several kinds of drift control.
 
     Attributes:
-        model: With multipliers.
+        model: A formulation with multipliers.
         values: Start values and parameters.
         stop_time, output_interval: s.
-        truth: A formulation without constraints that its equations could drift from.
-        judged: What is compared with it; nothing where a run is too long for that.
+        truth: A formulation that cannot drift, for the comparison.
+        compared: Names of the compared outputs; empty if the run is too long for a comparison.
         energy: Whether energy is constant.
     """
 
@@ -42,7 +42,7 @@ class Case:
     output_interval: float = 0.01
     values: dict[str, float] = field(default_factory=dict)
     truth: str = ""
-    judged: tuple[str, ...] = ()
+    compared: tuple[str, ...] = ()
     energy: bool = False
 
 
@@ -53,18 +53,18 @@ SHORT = (
         "bicycle/multipliers",
         20.0,
         truth="bicycle/independent",
-        judged=("phi", "delta", "psi", "xP", "yP"),
+        compared=("phi", "delta", "psi", "xP", "yP"),
         energy=True,
     ),
     Case(
         "double_pendulum/multipliers",
         10.0,
         truth="double_pendulum/quaternion",
-        judged=TIP,
+        compared=TIP,
         energy=True,
     ),
-    Case("bar_on_frame/two_body", 10.0, truth="bar_on_frame/reduced", judged=("theta", "tk_G_F")),
-    Case("crank_shaft/multipliers", 4.0, truth="crank_shaft/driven", judged=("phi", "fx_A")),
+    Case("bar_on_frame/two_body", 10.0, truth="bar_on_frame/reduced", compared=("theta", "tk_G_F")),
+    Case("crank_shaft/multipliers", 4.0, truth="crank_shaft/driven", compared=("phi", "fx_A")),
 )
 LONG = (
     Case("bicycle/multipliers", 200.0, 0.1, WEAVE, energy=True),
@@ -106,12 +106,12 @@ def _figure() -> Figure:
     for axis, case in zip(axes, LONG[:2], strict=True):
         dae = cosim.load(case.model)
         for solver, style in (("idas", "--"), ("dop853", "-")):
-            for (name, *control), colour in zip(CONTROLS, _COLOURS, strict=True):
+            for (name, *control), color in zip(CONTROLS, _COLORS, strict=True):
                 if solver == "idas" and name == "projection":
                     continue
                 run = _run(case, dae, solver, 1e-8, *control)
                 drift = np.maximum.accumulate(np.maximum(*(run[m] for m in MONITORS)))
-                axis.plot(run.time, drift, style, color=colour, label=f"{name} ({solver})")
+                axis.plot(run.time, drift, style, color=color, label=f"{name} ({solver})")
         axis.set(title=case.model, xlabel="time [s]", yscale="log", ylim=(1e-16, 1e-3))
         axis.grid(visible=True, alpha=0.3)
     axes[0].set_ylabel("largest drift [m, m/s, 1]")
@@ -120,7 +120,7 @@ def _figure() -> Figure:
 
 
 def _measure(case: Case, dae: Dae, truth: Trajectory | None, solver: str, rtol: float) -> None:
-    """Print a row for each control that model and solver can have."""
+    """Print a row for each drift control that model and solver support."""
     possible = {
         name: control
         for name, *control in CONTROLS
@@ -150,40 +150,40 @@ def _run(
     case: Case, dae: Dae, solver: str, rtol: float, control: str, rate: float | None
 ) -> Trajectory:
     return cosim.simulate(
-        dae if rate is None else _closing_at(dae, rate),
+        dae if rate is None else _with_rate(dae, rate),
         solver=solver,
         relative_tolerance=rtol,
         stop_time=case.stop_time,
         output_interval=case.output_interval,
-        outputs=(*case.judged, "energy", *MONITORS),
+        outputs=(*case.compared, "energy", *MONITORS),
         drift_control=control,
-        start=case.values,
+        start_values=case.values,
         on_invalid="ignore",
     )
 
 
 @cache
-def _closing_at(dae: Dae, rate: float) -> Dae:
-    """Return one and the same model for each rate, so that it is prepared once."""
+def _with_rate(dae: Dae, rate: float) -> Dae:
+    """Return the model with a Baumgarte stabilization rate; the same object for the same rate."""
     return dae.closing_at(rate)
 
 
 def _truth(case: Case) -> Trajectory | None:
-    if not case.judged:
+    if not case.compared:
         return None
     return cosim.simulate(
         cosim.load(case.truth),
         solver="dop853",
         relative_tolerance=1e-13,
         stop_time=case.stop_time,
-        outputs=case.judged,
-        start=case.values,
+        outputs=case.compared,
+        start_values=case.values,
     )
 
 
 def _error(case: Case, run: Trajectory, truth: Trajectory) -> float:
     """Return the largest error in nominal values."""
-    return cosim.compare(truth, run.select(case.judged)).worst.scaled
+    return cosim.compare(truth, run.select(case.compared)).worst.scaled
 
 
 if __name__ == "__main__":

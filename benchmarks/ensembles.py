@@ -1,7 +1,7 @@
-"""Many variants: 1000 bicycles in lanes against loops and heyoka's batches; sweeps and their cost.
+"""Many variants: 1000 bicycles in SIMD lanes, in loops and in heyoka's batches; cost of sweeps.
 
-Prints the tables of docs/sweeps.md. Times are those of one core, medians of interleaved repeats
-where several are compared; ratios count, the times are those of the machine it ran on.
+Prints the tables of docs/sweeps.md. Times are those of one core; compared times are medians of
+interleaved repeats. Compare the ratios: the times depend on the machine.
 
     python benchmarks/ensembles.py [bicycles] [outputs] [scalar] [memory] [fmu] [kills]
 """
@@ -25,25 +25,25 @@ from cosim.codegen.runge_kutta.lane_library import processor_lanes
 
 RUNS, STOP, REPEATS = 1000, 20.0, 5
 ROLLS = np.linspace(0.3, 0.5, RUNS)
-SOME = slice(0, RUNS, 20)  # of those that take seconds, 50 runs stand for 1000
+SOME = slice(0, RUNS, 20)  # slow methods run 50 of the 1000 variants
 
 
 def timed(call: Callable[[], object]) -> tuple[float, float, object]:
-    """Return seconds of the processor, seconds of the clock, and the result."""
+    """Return CPU time and elapsed time in s, and the result."""
     wall, own = perf_counter(), process_time()
     result = call()
     return process_time() - own, perf_counter() - wall, result
 
 
 def lanes(tolerance: float, threads: int, **more: object) -> cosim.Ensemble:
-    settings = {"times": [STOP], "outputs": NAMES} | more
+    settings = {"output_times": [STOP], "outputs": NAMES} | more
     return cosim.simulate_many(
         BICYCLE, {"phi_dot": ROLLS}, relative_tolerance=tolerance, threads=threads, **settings
     )
 
 
 def loop(solver: str, tolerance: float) -> np.ndarray:
-    """CasADi's integrator with compiled equations, called again and again."""
+    """Return the results of repeated calls of CasADi's integrator with compiled equations."""
     function = integrator_of(solver, tolerance)
     start, row = cosim.start_vectors(BICYCLE), NAMES.index("phi_dot")
     found = []
@@ -65,7 +65,7 @@ def simulate_loop(tolerance: float) -> np.ndarray:
 
 
 def heyoka_batches(tolerance: float) -> Callable[[], np.ndarray]:
-    """heyoka's Taylor method with as many systems at a time as it recommends."""
+    """Return a run of heyoka's Taylor method in batches of the size that it recommends."""
     import heyoka as hy
 
     sys.path.append(str(Path(__file__).parent / "peers"))
@@ -98,11 +98,10 @@ def bicycles() -> None:
     cases: list[tuple[str, float, Callable[[], object], Callable[[object], float]]] = []
     for tolerance in (3e-4, 1e-6):
         for threads in (1, 2):
-            # an ensemble, as `lanes` returns it; other cases return arrays
             cases.append(
                 (f"cosim, {processor_lanes()} lanes, rtol {tolerance:g}, {threads} thread(s)", 1.0,
                  partial(lanes, tolerance, threads),
-                 lambda run: float(np.abs(run.values[:, 0] - exact).max()))  # type: ignore[attr-defined]
+                 lambda run: float(np.abs(run.values[:, 0] - exact).max()))
             )  # fmt: skip
     share = RUNS / len(some)
     for solver, tolerance in (("cvodes", 3e-7), ("cvodes", 1e-6), ("cvodes_adams", 1e-6)):
@@ -123,7 +122,7 @@ def bicycles() -> None:
                  lambda run, n=count: float(np.abs(run - exact[:n]).max()))
             )  # fmt: skip
     except ImportError:
-        print("heyoka is not there")
+        print("heyoka is not installed")
     for _, _, call, _ in cases:
         call()  # compiled and loaded
     taken: list[list[tuple[float, float]]] = [[] for _ in cases]
@@ -142,8 +141,8 @@ def bicycles() -> None:
 
 
 def outputs() -> None:
-    """2001 output times of two variables."""
-    call = partial(lanes, 1e-6, 1, times=None, stop_time=STOP, outputs=["phi", "delta"])
+    """Print the cost of 2001 output times of two variables."""
+    call = partial(lanes, 1e-6, 1, output_times=None, stop_time=STOP, outputs=["phi", "delta"])
     call()
     own = statistics.median(timed(call)[0] for _ in range(REPEATS))
     ends = statistics.median(timed(partial(lanes, 1e-6, 1))[0] for _ in range(REPEATS))
@@ -152,12 +151,11 @@ def outputs() -> None:
 
 
 def scalar() -> None:
-    """The right-hand side in lanes against the scalar one, solver and all."""
+    """Compare the right-hand side in SIMD lanes with the scalar one, including the solver."""
 
     def lane_run() -> float:
-        # `timed` returns what any call does; this is an ensemble
         own, _, run = timed(partial(lanes, 1e-8, 1))
-        return own / run.rhs_calls.sum()  # type: ignore[attr-defined]
+        return own / run.rhs_calls.sum()
 
     calls = cosim.simulate(
         BICYCLE, solver="dop853", relative_tolerance=1e-8, stop_time=STOP, output_interval=STOP
@@ -166,8 +164,7 @@ def scalar() -> None:
     def scalar_run() -> float:
         function, start = integrator_of("dop853", 1e-8), cosim.start_vectors(BICYCLE)
         start = {name: start[name] for name in ("x0", "p", "u")}
-        # a `casadi.Function`, called by keywords, for which its stub has no signature
-        own, _, _ = timed(lambda: [function(**start) for _ in range(20)])  # type: ignore[operator]
+        own, _, _ = timed(lambda: [function(**start) for _ in range(20)])
         return own / 20 / calls
 
     lane_run(), scalar_run()
@@ -192,13 +189,13 @@ print(f"{runs} runs, statistics only: {peak / 1024:.0f} MB, mean phi at the end 
 
 
 def memory() -> None:
-    """Peak memory of sweeps that keep statistics only."""
+    """Print the peak memory of sweeps that store statistics only."""
     for runs in (1_000, 10_000, 100_000):
         subprocess.run([sys.executable, "-c", MEMORY, str(runs)], check=True)
 
 
 def fmu() -> None:
-    """An FMU of which each process keeps one instance, against a loop of `simulate_fmu`."""
+    """Compare a sweep of an FMU, one instance per process, with a loop of `simulate_fmu`."""
     with tempfile.TemporaryDirectory() as folder:
         path = cosim.export_fmu(BICYCLE, Path(folder) / "bicycle.fmu")
         rolls = ROLLS[:40]
@@ -206,7 +203,7 @@ def fmu() -> None:
 
         def alone() -> None:
             for roll in rolls:
-                cosim.simulate_fmu(path, start={"phi_dot": roll}, **settings)
+                cosim.simulate_fmu(path, start_values={"phi_dot": roll}, **settings)
 
         def swept() -> None:
             cosim.sweep(path, {"phi_dot": rolls}, workers=0, **settings)
@@ -229,51 +226,52 @@ cosim.sweep(
 
 
 def kills() -> None:
-    """1000 runs with 20 kills of workers and 3 of the coordinator, against calm serial ones."""
+    """Compare a sweep whose processes are killed with an undisturbed serial one."""
     random = np.random.default_rng(1)
     with tempfile.TemporaryDirectory() as folder:
-        calm, wild = Path(folder) / "calm", Path(folder) / "wild"
-        subprocess.run([sys.executable, "-c", SWEEP, str(calm), "begin", "0"], check=True)
+        undisturbed, killed = Path(folder) / "undisturbed", Path(folder) / "killed"
+        subprocess.run([sys.executable, "-c", SWEEP, str(undisturbed), "begin", "0"], check=True)
         left, coordinators, how = 20, 3, "begin"
         first: dict[str, int] = {}
         while True:
-            call = [sys.executable, "-c", SWEEP, str(wild), how, "2"]
+            call = [sys.executable, "-c", SWEEP, str(killed), how, "2"]
             process = subprocess.Popen(call)
             share = -(-left // (coordinators + 1))
             while process.poll() is None and share:
                 time.sleep(random.uniform(0.3, 0.9))
-                for worker in random.permutation(children(process.pid))[:1]:
+                for worker in random.permutation(workers_of(process.pid))[:1]:
                     os.kill(int(worker), signal.SIGKILL)
                     left, share = left - 1, share - 1
             if coordinators and process.poll() is None:
                 process.kill()
                 coordinators -= 1
             code = process.wait()
-            for path in (wild / "chunks").glob("*.npz"):
+            for path in killed.glob("status/c/*[0-9]"):
                 assert (
                     first.setdefault(path.name, path.stat().st_mtime_ns) == path.stat().st_mtime_ns
                 )
-            how = "resume"
+            how = "resume" if killed.exists() else "begin"
             if code == 0:
                 break
         same = all(
-            (wild / name).read_bytes() == (calm / name).read_bytes()
-            for name in ("runs.csv", *files_of(calm / "results.zarr", calm))
+            (killed / name).read_bytes() == (undisturbed / name).read_bytes()
+            for name in files_of(undisturbed)
         )
         print(f"{20 - left} workers and {3 - coordinators} coordinators killed: "
-              f"{'the same bytes' if same else 'OTHER BYTES'} as calm and serial, no chunk written "
-              f"twice, {len(first)} chunks")  # fmt: skip
+              f"{'the same bytes' if same else 'OTHER BYTES'} as the undisturbed sweep, "
+              f"no block written twice, {len(first)} blocks")  # fmt: skip
 
 
-def children(parent: int) -> list[int]:
-    text = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(parent)], capture_output=True, text=True
-    )
-    return [int(word) for word in text.stdout.split()]
+def workers_of(sweep: int) -> list[int]:
+    """Return the worker processes of a sweep."""
+    import psutil
+
+    found = psutil.Process(sweep).children(recursive=True)
+    return [p.pid for p in found if "spawn_main" in " ".join(p.cmdline())]
 
 
-def files_of(folder: Path, root: Path) -> list[str]:
-    return [str(path.relative_to(root)) for path in sorted(folder.rglob("*")) if path.is_file()]
+def files_of(folder: Path) -> list[str]:
+    return [str(path.relative_to(folder)) for path in sorted(folder.rglob("*")) if path.is_file()]
 
 
 def heyoka_version() -> str:
@@ -283,14 +281,14 @@ def heyoka_version() -> str:
 
 
 def integrator_of(solver: str, tolerance: float) -> object:
-    if (solver, tolerance) not in _KEPT:
-        _KEPT[solver, tolerance] = cosim.integrator(
+    if (solver, tolerance) not in _INTEGRATORS:
+        _INTEGRATORS[solver, tolerance] = cosim.integrator(
             BICYCLE, [0.0, STOP], solver=solver, relative_tolerance=tolerance
         )
-    return _KEPT[solver, tolerance]
+    return _INTEGRATORS[solver, tolerance]
 
 
-_KEPT: dict[tuple[str, float], object] = {}
+_INTEGRATORS: dict[tuple[str, float], object] = {}
 BICYCLE = cosim.load("bicycle")
 NAMES = [variable.name for variable in BICYCLE.states]
 

@@ -13,18 +13,18 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-# What follows is imported late: the oracles stand beside the tests, which that path finds
-from helpers import example_oracles as oracles  # noqa: E402
+# The oracles are a module of the tests, which the path above makes importable
+from helpers import example_oracles as oracles  # noqa: E402 (after the path)
 
-import casadi_models  # noqa: E402
-import cosim  # noqa: E402
-from casadi_models.dae import Dae  # noqa: E402
-from cosim.errors import CosimError  # noqa: E402
-from cosim.host.temporary import temporary_folder  # noqa: E402
-from cosim.solvers import Idas  # noqa: E402
-from cosim.verify.reference import reference  # noqa: E402
+import casadi_models  # noqa: E402 (after the path)
+import cosim  # noqa: E402 (after the path)
+from casadi_models.dae import Dae  # noqa: E402 (after the path)
+from cosim.errors import CosimError  # noqa: E402 (after the path)
+from cosim.host.temporary import temporary_folder  # noqa: E402 (after the path)
+from cosim.solvers import Idas  # noqa: E402 (after the path)
+from cosim.verify.reference import reference  # noqa: E402 (after the path)
 
-JUDGES = {
+REFERENCES = {
     "andrews": "published, t = 0.03",
     "car_axis": "published, t = 3",
     "pendulum_a01": "elliptic functions",
@@ -39,20 +39,20 @@ JUDGES = {
     "heat": "its slowest mode",
     "chain": "Lagrange's equations",
 }
-DEFAULT = {"four_bars_a02": {"compiled": None}}  # whose way across positions takes a compiler
-ACROSS = {"solver": "dop853", "drift_control": "projection"}  # where loops lose rank
-TIGHT = {"four_bars_a02": ACROSS, "heat": {}}
+DEFAULT = {"four_bars_a02": {"compiled": None}}  # projection needs a compiler
+PROJECTED = {"solver": "dop853", "drift_control": "projection"}  # for singular configurations
+TIGHT = {"four_bars_a02": PROJECTED, "heat": {}}
 NAMES = {"dop853": "`dop853`, projected", "rosenbrock": "`rosenbrock`"}
 
 
 def examples() -> Iterator[tuple[Dae, dict[str, float]]]:
-    """Yield every example with what it must end with."""
+    """Yield every example with its exact final values."""
     for name, oracle in oracles.ORACLES.items():
         yield cosim.load(f"{ROOT / 'examples' / name}.py:build"), oracle()
 
 
 def formulations() -> Iterator[tuple[Dae, dict[str, float]]]:
-    """Yield every formulation with the end of its reference."""
+    """Yield every formulation with the final values of its reference."""
     for name in casadi_models.CATALOG:
         dae = cosim.load(name)
         best = reference(dae).run
@@ -66,14 +66,14 @@ def error(dae: Dae, run: cosim.Trajectory, ends: dict[str, float]) -> float:
 
 
 def cell(dae: Dae, ends: dict[str, float], *, steps: bool = False, **settings) -> str:
-    """Return the error of a run, or where it ends."""
+    """Return the error of a run, or the time at which it stopped or became invalid."""
     try:
         run = cosim.simulate(dae, **({"compiled": False} | settings))
     except CosimError as failure:
         partial = failure.partial
-        return f"ends at {partial.time[-1]:.3g} s" if partial is not None else "no start"
+        return f"stops at {partial.time[-1]:.3g} s" if partial is not None else "no initial state"
     if run.stats.get("invalid"):
-        return f"told at {run.stats['invalid_from']:.3g} s"
+        return f"invalid from {run.stats['invalid_from']:.3g} s"
     count = f"{run.stats['steps']}, " if steps else ""
     return f"{count}{error(dae, run, ends):.0e}".replace("e-0", "e-")
 
@@ -86,12 +86,12 @@ def fmu_cell(dae: Dae, ends: dict[str, float], path: Path, interface: str) -> st
         run = cosim.simulate_fmu(path, **settings)
     except CosimError as failure:
         at = re.search(r"(?:t = |after |at |time )([\d.]+)", str(failure))
-        return f"ends at {float(at[1].rstrip('.')):.2g} s" if at else "ends early"
+        return f"stops at {float(at[1].rstrip('.')):.2g} s" if at else "stops early"
     return f"{error(dae, run, ends):.0e}".replace("e-0", "e-")
 
 
 def errors_of_examples() -> str:
-    head = "| example | judged by | default | 1e-10, default solver | 1e-10 | FMU, ME | FMU, CS |"
+    head = "| example | reference | default | 1e-10, default solver | 1e-10 | FMU, ME | FMU, CS |"
     lines = [head, "|---|---|---|---|---|---|---|"]
     for dae, ends in examples():
         name = dae.name
@@ -103,7 +103,7 @@ def errors_of_examples() -> str:
             fmus = [fmu_cell(dae, ends, path, i) for i in ("ModelExchange", "CoSimulation")]
         row = [
             f"`{name}`",
-            JUDGES[name],
+            REFERENCES[name],
             cell(dae, ends, **DEFAULT.get(name, {})),
             cell(dae, ends, relative_tolerance=1e-10, **DEFAULT.get(name, {})),
             f"{tight} {NAMES.get(best.get('solver', ''), '')}".strip(),
@@ -115,7 +115,7 @@ def errors_of_examples() -> str:
 
 
 def without_nominal(dae: Dae) -> Dae:
-    """Return a model of which no nominal values are known: tolerances count in SI units."""
+    """Return a model without nominal values, so that tolerances are in SI units."""
     plain = [tuple(replace(v, nominal=1.0) for v in of) for of in (dae.states, dae.algebraics)]
     return replace(dae, states=plain[0], algebraics=plain[1])
 
@@ -140,7 +140,7 @@ def si_cell(dae: Dae, ends: dict[str, float], **settings) -> str:
     try:
         run = cosim.simulate(without_nominal(dae), compiled=False, **settings)
     except CosimError as failure:
-        return f"ends at {failure.partial.time[-1]:.3g} s"
+        return f"stops at {failure.partial.time[-1]:.3g} s"
     return f"{run.stats['steps']}, {error(dae, run, ends):.0e}".replace("e-0", "e-")
 
 

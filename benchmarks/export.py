@@ -1,9 +1,9 @@
-"""Print what an export costs: time from a cold and a warm cache, file sizes, instantiation.
+"""Print the cost of exports: time with an empty and a filled cache, file sizes, instantiation.
 
     python benchmarks/export.py [--platform NAME] [MODEL...]
 
-Every export runs in a process of its own, imports included, as on the command line. Cold means
-that nothing of the FMU is compiled; the bundled compiler has what it keeps of the C libraries.
+Every export runs in a separate process, imports included, as on the command line. Cold means that
+no code of the FMU is in the cache; the bundled compiler's own cache of the C libraries is filled.
 """
 
 import argparse
@@ -29,7 +29,7 @@ REPEATS = 200
 
 
 def timed_export(arguments: list[str], cache: Path) -> tuple[float, float]:
-    """Return the wall time and the processor time, s, that one export takes."""
+    """Return the elapsed time and the CPU time of one export, s."""
     before, began = getrusage(RUSAGE_CHILDREN), perf_counter()
     command = [sys.executable, "-c", ONE, *arguments]
     subprocess.run(command, check=True, env=os.environ | {"COSIM_CACHE": str(cache)})
@@ -42,14 +42,14 @@ def instantiation(path: Path) -> float:
     """Return the median time of one instantiation through fmpy, library loaded, in us."""
     with unpacked(path) as folder:
         described = fmpy.read_model_description(str(folder))
-        kept = fmpy.instantiate_fmu(str(folder), described, "ModelExchange")
+        instance = fmpy.instantiate_fmu(str(folder), described, "ModelExchange")
         times = []
         for _ in range(REPEATS):
             began = perf_counter()
-            kept.fmi2FreeInstance(kept.component)
-            kept.instantiate()
+            instance.fmi2FreeInstance(instance.component)
+            instance.instantiate()
             times.append(perf_counter() - began)
-        kept.freeInstance()
+        instance.freeInstance()
     return 1e6 * median(times)
 
 
@@ -64,8 +64,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         target, cache = Path(folder) / "model.fmu", Path(folder) / "cache"
         third = Path(folder) / "model3.fmu"
-        stamp = f"m{os.getpid()}"  # a name that nothing was ever compiled under
-        if args.platform != "native":  # fills what the bundled compiler keeps
+        stamp = f"m{os.getpid()}"  # an identifier that was never compiled
+        if args.platform != "native":  # fill the bundled compiler's own cache
             timed_export([args.models[0], str(target), "3", args.platform, stamp + "_"], cache)
         for model in args.models:
             arguments = [model, str(target), "2", args.platform, stamp]

@@ -1,9 +1,9 @@
-"""The limit cases on bare tools: `casadi.integrator` as it comes, and fmpy on the exported FMU.
+"""Extreme cases on bare tools: `casadi.integrator` with its defaults, and fmpy on exported FMUs.
 
     python benchmarks/extremes.py [MODEL...]
 
-prints how many cases end how, side by side. Start values come from the product, because a bare
-tool has none; everything after that is the tool's own.
+Prints the number of cases of each outcome for each tool. Consistent initial values come from cosim,
+because a bare tool does not compute them; the rest of a run is the tool's own.
 """
 
 import sys
@@ -19,7 +19,7 @@ import numpy as np
 from cosim.errors import SolverError, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.integrate.integrator import start_vectors
-from cosim.integrate.run.outputs import all_columns
+from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
 from cosim.study.extremes.campaign import RUNNER, explore, select_cases
 from cosim.study.extremes.cases import Case
@@ -31,7 +31,7 @@ FOLDER = tempfile.TemporaryDirectory(prefix="cosim-extremes-")
 
 
 def run_casadi(case: Case) -> Trajectory:
-    """CasADi's integrator, its default options and the case's tolerance."""
+    """Run CasADi's integrator with its default options and the tolerance of the case."""
     dae = load(case.model)
     start = start_vectors(dae, case.values)
     grid = np.linspace(0, case.stop_time, case.points + 1)
@@ -56,7 +56,7 @@ def run_casadi(case: Case) -> Trajectory:
 
 
 def run_fmpy(case: Case) -> Trajectory:
-    """fmpy's model exchange with its CVODE and the case's tolerance."""
+    """Run fmpy's model exchange with its CVODE and the tolerance of the case."""
     dae = load(case.model)
     if case.solver not in (None, "cvodes", "idas"):
         raise UsageError("fmpy has CVODE and Euler only")

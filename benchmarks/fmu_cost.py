@@ -1,13 +1,14 @@
-"""What an FMU costs beside its equations, on the bicycle.
+"""Cost of an FMU in addition to its equations, for the bicycle.
 
-1. Co-simulation of 2001 outputs through fmpy, against an FMU of its interface that does nothing.
-2. A C loop over model exchange, against the bare compiled right-hand side.
-3. The columns of the state Jacobian by getDirectionalDerivative, against forward differences.
-4. Instantiating and freeing.
+1. Co-simulation of 2001 outputs through fmpy, compared with an FMU of that interface that computes
+   nothing.
+2. A C loop over model exchange, compared with the bare compiled right-hand side.
+3. The columns of the state Jacobian by getDirectionalDerivative, compared with forward differences.
+4. Instantiation and release.
 5. A C loop over co-simulation, by solver.
-6. The bicycle's 2001 outputs, both interfaces: fmpy, and the compiled master beside it.
+6. 2001 outputs through both interfaces: fmpy compared with the compiled master.
 
-Interleaved repeats, medians; the ratios are what counts.
+Times are medians of interleaved repeats; compare their ratios.
 """
 
 import ctypes
@@ -25,7 +26,7 @@ from cosim.fmi.export.build import fmi_headers
 from cosim.fmi.platforms import native_target
 
 REPEATS = 15
-SHORT_REPEATS = 60  # of loops in C, short enough that others seldom interrupt them
+SHORT_REPEATS = 60  # of loops in C, so short that other processes seldom interrupt them
 DRIVER = r"""
 #include <stdio.h>
 #include <stdlib.h>
@@ -114,12 +115,12 @@ void measure(int count, double results[5]) {
         fmi2SetContinuousStates(fmu, x, NX);
         fmi2GetDerivatives(fmu, dx, NX);
         for (int column = 0; column < NX; column++) {
-            const double kept = x[column];
+            const double before = x[column];
             x[column] += 1e-8;
             fmi2SetContinuousStates(fmu, x, NX);
             fmi2GetDerivatives(fmu, moved, NX);
             sum += (moved[6] - dx[6]) / 1e-8;
-            x[column] = kept;
+            x[column] = before;
         }
     }
     results[4] = (now() - start) / count / NX + 0 * sum;
@@ -164,7 +165,7 @@ def co_simulation(path: Path) -> float:
 
 
 def masters(path: Path) -> None:
-    """Print the whole time of a run by who drives it, the tenth part that was disturbed least."""
+    """Print the total time of a run by master: the fastest tenth of the repeats."""
     for interface in ("ModelExchange", "CoSimulation"):
         times: dict[str, list[float]] = {"fmpy": [], "c": []}
         for _ in range(REPEATS):
@@ -186,9 +187,10 @@ def c_loop(fmu: Path, folder: Path) -> ctypes.CDLL:
     (sources / "driver.c").write_text(DRIVER)
     library = folder / "driver.so"
     files = [str(path) for path in sorted(sources.glob("*.c"))]
-    options = [*FLAGS, *native_target().options(library.name), "-std=gnu11"]  # those of exports
+    compiler = find_compiler()
+    options = [*FLAGS, *native_target().options(library.name, compiler), "-std=gnu11"]
     folders = [f"-I{fmi_headers()}", f"-I{sources}"]
-    call = [*find_compiler(), *options, *folders, *files, "-o", str(library), "-lm"]
+    call = [*compiler, *options, *folders, *files, "-o", str(library), "-lm"]
     subprocess.run(call, check=True)
     return ctypes.CDLL(str(library))
 
@@ -230,8 +232,8 @@ def main() -> None:
           f"ratio {me / bare:.2f}")  # fmt: skip
     print(f"directional derivatives, a column: {column * 1e9:.0f} ns, forward difference "
           f"{difference * 1e9:.0f} ns, ratio {column / difference:.2f}")  # fmt: skip
-    told = ", ".join(f"{solver} {1e6 * statistics.median(t):.2f}" for solver, t in steps.items())
-    print(f"co-simulation from C, a step of 0.01 s, us: {told}")
+    shown = ", ".join(f"{solver} {1e6 * statistics.median(t):.2f}" for solver, t in steps.items())
+    print(f"co-simulation from C, a step of 0.01 s, us: {shown}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""What exporting large models costs: processor time and memory of this process and the compiler.
+"""Print the cost of exporting large models: CPU time and memory of Python and the compiler.
 
     python benchmarks/large_exports.py [ball:16] [heat:1000]
 
-Each is exported in a process of its own with an empty cache.
+Each model is exported in a separate process with an empty cache.
 """
 
 import os

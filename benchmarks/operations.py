@@ -1,6 +1,6 @@
-"""Scalar operations of every right-hand side, parameters being numbers.
+"""Scalar operations of every right-hand side, with numbers for the parameters.
 
-Compares with the recorded baseline; `--record` writes it anew once a rise has been explained.
+Compares with the recorded baseline; `--record` replaces it, once a rise has been explained.
 """
 
 import json

@@ -1,15 +1,14 @@
-"""How errors follow tolerances and steps: slope and constant, observed order, largest stable step.
+"""Errors against tolerances and steps: slope and constant, observed order, largest stable step.
 
 Prints the tables of docs/tradeoff.md for the default formulation of every system. The error is the
-largest global one of all outputs, in nominal values, at tolerances from 1e-2 to 1e-12 or over four
-halvings of the step; nothing is timed.
+largest global error of all outputs, in nominal values. Tolerances run from 1e-2 to 1e-12; steps are
+halved four times. Nothing is timed.
 """
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import cosim
-from cosim.scene.scene import Scene
 from cosim.study.tradeoff.configuration import Selection
 from cosim.study.tradeoff.study import tradeoff
 
@@ -41,9 +40,11 @@ def main() -> None:
     slopes, orders, limits = [], [], []
     for model, values in CASES:
         label = {"model": f"{model}, stiff" if values else model}
-        scene = Scene(model, cosim.load(model), values=values)
         study = tradeoff(
-            scene, selection=Selection(roads=("compiled",)), every_formulation=False, repeats=0
+            cosim.requested(model, start_values=values),
+            selection=Selection(backends=("native",)),
+            every_formulation=False,
+            repeats=0,
         )
         slopes += [fit.row() | label for fit in study.proportionality()]
         orders += [order.row() | label for order in study.orders]

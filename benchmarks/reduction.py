@@ -1,7 +1,7 @@
-"""What `reduce` saves: sizes, and times of right-hand side and run, full against reduced.
+"""Savings by `reduce`: sizes and times of right-hand side and run, full and reduced.
 
-Prints the table of docs/reduce.md. Times are medians of interleaved repeats; the ratio is what
-counts, the absolute times are those of the machine it ran on.
+Prints the table of docs/reduce.md. Times are medians of interleaved repeats. Compare the
+ratios: the times depend on the machine.
 """
 
 import statistics
@@ -14,7 +14,7 @@ import cosim
 from casadi_models.dae import Dae
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.integrate.integrator import start_vectors
-from cosim.model.reduction.size import size
+from cosim.model.reduction import size
 
 CASES = (
     ("crank_shaft/driven", ("T",)),

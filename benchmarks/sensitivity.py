@@ -2,11 +2,11 @@
 
     python benchmarks/sensitivity.py [SECONDS_OF_MOTION]
 
-Printed are ratios to one `dop853` run of the same span and tolerance, the smallest times on the
-processor, all threads together, of interleaved rounds: our variational equations in lanes; the same
-with the second opinion; central differences through `dop853` in lanes; CasADi's forward mode
-through CVODES; heyoka's variational equations at the loosest tolerance whose error is no larger
-than ours.
+Prints CPU times of all threads together, relative to one `dop853` run of the same span and
+tolerance; each is the smallest of several interleaved rounds. The methods are `cosim.sensitivity`
+(variational equations in SIMD lanes), without and with its check; central differences of `dop853`
+runs in lanes; CasADi's forward mode through CVODES; and heyoka's variational equations at the
+loosest tolerance whose error is no larger than that of `cosim.sensitivity`.
 """
 
 import sys
@@ -19,8 +19,7 @@ import numpy as np
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.integrate.ensemble.simulate_many import simulate_many
-from cosim.integrate.simulate import simulate
+from cosim.api import simulate
 from cosim.study.sensitivity.sensitivity import sensitivity
 
 ROUNDS = 7
@@ -29,7 +28,7 @@ HEYOKA_TOLERANCES = (1e-6, 5e-7, 2e-7, 1e-7)  # half a minute to compile each
 
 
 def main(span: float) -> None:
-    """Print the ratios and how far each method is from the tight one."""
+    """Print the ratios and how far each method is from a run at a tight tolerance."""
     dae = cosim.load("bicycle/independent")
     tolerance = {"relative_tolerance": 1e-6}
     times = {"stop_time": span, "output_interval": span}
@@ -42,7 +41,8 @@ def main(span: float) -> None:
         for i, name in enumerate(names):
             values[name][2 * i] += STEP * sizes[i]
             values[name][2 * i + 1] -= STEP * sizes[i]
-        last = simulate_many(dae, values, outputs=states, **times, relative_tolerance=1e-9).values
+        numbers = {"outputs": states, "relative_tolerance": 1e-9, **times}
+        last = cosim.simulate_many(dae, values, **numbers).values
         return ((last[::2, -1] - last[1::2, -1]) / (2 * STEP)).T
 
     start = cosim.start_vectors(dae)
@@ -60,17 +60,17 @@ def main(span: float) -> None:
         return np.array(directions(*arguments)) + np.array(by_start(*arguments))
 
     def ours(check: bool) -> np.ndarray:
-        found = sensitivity(dae, of=states, check=check, **times, **tolerance)
+        found = sensitivity(dae, outputs=states, check=check, **times, **tolerance)
         return found.values[-1] * sizes
 
-    ways: dict[str, Callable[[], object]] = {
+    methods: dict[str, Callable[[], object]] = {
         "one run": lambda: simulate(dae, solver="dop853", outputs=states, **times, **tolerance),
         "sensitivity": lambda: ours(check=False),
         "sensitivity, checked": lambda: ours(check=True),
         "central differences": central,
         "CasADi forward CVODES": casadi_forward,
     }
-    truth = sensitivity(dae, of=states, check=False, **times, relative_tolerance=1e-12)
+    truth = sensitivity(dae, outputs=states, check=False, **times, relative_tolerance=1e-12)
     exact = truth.values[-1] * sizes
 
     def error(found: np.ndarray) -> float:
@@ -79,16 +79,16 @@ def main(span: float) -> None:
     aim = error(ours(check=False))
     peers = heyoka_runs(dae, start, slopes, span)
     scaled = ((name, lambda run=run: run() * sizes) for name, run in peers)
-    ways.update(next(([pair] for pair in scaled if error(pair[1]()) <= aim), []))
-    best = dict.fromkeys(ways, float("inf"))
-    results = {name: way() for name, way in ways.items()}  # compiled, and warm
+    methods.update(next(([pair] for pair in scaled if error(pair[1]()) <= aim), []))
+    best = dict.fromkeys(methods, float("inf"))
+    results = {name: method() for name, method in methods.items()}  # compiled, and warm
     for _ in range(ROUNDS):
-        for name, way in ways.items():
+        for name, method in methods.items():
             began = process_time()
-            way()
+            method()
             best[name] = min(best[name], process_time() - began)
     print(f"{'':24}{'ratio':>8}{'error':>10}   (26 parameters, {span:g} s of motion)")
-    for name in ways:
+    for name in methods:
         apart = "" if name == "one run" else f"{error(results[name]):10.1e}"
         print(f"{name:24}{best[name] / best['one run']:8.1f}{apart}")
 

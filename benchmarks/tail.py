@@ -1,8 +1,8 @@
-"""What `simulate` costs beside its solver: the bicycle, dop853 at an error of 1e-7, 2001 outputs.
+"""Cost of `simulate` outside its solver: the bicycle, dop853 at an error of 1e-7, 2001 outputs.
 
-All outputs, two states, and two states without a look at the limits. Interleaved repeats on the
-processor's clock; the tenth part that was disturbed least; the ratios are what counts. The calls of
-Python functions say what a busy machine hides.
+The cases are all outputs, two states, and two states without validity conditions. Times are CPU
+times of interleaved repeats, of which the fastest tenth counts; compare the ratios. The number of
+Python function calls does not depend on the load of the machine.
 """
 
 import cProfile
@@ -16,10 +16,10 @@ import cosim
 CASES = {
     "all outputs": {},
     "two outputs": {"outputs": ["phi", "delta"]},
-    "two outputs, limits ignored": {"outputs": ["phi", "delta"], "on_invalid": "ignore"},
+    "two outputs, validity ignored": {"outputs": ["phi", "delta"], "on_invalid": "ignore"},
 }
 REPEATS = 300
-TOLERANCE = 6e-10  # with which the states are right within 1e-7 of their nominal values
+TOLERANCE = 6e-10  # gives an error of the states of 1e-7 nominal values
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def error_of(dae: cosim.Dae, solver: cosim.solvers.Dop853) -> float:
 
 
 def calls_of(dae: cosim.Dae, solver: cosim.solvers.Dop853, options: dict[str, object]) -> int:
-    """Return how many functions a run calls that is like the one before."""
+    """Return the number of function calls of a repeated run."""
     with cProfile.Profile() as profile:
         cosim.simulate(dae, solver=solver, **options)
     return int(pstats.Stats(profile).total_calls)  # type: ignore[attr-defined]

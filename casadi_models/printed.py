@@ -1,4 +1,4 @@
-"""Numbers that a book prints of a system, to stand beside those of a run."""
+"""Numbers printed in a book about a system, to compare with simulated ones."""
 
 from typing import NamedTuple
 

@@ -1,6 +1,6 @@
 """Units: exact conversion factors and what FMI needs to know of each unit.
 
-SI inside; a number is converted once, where it is first written: ``6 * INCH`` is a length in metre.
+SI inside; a number is converted once, where it is first written: ``6 * INCH`` is a length in meter.
 """
 
 import re
@@ -29,7 +29,7 @@ class Unit:
     base: tuple[tuple[str, int], ...]
 
     def measures_like(self, other: "Unit") -> bool:
-        """Tell whether both measure the same kind of quantity."""
+        """Return whether both measure the same kind of quantity."""
         return dict(self.base) == dict(other.base)
 
 
@@ -38,13 +38,13 @@ def _unit(factor: float = 1.0, **base: int) -> Unit:
 
 
 class Units(dict[str, Unit]):
-    """Units by name; one that nobody knows here counts as a number with factor 1."""
+    """Units by name; an unknown one counts as a number with factor 1."""
 
     def __missing__(self, name: str) -> Unit:
         return product(name) or _unit()
 
 
-# Torque per angle is kept apart from torque: kg.m2/s2 with and without the radian.
+# Torque per angle is distinct from torque: kg.m2/s2 with and without the radian.
 UNITS = Units(
     {
         "1": _unit(),
@@ -134,7 +134,7 @@ def product(name: str) -> Unit | None:
 
 
 def known(name: object) -> bool:
-    """Tell whether a unit is in the table or a product of units that are."""
+    """Return whether a unit is in the table or a product of units that are."""
     return isinstance(name, str) and (name in UNITS or product(name) is not None)
 
 
@@ -147,7 +147,9 @@ def convert(value: float, unit: str, target: str) -> float:
     for name in (unit, target):
         if not known(name):
             raise ValueError(f"unit {name!r} is unknown; known are {', '.join(UNITS)}")
-    source, wanted = UNITS[unit], UNITS[target]
-    if not source.measures_like(wanted):
+    source, target_unit = UNITS[unit], UNITS[target]
+    if not source.measures_like(target_unit):
         raise ValueError(f"'{unit}' cannot be converted to '{target}': not the same kind of unit")
-    return value if source.factor == wanted.factor else value * source.factor / wanted.factor
+    return (
+        value if source.factor == target_unit.factor else value * source.factor / target_unit.factor
+    )

@@ -1,4 +1,4 @@
-"""Andrews' squeezing mechanism: seven bodies, six loops, an index-3 DAE taken to index 1.
+"""Andrews' squeezing mechanism: seven bodies, six loops, reduced from index 3 to 1.
 
 Source  Schiehlen (ed.), Multibody Systems Handbook, 1990; Hairer & Wanner, Solving ODEs II, VII.7.
 """
@@ -15,7 +15,7 @@ START = [float(angle) for angle in f"{Q} -.222668390165885885 1.2305474445498211
 
 
 def build():
-    """Return the DAE: angles, rates; accelerations and loop loads are unknowns."""
+    """Return the DAE: 14 states (angles and rates); accelerations and loop loads are unknowns."""
     q, v, a, load = SX.sym("q", 7), SX.sym("v", 7), SX.sym("a", 7), SX.sym("load", 6)
     b, k2, c, k4, d, k6, e = q[0], q[0] + q[1], q[2], q[3] + q[4], q[4], q[5] + q[6], q[6]
     x, y = (lambda s: ca.vertcat(cos(s), sin(s))), (lambda s: ca.vertcat(sin(s), -cos(s)))

@@ -1,4 +1,4 @@
-"""The car axis: a bar on two springs, one wheel on a bumpy road; an index-3 DAE taken to index 1.
+"""Car axis: a bar on two springs, one wheel on a bumpy road, reduced from index 3 to index 1.
 
 Source  Schneider, 1991; Mazzia & Magherini, Test Set for IVP Solvers, 2008, problem CARAX.
 """
@@ -12,7 +12,7 @@ EPS, M, L, L0, BUMP, FAST = 1e-2, 10.0, 1.0, 0.5, 0.1, 10.0
 
 
 def build():
-    """Return the DAE: places and velocities; accelerations and loads are unknowns."""
+    """Return the DAE: 8 states (positions and velocities); accelerations and loads are unknowns."""
     t, q, v, a, load = SX.sym("t"), *(SX.sym(n, 4) for n in "qva"), SX.sym("load", 2)
     left, right = q[:2], q[2:]
     wheel = ca.vertcat(sqrt(L**2 - (BUMP * sin(FAST * t)) ** 2), BUMP * sin(FAST * t))

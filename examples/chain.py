@@ -1,6 +1,6 @@
-"""A chain of eight slender links under gravity, in absolute angles, from the horizontal.
+"""Chain of eight slender links under gravity, in absolute angles, starting horizontally.
 
-Source  Kane's equations; the test has Lagrange's in closed form.
+Source  Kane's equations; a test compares them with Lagrange's equations in closed form.
 """
 
 import casadi as ca
@@ -15,7 +15,7 @@ LENGTH = 1 / LINKS
 
 
 def build():
-    """Return the ODE of eight angles from the downward vertical."""
+    """Return the ODE: 16 states (angles from the downward vertical, and rates)."""
     model = Model("chain", stop_time=1.0)
     q = ca.vertcat(
         *(
@@ -28,9 +28,9 @@ def build():
     inertias, loads, potential = [], [], SX(0)
     for i in range(LINKS):
         half = LENGTH / 2 * ca.vertcat(cos(q[i]), sin(q[i])) * u[i]
-        centre, velocity = velocity + half, velocity + 2 * half
-        inertias += [InertialTerm(centre, centre), InertialTerm(u[i], LENGTH**2 / 12 * u[i])]
-        loads.append(Load(centre[1], SX(-9.81)))
+        center, velocity = velocity + half, velocity + 2 * half
+        inertias += [InertialTerm(center, center), InertialTerm(u[i], LENGTH**2 / 12 * u[i])]
+        loads.append(Load(center[1], SX(-9.81)))
         potential += 9.81 * (height - LENGTH / 2 * cos(q[i]))
         height -= LENGTH * cos(q[i])
     found = mechanism(model, q, u, inertias, loads)

@@ -1,4 +1,4 @@
-"""Furuta's pendulum: a pendulum on an arm that turns about the vertical, driven by a torque.
+"""Furuta's pendulum: a pendulum on an arm that a torque turns about the vertical.
 
 Source  Cazzolato & Prime, J. Control Science and Engineering, 2011, doi:10.1155/2011/528341.
 """
@@ -12,7 +12,7 @@ from casadi_models.mechanics.mechanism import mechanism
 
 
 def build():
-    """Return the ODE of two angles: the arm's, and the pendulum's from hanging."""
+    """Return the ODE: 4 states (angles of the arm and of the pendulum, and their rates)."""
     model = Model("furuta", stop_time=5.0)
     q = ca.vertcat(
         model.state("arm", "rad", 0.0, "angle of the arm about the vertical"),
@@ -27,12 +27,12 @@ def build():
     u = SX.sym("u", 2)
     c, s = cos(q[0]), sin(q[0])
     along, across = ca.vertcat(c, s, 0), ca.vertcat(-s, c, 0)
-    centre = L * along + reach * (sin(q[1]) * across - cos(q[1]) * ca.vertcat(0, 0, 1))
-    v = ca.jtimes(centre, q, u)
-    turn = ca.vertcat(u[1], -sin(q[1]) * u[0], -cos(q[1]) * u[0])  # of the rod, in its own axes
+    center = L * along + reach * (sin(q[1]) * across - cos(q[1]) * ca.vertcat(0, 0, 1))
+    v = ca.jtimes(center, q, u)
+    turn = ca.vertcat(u[1], -sin(q[1]) * u[0], -cos(q[1]) * u[0])  # of the rod, in body axes
     slender = InertialTerm(turn, ca.vertcat(J2, J2, 0) * turn, turn)
     inertias = [InertialTerm(u[0], J1 * u[0]), InertialTerm(v, m * v), slender]
     loads = [Load(v[2], -9.81 * m), Load(u[0], torque)]
     found = mechanism(model, q, u, inertias, loads)
-    model.energies(found.kinetic_energy, 9.81 * m * centre[2])
+    model.energies(found.kinetic_energy, 9.81 * m * center[2])
     return model.freeze()

@@ -1,4 +1,4 @@
-"""A heavy symmetric top in steady precession, by a unit quaternion and body rates.
+"""Heavy symmetric top in steady precession, with a unit quaternion and body rates.
 
 Source  Goldstein, Classical Mechanics, section 5.7: steady precession where
         (C - A) W^2 cos(th) + C s W = m g l, with s the spin relative to the precessing axes.
@@ -16,7 +16,7 @@ SPIN = (MASS * G * ARM / PRECESSION + (A - C) * PRECESSION * float(ca.cos(TILT))
 
 
 def build():
-    """Return the ODE of orientation (body to world) and rates (in the body's axes)."""
+    """Return the ODE: 7 states (quaternion from body to world, and body rates)."""
     q, w = SX.sym("q", 4), SX.sym("w", 3)
     R, inertia = from_quaternion(q), ca.diag(SX([A, A, C]))
     torque = ca.cross(ca.vertcat(0, 0, ARM), R.T @ ca.vertcat(0, 0, -MASS * G))

@@ -1,4 +1,4 @@
-"""HIRES: how light shapes a plant's growth, eight substances.
+"""HIRES: a stiff model of how light controls a plant's growth, with eight concentrations.
 
 Source  Schaefer, 1975; Hairer & Wanner, Solving ODEs II, section IV.10; Test Set for IVP Solvers.
 """
@@ -9,7 +9,7 @@ import cosim
 
 
 def build():
-    """Return the ODE of eight concentrations."""
+    """Return the ODE: 8 states (concentrations)."""
     y = ca.SX.sym("y", 8)
     y1, y2, y3, y4, y5, y6, y7, y8 = ca.vertsplit(y)
     ode = ca.vertcat(

@@ -1,4 +1,4 @@
-"""IFToMM's benchmark A01: a simple pendulum in Cartesian coordinates, from the horizontal.
+"""IFToMM benchmark A01: a simple pendulum in Cartesian coordinates, starting horizontally.
 
 Source  Gonzalez, Dopico, Lugris, Cuadrado, Multibody System Dynamics 16, 2006.
 """
@@ -12,7 +12,7 @@ from casadi_models.mechanics.mechanism import mechanism
 
 
 def build():
-    """Return the DAE of a point of 1 kg on a rod of 1 m."""
+    """Return the DAE of a point mass of 1 kg on a massless rod of 1 m."""
     model = Model("pendulum_a01", stop_time=10.0)
     q = ca.vertcat(
         model.state("x", "m", -1.0, "place to the right"),

@@ -1,4 +1,4 @@
-"""A quadrotor: one rigid body, four rotors that lift it, tilt it and turn it.
+"""Quadrotor: a rigid body with the lift and drag torque of four rotors.
 
 Source  Mahony, Kumar & Corke, IEEE Robotics & Automation Magazine 19, 2012.
 """
@@ -13,7 +13,7 @@ MASS, ARM, INERTIA, DRAG, G = 0.5, 0.17, (3.2e-3, 3.2e-3, 5.5e-3), 0.016, 9.81  
 
 
 def build():
-    """Return the ODE of place, velocity, orientation and body rates; inputs are rotor forces."""
+    """Return the ODE: 13 states (position, velocity, quaternion, body rates), 4 rotor forces."""
     r, v, q, w, f = (SX.sym(n, k) for n, k in (("r", 3), ("v", 3), ("q", 4), ("w", 3), ("f", 4)))
     torque = ca.vertcat(
         ARM * (f[1] - f[3]), ARM * (f[2] - f[0]), DRAG * (f[0] - f[1] + f[2] - f[3])

@@ -1,4 +1,4 @@
-"""Robertson's chemical kinetics: rates over nine decades, a run of any length.
+"""Robertson's chemical kinetics: a stiff system with rates over nine decades.
 
 Source  H. H. Robertson, 1966; Mazzia & Magherini, Test Set for IVP Solvers, 2008, problem ROBER.
 """
@@ -9,7 +9,7 @@ import cosim
 
 
 def build():
-    """Return the ODE of three concentrations."""
+    """Return the ODE: 3 states (concentrations)."""
     y = ca.SX.sym("y", 3)
     slow, fast, middle = 0.04 * y[0], 3e7 * y[1] ** 2, 1e4 * y[1] * y[2]
     ode = ca.vertcat(middle - slow, slow - middle - fast, fast)

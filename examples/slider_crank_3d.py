@@ -1,4 +1,4 @@
-"""A spatial slider-crank: crank in one plane, slider along x, the rod between on ball joints.
+"""Spatial slider-crank: a crank about x and a slider along x, connected by a rod with ball joints.
 
 Source  Haug, Computer Aided Kinematics and Dynamics, 1989 (lengths and masses).
 """
@@ -15,7 +15,7 @@ CRANK_INERTIA, ROD_MASS, SLIDER_MASS = 1e-4, 0.5, 2.0  # kg.m2, kg
 
 
 def build():
-    """Return the ODE of the crank's angle; the slider's speed is eliminated."""
+    """Return the ODE of the crank's angle; the dependent speed of the slider is eliminated."""
     model = Model("slider_crank_3d", stop_time=2.0)
     q = ca.vertcat(
         model.state("theta", "rad", 0.0, "angle of the crank about x"),
@@ -27,8 +27,8 @@ def build():
     v, w = (ca.jtimes((ends[0] + sign * ends[1]) / 2, q, u) for sign in (1, -1))
     inertias = [
         InertialTerm(u, ca.vertcat(CRANK_INERTIA, SLIDER_MASS) * u),
-        InertialTerm(v, ROD_MASS * v),  # of the rod's centre
-        InertialTerm(w, ROD_MASS / 3 * w),  # and of its turning: slender
+        InertialTerm(v, ROD_MASS * v),  # rod: velocity of its center
+        InertialTerm(w, ROD_MASS / 3 * w),  # slender rod: half the relative velocity of its ends
     ]
     loop = {"rod": ca.sumsqr(ends[0] - ends[1]) - ROD**2}
     loads = [Load(v[2], SX(-9.81 * ROD_MASS))]

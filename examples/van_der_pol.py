@@ -1,4 +1,4 @@
-"""Van der Pol's oscillator, very stiff: eps y'' = (1 - y^2) y' - y in fast time, eps = 1e-6.
+"""Van der Pol's oscillator, very stiff: eps y'' = (1 - y^2) y' - y with eps = 1e-6.
 
 Source  Hairer & Wanner, Solving ODEs II, section IV.10; Test Set for IVP Solvers, problem VDPOL.
 """
@@ -9,7 +9,7 @@ import cosim
 
 
 def build():
-    """Return the ODE of place and velocity."""
+    """Return the ODE: 2 states (position and velocity)."""
     y, v, eps = ca.SX.sym("y"), ca.SX.sym("v"), ca.SX.sym("eps")
     ode = ca.vertcat(v, ((1 - y**2) * v - y) / eps)
     return cosim.from_casadi(

@@ -1,4 +1,4 @@
-"""Shared by all tests: no screen, and no trace in the user's cache folder."""
+"""Fixtures and selection of all tests; they need no screen and leave the user's cache alone."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -12,16 +12,28 @@ import cosim
 os.environ["MPLBACKEND"] = "Agg"  # before any test module imports matplotlib
 
 
+# Tests that take more than 2 s; written from the output of `pytest --durations`
+SLOW = frozenset(Path(__file__).with_name("slow.txt").read_text(encoding="utf-8").splitlines())
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark the tests of slow.txt as slow."""
+    if item.nodeid in SLOW:
+        item.add_marker("slow")
+
+
 @pytest.hookimpl(trylast=True)  # after -m and -k
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what takes hours, unless asked for by name, and samples of what runs whole."""
-    whole = {item.name for item in items}
+    """Deselect nightly tests unless -m names them, and samples of tests that run completely."""
+    selected = {item.name for item in items}
 
     def is_left_out(item: pytest.Item) -> bool:
         if item.get_closest_marker("nightly"):
             return "nightly" not in config.option.markexpr
         sample = item.get_closest_marker("sample_of")
-        return sample is not None and item.name.replace(item.originalname, sample.args[0]) in whole
+        return (
+            sample is not None and item.name.replace(item.originalname, sample.args[0]) in selected
+        )
 
     left_out = [item for item in items if is_left_out(item)]
     config.hook.pytest_deselected(items=left_out)
@@ -30,14 +42,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Give a worker of -n neighbours in a file, which share fixtures and memories, where it can."""
+    """Give each worker of -n neighboring tests of a file, which share fixtures and caches."""
     from xdist.scheduler import WorkStealingScheduling
 
     return WorkStealingScheduling(config, log) if config.option.dist == "load" else None
 
 
-def of_all_workers(factory: pytest.TempPathFactory, name: str) -> Path:
-    """Return a folder of this session that the workers of -n share."""
+def shared_folder(factory: pytest.TempPathFactory, name: str) -> Path:
+    """Return a folder of this session that all workers of -n share."""
     folder = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
@@ -46,23 +58,23 @@ def of_all_workers(factory: pytest.TempPathFactory, name: str) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled code in a folder of this session, shared by its tests."""
+    """Cache compiled code in a folder of this session, shared by its tests."""
     with pytest.MonkeyPatch.context() as patch:
-        kept = os.environ.get("COSIM_TEST_CACHE")  # of many sessions, while one works on the tests
-        patch.setenv("COSIM_CACHE", kept or str(of_all_workers(tmp_path_factory, "cache")))
+        permanent = os.environ.get("COSIM_TEST_CACHE")  # shared by sessions while tests are written
+        patch.setenv("COSIM_CACHE", permanent or str(shared_folder(tmp_path_factory, "cache")))
         yield
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return a function that exports a model of the catalogue as an FMU, once per session."""
-    folder = of_all_workers(tmp_path_factory, "fmus")
+    folder = shared_folder(tmp_path_factory, "fmus")
     folder.mkdir(exist_ok=True)
 
     @cache
     def export(name: str, fmi: int = 2) -> Path:
         target = folder / f"{name.replace('/', '_')}_{fmi}.fmu"
-        if not target.exists():  # a file is there as a whole or not at all
+        if not target.exists():  # export_fmu writes atomically
             cosim.export_fmu(cosim.load(name), target, fmi=fmi)
         return target
 

@@ -6,7 +6,6 @@ from helpers.small_models import decay
 
 import cosim
 from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
-from cosim.scene.scene import Settings
 
 DAE = decay()
 RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
@@ -41,13 +40,14 @@ def refusal(kind, call):
         cosim.start_vectors,
         lambda dae: cosim.integrator(dae, [0, 1]),
         lambda dae: cosim.reduce(dae, ["x"]),
-        lambda dae: cosim.Scene("wrong", dae),
+        cosim.requested,
         lambda dae: cosim.export_fmu(dae, "wrong.fmu"),
     ],
-    ids=["simulate", "start_vectors", "integrator", "reduce", "Scene", "export_fmu"],
+    ids=["simulate", "start_vectors", "integrator", "reduce", "requested", "export_fmu"],
 )
 def test_what_is_no_model_is_refused_with_how_to_get_one(call, wrong):
-    if call is cosim.simulate and isinstance(wrong, str):
+    takes_names = call is cosim.simulate or call is cosim.requested
+    if takes_names and isinstance(wrong, str):
         assert "no model 'decay'" in refusal(UnknownName, lambda: call(wrong))  # it takes names
         return
     told = refusal(UsageError, lambda: call(wrong))
@@ -89,8 +89,10 @@ def test_what_is_no_number_is_refused_in_a_call(setting, wrong):
 
 @pytest.mark.parametrize("wrong", [*NO_NUMBER, *NOT_FINITE], ids=short)
 @pytest.mark.parametrize("setting", ["start_time", "stop_time", "output_interval", "step_size"])
-def test_what_is_no_finite_number_is_refused_in_a_scene(setting, wrong):
-    assert f"{setting} = " in refusal(ParameterError, lambda: Settings(**{setting: wrong}))
+def test_what_is_no_finite_number_is_rejected_in_a_request(setting, wrong):
+    solver = {"solver": "rk4"} if setting == "step_size" else {}
+    told = refusal(ParameterError, lambda: cosim.requested(DAE, **{setting: wrong}, **solver))
+    assert f"{setting} = " in told
 
 
 @pytest.mark.parametrize("wrong", NO_NAMES, ids=short)
@@ -114,7 +116,7 @@ def test_any_list_of_names_will_do(names):
 
 @pytest.mark.parametrize("wrong", NO_MAPPING, ids=short)
 def test_values_that_have_no_names_are_refused(wrong):
-    told = refusal(UsageError, lambda: cosim.simulate(DAE, start=wrong))
+    told = refusal(UsageError, lambda: cosim.simulate(DAE, start_values=wrong))
     assert "give values by name" in told
 
 
@@ -125,7 +127,7 @@ def test_values_that_have_no_names_are_refused(wrong):
 )
 def test_value_of_a_variable_must_be_a_number(wrong):
     assert "decay: x [m] = " in refusal(
-        ParameterError, lambda: cosim.simulate(DAE, start={"x": wrong})
+        ParameterError, lambda: cosim.simulate(DAE, start_values={"x": wrong})
     )
 
 
@@ -152,23 +154,25 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"inputs": {"force": "5 rad"}}, "'rad' cannot be converted to"),
         ({"start_values": {"x": "one"}}, "x: 'one' is not a number with a unit"),
         ({"start_values": {"x": "1deg"}}, "'deg' cannot be converted to 'm'"),
-        ({"start_values": {}, "start": {}}, "two names of one thing"),
         ({"inputs": {"force": 1.0}, "start_values": {"force": 2}}, "force is given twice"),
         ({"stop_when": "x > "}, "stop_when: 'x > ' is no formula"),
         ({"stop_when": "x"}, "'x' is no condition; compare two values"),
         ({"stop_when": "x + (x > 1) > 2"}, "'x > 1' in 'x + (x > 1) > 2' is not understood"),
         ({"stop_when": 3}, "3 is no formula"),
-        ({"stop_when": "x > 1", "stop_time": 0.0}, "needs a run, but 0 s is the only output time"),
+        (
+            {"stop_when": "x > 1", "stop_time": 0.0},
+            "needs two or more output times, but 0 s is the only one",
+        ),
         ({"stop_when": "x > 0"}, "stop_when 'x > 0' is true at the start already"),
         ({"stop_when": "q > 0"}, "no name 'q'"),
         ({"stop_when": "x < 0.5", "accuracy": 1e-3}, "stop_when needs a solver"),
-        ({"output_times": [1, 2], "stop_time": 3}, "output_times say it all"),
+        ({"output_times": [1, 2], "stop_time": 3}, "output_times already sets all output times"),
         ({"output_times": [2, 1]}, "is not after the one before it"),
         ({"output_times": "soon"}, "output_times was given 'soon'"),
         ({"compiled": "no"}, "compiled was given 'no', of type str; give True, False or None"),
         ({"compiled": np.ones(2)}, "compiled was given array"),
         ({"on_invalid": np.ones(2)}, "to an invalid state '[1. 1.]'"),
-        ({"on_invalid": None}, "to an invalid state 'None'"),
+        ({"on_invalid": "sometimes"}, "to an invalid state 'sometimes'"),
     ],
     ids=short,
 )

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.cli.main import main
-from cosim.cli.parser import command_line
+from cosim.cli.main import command_line, main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -46,7 +45,16 @@ WITH_PYTHON = [page for page in PAGES if page.exists() and blocks(page, "python"
 WITH_COMMANDS = [page for page in PAGES if page.exists() and commands(page)]
 
 
-SLOW = ("embedding", "fmu_casadi", "integrators", "drift")  # they compile large models
+SLOW = (
+    "embedding",
+    "fmu_casadi",
+    "integrators",
+    "drift",
+    "tutorial",
+    "sweeps",
+    "python",
+    "accuracy",
+)
 BY_PAGE = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in SLOW))
     for page in WITH_PYTHON

@@ -8,7 +8,7 @@ import pytest
 
 from cosim import files
 from cosim.errors import ExportError
-from cosim.files import refuse_unwritable, write_atomically
+from cosim.files import reject_unwritable, write_atomically
 
 
 def entries(folder):
@@ -56,11 +56,11 @@ def test_link_is_followed(tmp_path):
 
 def test_device_is_written_to_and_not_replaced():
     write_atomically(os.devnull, b"1")
-    refuse_unwritable(os.devnull)
+    reject_unwritable(os.devnull)
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
 
 
-@pytest.mark.parametrize("act", [lambda path: write_atomically(path, b"1"), refuse_unwritable])
+@pytest.mark.parametrize("act", [lambda path: write_atomically(path, b"1"), reject_unwritable])
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
@@ -80,7 +80,7 @@ def test_impossible_target_is_refused_with_its_reason(tmp_path, act, name, reaso
     assert (tmp_path / "file").read_bytes() == b"old"
 
 
-@pytest.mark.parametrize("act", [lambda path: write_atomically(path, b"1"), refuse_unwritable])
+@pytest.mark.parametrize("act", [lambda path: write_atomically(path, b"1"), reject_unwritable])
 def test_read_only_folder_is_refused(act):
     # /proc refuses new files to every user, root included
     with pytest.raises(ExportError, match=r"cannot write /proc/a\.csv: "):
@@ -119,8 +119,8 @@ def test_interrupt_while_writing_leaves_the_old_file_and_no_rest(tmp_path, monke
 
 
 def test_checking_a_target_leaves_it_alone(tmp_path):
-    refuse_unwritable(tmp_path / "new.csv")
+    reject_unwritable(tmp_path / "new.csv")
     assert entries(tmp_path) == []
     (tmp_path / "old.csv").write_bytes(b"old")
-    refuse_unwritable(tmp_path / "old.csv")
+    reject_unwritable(tmp_path / "old.csv")
     assert (tmp_path / "old.csv").read_bytes() == b"old"

@@ -1,6 +1,6 @@
 """Who may know whom: a module imports only from layers below its own.
 
-Imports inside functions and `import_module` count. The two roads share a layer, so that they
+Imports inside functions and `import_module` count. The two backends share a layer, so that they
 stay independent and meet in `Trajectory` only.
 """
 
@@ -19,12 +19,15 @@ from cosim.presenters import presenter
 # its folder ("cosim" does not).
 TABLE = """
 cosim._fmu | casadi_models | cosim.text
-cosim.errors | cosim.memo | cosim.arrays | cosim.presenters
+cosim.errors | cosim.memo | cosim.arrays | cosim.presenters | cosim.colors
 cosim.host | cosim.files
+cosim.toml_file
 cosim.plotting | cosim.series
 cosim.trajectory
 cosim.model | cosim.codegen
+cosim.drawing
 cosim.integrate | cosim.fmi
+cosim.backend | cosim.coupling
 cosim.scene
 cosim.verify
 cosim.study
@@ -114,8 +117,8 @@ def test_only_one_module_knows_where_the_c_sources_are():
         pytest.param("cosim.errors", "def f():\n    import cosim.cli.main", id="in a function"),
         pytest.param("cosim.errors", "from importlib import import_module as m, import_module\n"
                      "import_module('cosim.cli.main')", id="by name"),
-        pytest.param("cosim.integrate.run.call", "import cosim.fmi.ssp", id="roads"),
-        pytest.param("cosim.fmi.ssp", "import cosim.integrate.solvers", id="roads, back"),
+        pytest.param("cosim.integrate.call", "import cosim.fmi.ssp", id="backends"),
+        pytest.param("cosim.fmi.ssp", "import cosim.integrate.solvers", id="backends, back"),
         pytest.param("cosim.codegen.compiler", "import cosim.model.values", id="same layer"),
         pytest.param("cosim.fmi.ssp", "from . import archive", id="relative"),
         pytest.param("cosim.verify.comparison", "import cosim.new", id="import without a layer"),
@@ -132,7 +135,7 @@ def test_guard_sees_a_violation(module, source):
     [
         ("cosim.verify.comparison", "import cosim.trajectory\nimport casadi_models.dae"),
         ("cosim.fmi.export.package", "from cosim.fmi.export import variables"),
-        ("cosim.integrate.simulate", "from cosim.integrate import solvers"),
+        ("cosim.integrate.run", "from cosim.integrate import solvers"),
         ("casadi_models", "import_module(f'casadi_models.{model}')"),
     ],
 )

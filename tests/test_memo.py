@@ -8,8 +8,8 @@ from helpers.engines import build
 from helpers.oscillators import WAYS, oscillator
 
 import cosim
-from cosim.integrate.solver import Tolerance
-from cosim.model.time_grid import time_grid
+from cosim.model.solver import Tolerance
+from cosim.model.times import time_grid
 
 GRID = time_grid(0, 1, 0.1)
 
@@ -52,8 +52,10 @@ def test_run_does_not_depend_on_those_before_it(solver, compiled):
     dae = oscillator().dae
     states = [variable.name for variable in dae.states]
     moved = {states[0]: 0.3}
-    kept = [cosim.simulate(dae, start=start, **options).values for start in (None, moved, None)]
-    fresh = cosim.simulate(oscillator().dae, start=moved, **options).values
+    kept = [
+        cosim.simulate(dae, start_values=start, **options).values for start in (None, moved, None)
+    ]
+    fresh = cosim.simulate(oscillator().dae, start_values=moved, **options).values
     assert not np.array_equal(kept[0], kept[1])
     np.testing.assert_array_equal(kept[0], kept[2])
     np.testing.assert_array_equal(kept[1], fresh)

@@ -1,4 +1,4 @@
-"""Progress of long work: one line on a terminal, and nothing anywhere else."""
+"""Progress of long work: bars on a terminal, and nothing anywhere else."""
 
 import io
 import os
@@ -16,7 +16,7 @@ from cosim.cli.main import main
 from cosim.fmi.export import build
 from cosim.fmi.platforms import targets
 from cosim.host import progress
-from cosim.host.progress import Work, doing, duration, shown_on_terminal
+from cosim.host.progress import doing, shown_on_terminal
 from cosim.study.extremes import campaign
 
 pty = pytest.importorskip("pty", reason="Windows has no pseudo-terminals")
@@ -84,30 +84,32 @@ def seen(tmp_path_factory):
     return terminal, pipe
 
 
-def test_terminal_sees_per_cent_of_simulated_time_and_what_is_left(seen):
+@pytest.mark.slow
+def test_terminal_shows_the_share_of_simulated_time_and_the_time_left(seen):
     (code, _, text), _ = seen
     assert code == 0, text
-    shares = [int(share) for share in re.findall(r"slow: solving (\d+) %", text)]
+    assert "slow, 00:0" in text
+    shares = [int(share) for share in re.findall(r"solving: (\d+) %", text)]
     assert len(shares) > 1
     assert shares == sorted(shares)
-    assert re.search(r"solving \d+ %, \d+ (s|min) left", text)
+    assert re.search(r"solving: \d+ %\|.*\| \d\d:\d\d, \d\d:\d\d left", text)
 
 
-def test_line_is_gone_at_the_end_and_holds_no_colour(seen):
+def test_bars_are_gone_at_the_end_and_have_no_color(seen):
     (_, _, text), _ = seen
-    assert "\x1b" not in text
+    assert not re.search(r"\x1b\[[\d;]*m", text)
     assert not text.split("\r")[-1].strip()
 
 
-def test_pipe_sees_nothing_of_it(seen):
+def test_pipe_gets_no_progress(seen):
     _, pipe = seen
     assert pipe.returncode == 0
     assert pipe.stdout + pipe.stderr == ""
 
 
-def test_compiling_is_named_and_its_time_is_told_apart(tmp_path, monkeypatch):
+def test_compiling_is_shown_and_its_time_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "DELAY", 0.0)
     monkeypatch.setattr(progress, "INTERVAL", 0.001)
     model = cosim.Model("only_here", stop_time=0.1)  # which no other test has had compiled
     x = model.state("x", "1", 1.0, "what decays")
@@ -119,13 +121,14 @@ def test_compiling_is_named_and_its_time_is_told_apart(tmp_path, monkeypatch):
         with shown_on_terminal(False):
             run = cosim.simulate(dae)
         assert sys.stderr is terminal
-    assert "only_here: compiling (once)" in terminal.getvalue()
+    assert "only_here" in terminal.getvalue()
+    assert "compiling (once)" in terminal.getvalue()
     assert 0 < run.stats.compile_time < run.stats.wall_time
     assert "compile_time" not in cosim.simulate(dae, stop_time=0.2).stats
 
 
-def test_other_text_stands_above_the_line(monkeypatch):
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+def test_other_text_is_printed_above_the_bar(monkeypatch):
+    monkeypatch.setattr(progress, "DELAY", 0.0)
     monkeypatch.setattr(progress, "INTERVAL", 0.01)
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
@@ -133,14 +136,14 @@ def test_other_text_stands_above_the_line(monkeypatch):
         time.sleep(0.1)
         print("a message", file=sys.stderr)
         time.sleep(0.05)
-    assert re.search(r"waiting, 0 s\r +\ra message\n\r", terminal.getvalue())
+    assert re.search(r"waiting, 00:00 *\r +\ra message\n\r", terminal.getvalue())
 
 
 @pytest.mark.parametrize("why", ["quiet", "dumb", "pipe"])
-def test_nothing_is_shown_where_nobody_wants_it(why, monkeypatch):
+def test_nothing_is_shown_if_quiet_or_without_a_terminal(why, monkeypatch):
     stream = Terminal() if why != "pipe" else io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "DELAY", 0.0)
     if why == "dumb":
         monkeypatch.setenv("TERM", "dumb")
     with shown_on_terminal(why == "quiet"), doing("waiting"):
@@ -148,28 +151,31 @@ def test_nothing_is_shown_where_nobody_wants_it(why, monkeypatch):
     assert stream.getvalue() == ""
 
 
-def test_time_left_follows_from_the_share_that_is_done():
-    work = Work("solving", lambda: 0.25, began=10.0)
-    assert work.told(now=20.0) == "solving 25 %, 30 s left"
-    assert Work("solving", lambda: 0.0, began=10.0).told(now=20.0) == "solving"
-    assert duration(240.0) == "4 min"
+def test_time_left_follows_from_the_share_that_is_done(monkeypatch):
+    terminal = shown_at_once(monkeypatch)
+    began = time.time()
+    with shown_on_terminal(False), doing("solving", lambda: 0.25):
+        monkeypatch.setattr("tqdm.std.time", lambda: began + 10)
+        time.sleep(0.3)
+    assert re.search(r"solving: 25 %\|.*\| 00:(10|09), 00:(29|30) left", terminal.getvalue())
 
 
 def shown_at_once(monkeypatch):
-    """Put a terminal in the place of stderr, on which everything is shown at once."""
+    """Replace stderr by a terminal that shows progress without delay."""
     stream = Terminal()
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "DELAY", 0.0)
     monkeypatch.setattr(progress, "INTERVAL", 0.001)
     return stream
 
 
 def lines(text):
-    """Return what stood on a line of the terminal, each text once, in order."""
-    return list(dict.fromkeys(part.strip() for part in re.split(r"[\r\n]+", text) if part.strip()))
+    """Return the different lines of the terminal in order, without bars."""
+    parts = re.split(r"[\r\n]+", text.replace("\x1b[A", ""))
+    return list(dict.fromkeys(re.sub(r"\|.*\|", "", part).strip() for part in parts))
 
 
-def test_export_names_the_platforms_that_are_left_and_says_how_long(monkeypatch):
+def test_export_shows_the_remaining_platforms_and_the_time_left(monkeypatch):
     ends = {name: threading.Event() for name in ("linux64", "win64")}
 
     def compiled(_sources, _name, target):
@@ -191,33 +197,34 @@ def test_export_names_the_platforms_that_are_left_and_says_how_long(monkeypatch)
     assert len(made) == 2
     both, one = (f"compiling for {names}" for names in ("linux64, win64", "win64"))
     seen = lines(terminal.getvalue())
-    assert seen[0] == f"{both}, 0 s"
-    assert f"{one} 50 %, 0 s left, 0 s" in seen
+    assert f"{both}: 0 % 00:00, ? left" in seen
+    assert f"{one}: 50 % 00:00, 00:00 left" in seen
 
 
-def test_extremes_name_the_case_its_number_and_the_time_left(monkeypatch, capsys):
+def test_extremes_show_the_case_its_number_and_the_time_left(monkeypatch, capsys):
     terminal = shown_at_once(monkeypatch)
     cases = campaign.select_cases(["crank_shaft/driven"])[:3]
     monkeypatch.setattr(campaign, "select_cases", lambda *_, **__: cases)
     assert main(["extremes", "crank_shaft/driven"]) == 0
     seen = lines(terminal.getvalue())
-    first, *_, last = seen
-    assert first.startswith(f"0/3 {cases[0].model}, {cases[0].name}")
-    assert re.fullmatch(rf"[23]/3 {re.escape(cases[2].model)}, .* \d+ %, \d+ s left, \d+ s", last)
+    assert any(line.startswith(f"0/3 {cases[0].model}, {cases[0].name}") for line in seen)
+    later = rf"[123]/3 {re.escape(cases[2].model)}, .*: \d+ % \d\d:\d\d, \d\d:\d\d left"
+    assert any(re.fullmatch(later, line) for line in seen), seen
     assert "crank" in capsys.readouterr().out
 
 
-AT_ONCE = f"from cosim.host import progress; progress.PATIENCE = progress.INTERVAL = 0.001; {LONG}"
+AT_ONCE = f"from cosim.host import progress; progress.DELAY = progress.INTERVAL = 0.001; {LONG}"
 
 
-def test_crosscheck_names_roads_on_a_terminal_and_nothing_in_a_pipe(tmp_path):
+@pytest.mark.slow
+def test_crosscheck_shows_backends_on_a_terminal_and_nothing_in_a_pipe(tmp_path):
     words = ["crosscheck", "crank_shaft/driven", "--stop-time", "0.5"]
     command = [sys.executable, "-c", AT_ONCE, *words]
     code, output, text = on_a_terminal(command, tmp_path, NO_COLOR="1", COLUMNS="150")
     assert code == 0, text
     assert "fmu-cs" in output
     seen = "\n".join(lines(text))
-    for what in ("native: crank_shaft/driven", "export", "fmu-me: running the FMU", "fmu-cs"):
+    for what in ("native", "crank_shaft/driven", "export", "fmu-me", "running the FMU", "fmu-cs"):
         assert what in seen
     pipe = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120

@@ -137,7 +137,7 @@ def test_npz_brings_everything_back_bit_for_bit(tmp_path, run):
 def test_what_is_no_npz_is_refused(tmp_path, content):
     path = tmp_path / "run.npz"
     path.write_bytes(content)
-    with pytest.raises(UsageError, match="holds no trajectory"):
+    with pytest.raises(UsageError, match="contains no trajectory"):
         Trajectory.from_npz(path)
 
 
@@ -195,7 +195,7 @@ def test_other_times_are_computed_where_something_can(sine):
         ([0.1, -1], "time -1.0 is not within"),
         (np.nan, "time nan is not within"),
         ("soon", "give numbers"),
-        ([0.2, 0.1], "the times fall"),
+        ([0.2, 0.1], "times decrease"),
         ([[0.1]], "is not within"),
     ],
 )
@@ -271,7 +271,7 @@ def test_files_of_other_tools_are_read(text, tmp_path):
         ("time,x\n", "no sample"),
         ("time,x\n0,1\n1,2,3\n", "line 3: 3 cells under 2 names"),
         ("time,x\n0,1\n1,one\n", "line 3, column 'x': 'one' is not a number"),
-        ("time,x\n1,1\n0,1\n", "line 3: the time falls"),
+        ("time,x\n1,1\n0,1\n", "line 3: time decreases"),
         ("time,x [furlong]\n1,1\n", "'furlong', which is unknown"),
         ("time [deg],x\n1,1\n", "time is in 'deg'"),
     ],

@@ -53,6 +53,7 @@ def test_wheel_holds_every_file_of_the_packages_and_nothing_else(tree, wheel):
     assert held == expected
 
 
+@pytest.mark.slow
 def test_installed_wheel_brings_two_import_names(tree, wheel, tmp_path):
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:

@@ -1,10 +1,10 @@
-"""One FMU in every importer that is installed here: does it run, and how far off is the result?
+"""Results of one FMU in every installed importer, compared with the native run.
 
     python benchmarks/importers/importers.py [--files FOLDER]
 
-The bicycle's roll angle at 2 s against the native run (dop853, 1e-12). Clients that are not there
-are named with what brings them; each runs in a process of its own, as some end it. Emulators run
-the file's own sources, compiled for their processor together with `driver.c`.
+Prints the error of the bicycle's roll angle at 2 s; the native run uses dop853 at 1e-12. The table
+names importers that are not installed. Each importer runs in its own process, because some crash.
+Emulators run the sources in the file, compiled for their processor together with `driver.c`.
 """
 
 import argparse
@@ -88,7 +88,7 @@ def ecos_cs(path: str) -> float:
     structure.add_model("bicycle", path)
     with ecospy.EcosSimulation(structure=structure, step_size=STOP / STEPS) as simulation:
         simulation.init()
-        simulation.step(STEPS)  # step_until(2.0) stops at 1.99 s: its sums
+        simulation.step(STEPS)  # step_until(2.0) stops at 1.99 s: its times are rounded sums
         value = simulation.get_real(f"bicycle::{NAME}")
         simulation.terminate()
     return value
@@ -167,7 +167,7 @@ def wine_cs(path: str) -> float:
     return compiled(path, "x86_64-w64-mingw32-gcc", [wine], ".exe")
 
 
-# function, versions of FMI, its package or program, what brings it
+# function, versions of FMI, package or program
 CLIENTS: dict[str, tuple[Callable[[str], float], str, str]] = {
     "fmpy, ME": (fmpy_me, "23", "fmpy"),
     "fmpy, CS": (fmpy_cs, "23", "fmpy"),
@@ -185,7 +185,7 @@ CLIENTS: dict[str, tuple[Callable[[str], float], str, str]] = {
 
 
 def client_version(tool: str) -> str:
-    """Return the version of a package or program; "" where it is not there."""
+    """Return the version of a package or program; "" if it is not installed."""
     try:
         return version(tool)
     except PackageNotFoundError:
@@ -212,23 +212,23 @@ def main() -> None:
     options.files = options.files or Path(tempfile.mkdtemp(prefix="importers"))
     dae = cosim.load("bicycle")
     run = cosim.simulate(dae, stop_time=STOP, solver="dop853", relative_tolerance=1e-12)
-    wanted = run[NAME][-1]
+    expected = run[NAME][-1]
     print("| importer | version | FMI 2.0 | FMI 3.0 |\n|---|---|---|---|")
     for name, (_, versions, tool) in CLIENTS.items():
-        told = client_version(tool)
-        cells = ["not installed" if not told else "-"] * 2
-        for fmi in map(int, versions) if told else ():
+        installed = client_version(tool)
+        cells = ["not installed" if not installed else "-"] * 2
+        for fmi in map(int, versions) if installed else ():
             path = str(exported(options.files, fmi).absolute())
             call = [sys.executable, __file__, "--one", name, path]
             done = subprocess.run(call, capture_output=True, text=True)
             line = done.stdout.rpartition("result ")[2].strip()
             if "result " in done.stdout:
-                cells[fmi - 2] = f"{abs(float(line) - wanted):.1e}"
+                cells[fmi - 2] = f"{abs(float(line) - expected):.1e}"
             else:
                 how = f"ends the process ({done.returncode})" if done.returncode < 0 else "fails"
                 why = (done.stderr.strip().splitlines() or [""])[-1][:100]
                 cells[fmi - 2] = f"{how}: {why}" if why else how
-        print(f"| {name} | {told} | {cells[0]} | {cells[1]} |", flush=True)
+        print(f"| {name} | {installed} | {cells[0]} | {cells[1]} |", flush=True)
 
 
 if __name__ == "__main__":

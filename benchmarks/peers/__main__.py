@@ -1,9 +1,9 @@
-"""The product beside its peers on the same work, in one run.
+"""Comparison of cosim with other packages (peers) on the same problems, in one run.
 
     python benchmarks/peers [bicycle] [pendulum]
 
-prints, as Markdown tables of ratios, the time of a right-hand side, of the pendulum's
-accelerations, and the time to a given global error. A peer that is not installed is named with
+Prints, as Markdown tables of ratios, the time of a right-hand side, the time of the pendulum's
+accelerations, and the time to a given global error. A peer that is not installed is listed with
 the reason.
 """
 
@@ -24,13 +24,13 @@ PROBLEMS = {"bicycle": bicycle, "pendulum": pendulum}
 OWN = "cosim"
 
 
-def main(wanted: Sequence[str]) -> None:
+def main(names: Sequence[str]) -> None:
     """Print the tables of some problems, or of all."""
-    unknown = set(wanted) - set(PROBLEMS)
+    unknown = set(names) - set(PROBLEMS)
     if unknown:
         sys.exit(f"no problem {', '.join(unknown)}; there are {', '.join(PROBLEMS)}")
     peers = modules()
-    for name in wanted or PROBLEMS:
+    for name in names or PROBLEMS:
         problem = PROBLEMS[name]()
         kinds = ("evaluations",) if name == "bicycle" else ("evaluations", "accelerations")
         offered = [found for kind in kinds for found in _offered(peers, kind, problem)]
@@ -41,7 +41,7 @@ def main(wanted: Sequence[str]) -> None:
 
 
 def modules() -> list[ModuleType]:
-    """Import a module for each peer; say which one is missing and why."""
+    """Import a module for each peer; print which one is missing and why."""
     found = []
     print(f"{date.today()}, Python {platform.python_version()}, {platform.machine()}\n")
     for name in MODULES:
@@ -57,7 +57,7 @@ def modules() -> list[ModuleType]:
 
 
 def right_hand_sides(problem: Problem, evaluations: Sequence[Evaluation]) -> None:
-    """Print times per evaluation, relative to the product's first."""
+    """Print times per evaluation, relative to the first of cosim."""
     times = per_call(evaluations)
     cells: dict[str, dict[bool, str]] = {}
     own: dict[bool, float] = {}
@@ -73,7 +73,7 @@ def right_hand_sides(problem: Problem, evaluations: Sequence[Evaluation]) -> Non
 
 
 def time_to_error(problem: Problem, solvers: Sequence[Solver]) -> None:
-    """Print the time of the cheapest run that meets each target, relative to the product's best."""
+    """Print the time of the cheapest run that meets each target, relative to the best of cosim."""
     choices = {}
     for solver in solvers:
         print(f"{solver.name} ...", file=sys.stderr)
@@ -98,12 +98,12 @@ def time_to_error(problem: Problem, solvers: Sequence[Solver]) -> None:
         ("solver", *(f"{target:.0e}" for target in TARGETS), "prepared"),
         list(rows.values()),
     )
-    print(f"\n1 is {', '.join(units)}; in brackets the relative tolerance that it takes.")
+    print(f"\n1 is {', '.join(units)}; in brackets the relative tolerance of the run.")
     print(f"Reference: {problem.reference}", flush=True)
 
 
 def _offered(peers: Sequence[ModuleType], kind: str, problem: Problem) -> list[Evaluation | Solver]:
-    """Return what the modules that have such a function offer."""
+    """Return the entries of every module that has a function of this kind."""
     return [
         entry for peer in peers if hasattr(peer, kind) for entry in getattr(peer, kind)(problem)
     ]

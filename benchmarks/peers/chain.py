@@ -19,7 +19,7 @@ class Chain:
 
     Attributes:
         length, m, g: m, kg, m/s2.
-        moments: Of a link about its centre, along its axes, kg.m2, (3,).
+        moments: Of a link about its center, along its axes, kg.m2, (3,).
         quaternions: (w, x, y, z) of both joints, (N, 8).
         rates: Both angular velocities in the links' axes, rad/s, (N, 6).
         expected: Their time derivatives from the model's equations, (N, 6).

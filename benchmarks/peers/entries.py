@@ -1,4 +1,4 @@
-"""What a module of a peer offers: ways to integrate, ways to evaluate the right-hand side."""
+"""Entries of a peer's module: solvers, and evaluations of the right-hand side."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ Run = Callable[[], Vector]
 
 @dataclass(frozen=True)
 class Solver:
-    """A way to integrate.
+    """A solver of a peer.
 
     Attributes:
-        name: In the table.
-        prepare: Relative tolerance -> a run that returns the states, (n, nx); everything
-            that can be done once, compiling above all, is done here. The absolute tolerance is a
-            hundredth of it where there are two.
-        final: The same with costlier preparation, for the tolerances that are timed.
-        tightest: Smallest tolerance that is tried.
+        name: Name in the table.
+        prepare: Function from a relative tolerance to a run that returns the states, (n, nx). It
+            does everything that can be done once, such as compilation. The absolute tolerance is a
+            hundredth of the relative one.
+        final: The same with slower preparation, for the tolerances that are timed.
+        tightest: Smallest tolerance to try.
     """
 
     name: str
@@ -31,14 +31,14 @@ class Solver:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A way to evaluate right-hand sides or accelerations.
+    """An evaluation of right-hand sides or accelerations.
 
     Attributes:
-        name: In the table.
-        run: Evaluates `count` times.
-        count: How often.
+        name: Name in the table.
+        run: Function that evaluates `count` times.
+        count: Number of evaluations in a run.
         one: Whether a run is one call from Python for one state.
-        held: Memory that a run uses without holding it.
+        held: Objects whose memory a run uses; this reference prevents their release.
     """
 
     name: str

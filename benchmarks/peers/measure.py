@@ -1,4 +1,4 @@
-"""Times beside each other: repeats are interleaved, medians are taken."""
+"""Comparable times: medians of interleaved repeats."""
 
 import gc
 from collections.abc import Callable, Sequence
@@ -15,9 +15,9 @@ from problem import SEED, Problem
 
 TARGETS = (1e-4, 1e-7, 1e-10)
 LOOSEST, PER_DECADE = 1e-1, 3  # tolerances
-TOO_LONG = 3.0  # s: a run that takes longer ends the search
+TOO_LONG = 3.0  # s: a longer run ends the search
 REPEATS = 31
-FEWEST, ENOUGH = 5, 1.0  # repeats, s: then a long run is left out of further turns
+FEWEST, ENOUGH = 5, 1.0  # repeats and total time in s after which a run is not repeated
 CALLS = 2000  # right-hand sides in a turn
 
 
@@ -26,8 +26,8 @@ class Chosen:
     """A run that meets a target.
 
     Attributes:
-        tolerance, error: Asked for, and what came of it.
-        run: Returns the states.
+        tolerance, error: Relative tolerance, and the resulting global error.
+        run: Function that returns the states.
     """
 
     tolerance: float
@@ -37,11 +37,11 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a solver runs.
+    """Runs of one solver that meet the targets.
 
     Attributes:
         runs: By target; a target that is not met is missing.
-        preparation: Time until the first result is there, s: building, compiling, running.
+        preparation: Time until the first result, s: building, compiling, running.
     """
 
     runs: dict[float, Chosen]
@@ -49,7 +49,7 @@ class Choice:
 
 
 def choose(solver: Solver, problem: Problem) -> Choice:
-    """Search the tolerances from the largest on; of those that meet a target, take the fastest."""
+    """Try tolerances from the largest; for each target, choose the fastest run that meets it."""
     found: dict[float, Chosen] = {}
     fastest = dict.fromkeys(TARGETS, inf)
     preparation = 0.0
@@ -78,11 +78,11 @@ def choose(solver: Solver, problem: Problem) -> Choice:
 
 
 def interleaved(runs: Sequence[Callable[[], object]]) -> list[float]:
-    """Return the median time of each run on the processor, s.
+    """Return the median CPU time of each run, s.
 
-    On an idle machine that is the elapsed time; on a shared one it leaves out the work of others.
-    In every turn the order is another one, and each is run twice, of which the second time counts:
-    threads and caches that the one before has left busy are not its own.
+    The CPU time leaves out the work of other processes. The order is shuffled in every round. Each
+    run is executed twice and the second time counts, so that threads and caches of the previous
+    run have no effect.
     """
     times: list[list[float]] = [[] for _ in runs]
     pairs = list(zip(runs, times, strict=True))
@@ -90,16 +90,16 @@ def interleaved(runs: Sequence[Callable[[], object]]) -> list[float]:
     gc.disable()
     for _ in range(REPEATS):
         order.shuffle(pairs)
-        for run, kept in pairs:
-            if len(kept) < FEWEST or sum(kept) < ENOUGH:
+        for run, taken in pairs:
+            if len(taken) < FEWEST or sum(taken) < ENOUGH:
                 run()
-                kept.append(_processor_time(run))
+                taken.append(_processor_time(run))
     gc.enable()
-    return [median(kept) for kept in times]
+    return [median(taken) for taken in times]
 
 
 def per_call(evaluations: Sequence[Evaluation]) -> list[float]:
-    """Return the median time of one evaluation, s, of CALLS in a turn."""
+    """Return the median time of one evaluation, s; a round has CALLS of them."""
 
     def turn(evaluation: Evaluation) -> None:
         for _ in range(CALLS // evaluation.count):

@@ -1,4 +1,4 @@
-"""What every peer is given: right-hand side with numbers for all parameters, start, grid."""
+"""Problem for every peer: right-hand side with numbers for all parameters, initial state, grid."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ class Problem:
 
     Attributes:
         dae: The model.
-        judged: Names of the states whose error counts.
+        compared: Names of the states whose error is measured.
     """
 
     dae: Dae
-    judged: tuple[str, ...]
+    compared: tuple[str, ...]
 
     @cached_property
     def start(self) -> dict[str, Vector]:
@@ -46,7 +46,7 @@ class Problem:
 
     @cached_property
     def states(self) -> Vector:
-        """States around the start, (STATES, nx)."""
+        """States around the initial state, (STATES, nx)."""
         away = np.random.default_rng(SEED).uniform(-0.1, 0.1, (STATES, self.size))
         return self.start["x0"] + away
 
@@ -71,27 +71,27 @@ class Problem:
 
     @cached_property
     def reference(self) -> Reference:
-        """What errors are measured against, with an estimate of its own error."""
+        """The reference run for all errors, with an estimate of its own error."""
         return reference(self.dae)
 
     def error(self, states: Vector) -> float:
-        """Return the largest error of the judged states, (n, nx), over the grid."""
+        """Return the largest error of the compared states, (n, nx), over the grid."""
         if states.shape != (len(self.grid), self.size):
-            return np.inf  # it gave up on the way
+            return np.inf  # the solver stopped early
         names = [variable.name for variable in self.dae.states]
         return max(
             float(np.abs(states[:, names.index(name)] - self.reference.run[name]).max())
-            for name in self.judged
+            for name in self.compared
         )
 
 
 def bicycle() -> Problem:
-    """The benchmark bicycle, 20 s, judged by its six angles."""
+    """The benchmark bicycle over 20 s; errors of its six angles."""
     angles = ("phi", "thetaR", "delta", "psi", "theta", "thetaF")
     return Problem(cosim.load("bicycle"), angles)
 
 
 def pendulum() -> Problem:
-    """The double pendulum in quaternions, 10 s, judged by them."""
+    """The double pendulum in quaternions over 10 s; errors of the quaternions."""
     names = tuple(f"q{body}_{part}" for body in (1, 2) for part in "wxyz")
     return Problem(cosim.load("double_pendulum"), names)

@@ -1,7 +1,7 @@
 """A CasADi graph as the text of a Python function: the same equations for every peer.
 
-The text holds arithmetic and calls of `sin`, `cos`, `sqrt` ..., whose meaning is given with it:
-those of `math` (for numba), of `jax.numpy`, or of heyoka's symbolic expressions.
+The text holds arithmetic and calls of `sin`, `cos`, `sqrt` ..., which the caller defines:
+by `math` (for numba), by `jax.numpy`, or by heyoka's symbolic expressions.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,7 +53,7 @@ def source(function: ca.Function, name: str) -> str:
 
 
 def build(function: ca.Function, name: str, meaning: Mapping[str, Any]) -> Callable[..., Any]:
-    """Return the function that the text defines, with a meaning for each of `FUNCTIONS`."""
+    """Return the function that the text defines; `meaning` defines each of `FUNCTIONS`."""
     namespace = dict(meaning)
     exec(compile(source(function, name), f"<{name}>", "exec"), namespace)
     made: Callable[..., Any] = namespace[name]

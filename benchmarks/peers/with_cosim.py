@@ -1,4 +1,4 @@
-"""The product: parameters are symbols, so that nothing is compiled anew when they change."""
+"""This project: parameters are symbols, so that other values need no new compilation."""
 
 import os
 import tempfile
@@ -11,9 +11,8 @@ from problem import Problem
 
 import cosim
 from cosim.codegen.casadi_library import cache_key, external
-from cosim.integrate import engine
-from cosim.integrate.run import call
-from cosim.integrate.solvers import chosen_solver, engine_of
+from cosim.integrate import call, engine
+from cosim.integrate.solvers import engine_of, requested_solver
 
 PACKAGES = ("cosim-rigid", "casadi")
 EMPTY_CACHES: list[tempfile.TemporaryDirectory[str]] = []  # removed at exit
@@ -22,13 +21,13 @@ EMPTY_CACHES: list[tempfile.TemporaryDirectory[str]] = []  # removed at exit
 def solvers(problem: Problem) -> Iterator[Solver]:
     dae, grid, start = problem.dae, problem.grid, problem.start
     EMPTY_CACHES.append(tempfile.TemporaryDirectory(prefix="cosim-peers-"))
-    os.environ["COSIM_CACHE"] = EMPTY_CACHES[-1].name  # so that preparing means compiling
+    os.environ["COSIM_CACHE"] = EMPTY_CACHES[-1].name  # preparation includes compilation
     values = (start["x0"], start["z0"], start["p"], start["u"])
 
     def prepared(solver: str) -> Solver:
         def prepare(tolerance: float) -> Run:
-            wanted = engine.Problem(dae, grid.tobytes(), compiled=True)
-            built = engine_of(wanted, chosen_solver(dae, solver, tolerance))
+            task = engine.Problem(dae, grid.tobytes(), compiled=True)
+            built = engine_of(task, requested_solver(dae, solver, tolerance))
             return lambda: call.call(built, *values).states.T
 
         return Solver(f"cosim {solver}", prepare)

@@ -12,7 +12,7 @@ from problem import Problem
 from casadi_models.dae import Dae
 
 PACKAGES = ("heyoka",)
-hy.llvm_state.set_diskcache_enabled(False)  # so that preparing means compiling
+hy.llvm_state.set_diskcache_enabled(False)  # preparation includes compilation
 
 
 def solvers(problem: Problem) -> Iterator[Solver]:
@@ -30,7 +30,7 @@ def solvers(problem: Problem) -> Iterator[Solver]:
 
         return run
 
-    # order and steps are the same in both modes; the other one takes up to a minute to compile
+    # order and steps are the same in both modes; the other mode needs up to a minute of compilation
     yield Solver("heyoka", prepare, lambda tolerance: prepare(tolerance, False), tightest=1e-15)
     yield Solver("heyoka, compact mode", prepare, tightest=1e-15)
 

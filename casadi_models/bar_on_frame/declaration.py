@@ -1,4 +1,4 @@
-"""What the formulations share: parameters, states, names, units and sizes."""
+"""Parameters, states, names, units and sizes of all formulations of the bar on a frame."""
 
 from math import pi
 from typing import NamedTuple
@@ -72,9 +72,9 @@ class Data(NamedTuple):
     bar_inertia: SX  # about G, in (e1, n2, e3)
     column_mass: SX
     column_length: SX
-    column_inertia: SX  # about its centre, in F
+    column_inertia: SX  # about its center, in F
     arm_mass: SX
-    arm_inertia: SX  # about its centre, in F
+    arm_inertia: SX  # about its center, in F
     weld_height: SX
     Omega_dot: SX
     T2: SX
@@ -128,7 +128,7 @@ def data(model: Model) -> Data:
 
 
 def _slender(mass: SX, length: SX, radius: SX, *, axis: int) -> SX:
-    """Return the inertia of a rod about its centre: slender across, a cylinder about its axis."""
+    """Return the inertia of a rod about its center: slender across, a cylinder about its axis."""
     across, along = mass * length**2 / 12, mass * radius**2 / 2
     return ca.diag(ca.vertcat(*(along if i == axis else across for i in (1, 2, 3))))
 

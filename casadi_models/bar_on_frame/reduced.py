@@ -45,7 +45,7 @@ def build() -> Dae:
     declaration.outputs(model, "M_phi", M_phi)
 
     # Newton-Euler for frame and bar about A: what the bearings must supply across k. The column's
-    # centre rests and its angular momentum is along k; the arm's centre is at d/2.
+    # center rests and its angular momentum is along k; the arm's center is at d/2.
     arm_force = data.arm_mass / 2 * ca.vertcat(-d * Omega_dot, -d * Omega**2, 0)
     at_G, at_arm = (ca.vertcat(0, reach, data.weld_height) for reach in (d, d / 2))
     moment = torque + ca.cross(at_G, force) + ca.cross(at_arm, arm_force)

@@ -1,10 +1,10 @@
-"""What both formulations of the bar on a frame look like: k and Z up, bearing A at the origin."""
+"""Drawing of the bar on a frame: k and Z up, bearing A at the origin."""
 
 import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Model
-from casadi_models.dae.scenery import BLUE, DARK, GREEN, GREY, ORANGE, PINK, SKY
+from casadi_models.dae.scenery import BLUE, DARK, GRAY, GREEN, ORANGE, PINK, SKY
 from casadi_models.mechanics.rotations import about, unit
 
 
@@ -20,24 +20,24 @@ def draw(model: Model) -> None:
     model.body("frame", SX.zeros(3), frame)
     model.body("bar", G, turn)
     top = column * unit(3)
-    model.rod("column", (SX.zeros(3), top), radius, body="frame", colour=BLUE)
-    model.rod("arm", (O, to_G), 0.8 * radius, body="frame", colour=BLUE)
+    model.rod("column", (SX.zeros(3), top), radius, body="frame", color=BLUE)
+    model.rod("arm", (O, to_G), 0.8 * radius, body="frame", color=BLUE)
     half = length / 2 * unit(1)
-    model.rod("bar", (-half, half), 0.8 * radius, body="bar", colour=SKY)
+    model.rod("bar", (-half, half), 0.8 * radius, body="bar", color=SKY)
     pin = 2 * radius * unit(2)
-    model.rod("pin", (-pin, pin), 0.9 * radius, body="bar", colour=DARK)
+    model.rod("pin", (-pin, pin), 0.9 * radius, body="bar", color=DARK)
     for name, place in (("A", SX.zeros(3)), ("B", top)):
         step = radius * unit(3)
-        model.rod(f"bearing {name}", (place - step, place + step), 2.2 * radius, colour=GREY)
+        model.rod(f"bearing {name}", (place - step, place + step), 2.2 * radius, color=GRAY)
         force = ca.vertcat(model.named(f"f1_{name}_F"), model.named(f"f2_{name}_F"), 0)
         meaning = f"force of bearing {name} on the column"
-        model.arrow(f"force at {name}", place, frame @ force, meaning, colour=ORANGE)
-    for kind, unit_name, colour in (("f", "N", GREEN), ("t", "N.m", PINK)):
+        model.arrow(f"force at {name}", place, frame @ force, meaning, color=ORANGE)
+    for kind, unit_name, color in (("f", "N", GREEN), ("t", "N.m", PINK)):
         load = ca.vertcat(*(model.named(f"{kind}{axis}_G_F") for axis in "12k"))
         what = "force" if kind == "f" else "torque"
         model.arrow(f"pin {what}", G, frame @ load, f"{what} of the pin on the bar",
-                    unit=unit_name, colour=colour)  # fmt: skip
+                    unit=unit_name, color=color)  # fmt: skip
     drive = model.named("M_phi") * unit(3)
     model.arrow("drive torque", SX.zeros(3), drive, "torque of the drive on the frame",
-                unit="N.m", colour=DARK)  # fmt: skip
-    model.trace("path of the bar's end", G + turn @ half, colour=SKY)
+                unit="N.m", color=DARK)  # fmt: skip
+    model.trace("path of the bar's end", G + turn @ half, color=SKY)

@@ -16,7 +16,7 @@ def build() -> Dae:
     )
     theta, theta_dot, phi, Omega = declaration.motion(model)
     data = declaration.data(model)
-    # Place of the column's foot A in the world, of the bar's centre G from the arm's end; both
+    # Place of the column's foot A in the world, of the bar's center G from the arm's end; both
     # velocities in F
     frame = free_joint(model, "frame", 3, phi, Omega, "phi_dot_dot", velocity_in="body")
     bar = free_joint(model, "bar", 2, theta, theta_dot, "theta_dot_dot", velocity_in="carrier")

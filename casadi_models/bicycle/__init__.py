@@ -1,11 +1,11 @@
-"""Upright bicycle of four rigid bodies on a plane; the wheels are thin and roll without slip.
+r"""Upright bicycle of four rigid bodies on a plane; the wheels are thin and roll without slip.
 
                  B                N1 forward, N2 to the right, N3 down; origin at the start of P.
-             G_B o \\
-                   \\ S           A rear wheel, B rear frame with rider, C fork, D front wheel
-           A        \\ C  D       yaw psi, roll phi, pitch theta (3-1-2) turn N into B,
-         ( o )-------\\( o )      tilt lambda and steer delta turn B into C (2-3),
-     ______P__________\\_Q_____   thetaR and thetaF turn the wheels; forward they are negative.
+             G_B o \
+                   \ S           A rear wheel, B rear frame with rider, C fork, D front wheel
+           A        \ C  D       yaw psi, roll phi, pitch theta (3-1-2) turn N into B,
+         ( o )-------\( o )      tilt lambda and steer delta turn B into C (2-3),
+     ______P__________\_Q_____   thetaR and thetaF turn the wheels; forward they are negative.
             <-- w -->  <c>
 
 Independent are phi, thetaR, delta. The pitch follows from the front wheel's contact, the rates of

@@ -71,10 +71,10 @@ def _constants(bike: Bicycle) -> Signals:
     B_to_C = about(2, bike.tilt).T  # without steer
     xS = ((bike.w + bike.c) * c - bike.rR * s) * c
     zS = xS * s / c
-    axle = bike.rear_wheel.centre
+    axle = bike.rear_wheel.center
     at_S = axle + ca.vertcat(xS, 0, -zS)
-    r_B = bike.rear_frame.centre - axle
-    r_C, r_D = (B_to_C @ (body.centre - at_S) for body in (bike.fork, bike.front_wheel))
+    r_B = bike.rear_frame.center - axle
+    r_C, r_D = (B_to_C @ (body.center - at_S) for body in (bike.fork, bike.front_wheel))
     geometry = Geometry(
         bike.rR, bike.rF, bike.tilt, r_B[0], -r_B[2], xS, zS, r_C[0], r_C[2], r_D[0], r_D[2]
     )
@@ -98,7 +98,7 @@ def _loop_closure(k: Geometry, s: Signals) -> SX:
 
 
 def _places(k: Geometry, s: Signals) -> Signals:
-    """Return the mass centres and the front contact Q from P, in the ground's axes."""
+    """Return the mass centers and the front contact Q from P, in the ground's axes."""
     B_to_R, C_to_R = s["R_R2B"].T, s["R_R2C"].T
     r_A = k.r_A(s["theta"])
     at_S = B_to_R @ (r_A + k.r_S)

@@ -1,4 +1,4 @@
-"""What all formulations of the bicycle share: parameters, names, units, starts and sizes.
+"""Parameters, names, units, start values and sizes of all formulations of the bicycle.
 
 Places and inertias are those of the aligned bicycle: origin at the rear contact P, axes of the
 rear frame B with 1 forward, 2 to the right, 3 downward (Unit 7, Example 3, mass and inertia data).
@@ -47,10 +47,10 @@ PARAMETERS: dict[str, tuple[str, float, str]] = {
     "ICzz": ("+kg.m2", 0.00708, "inertia of the fork, entry 33"),
     "IDxx": ("+kg.m2", 0.1405, "inertia of the front wheel about a diameter"),
     "IDyy": ("+kg.m2", 0.28, "inertia of the front wheel about its axle"),
-    "xGB": ("m", 0.3, "mass centre of the rear frame, forward of P"),
-    "zGB": ("m", -0.9, "mass centre of the rear frame, below P"),
-    "xGC": ("m", 0.9, "mass centre of the fork, forward of P"),
-    "zGC": ("m", -0.7, "mass centre of the fork, below P"),
+    "xGB": ("m", 0.3, "mass center of the rear frame, forward of P"),
+    "zGB": ("m", -0.9, "mass center of the rear frame, below P"),
+    "xGC": ("m", 0.9, "mass center of the fork, forward of P"),
+    "zGC": ("m", -0.7, "mass center of the fork, below P"),
     "g": ("m/s2", 9.81, "gravity"),
 }
 
@@ -98,11 +98,11 @@ ROLLING = "dependent rates: the front wheel rolls without slip"
 
 
 class Body(NamedTuple):
-    """A rigid body of the aligned bicycle: kg; kg.m2 about the mass centre; m from P."""
+    """A rigid body of the aligned bicycle: kg; kg.m2 about the mass center; m from P."""
 
     mass: SX
     inertia: SX
-    centre: SX
+    center: SX
 
 
 class Bicycle(NamedTuple):
@@ -154,8 +154,8 @@ def energies(model: Model, kinetic: SX, potential: SX) -> None:
 
 def limits(model: Model, phi: SX, fz_P: SX, fz_Q: SX) -> None:
     """Declare what every formulation supposes: two wheels on the ground, no fall."""
-    model.limit(-fz_P, "the ground pushes the rear wheel up; a real one has lifted")
-    model.limit(-fz_Q, "the ground pushes the front wheel up; a real one has lifted")
+    model.limit(-fz_P, "the ground pushes the rear wheel up (a real wheel would lift off)")
+    model.limit(-fz_Q, "the ground pushes the front wheel up (a real wheel would lift off)")
     model.limit(cos(phi), "the rear frame leans by less than 90 deg")
 
 

@@ -18,7 +18,7 @@ from casadi_models.mechanics import kane, rotations
 
 
 class Motion(NamedTuple):
-    """What the formulations are made of.
+    """Kinematics and loads from which the formulations are built.
 
     Attributes:
         system: Six free speeds; the rear contact P is held by three speeds along N1, N2, N3.
@@ -65,20 +65,20 @@ def motion(bike: Bicycle, torques: Torques, q: SX, u: SX) -> Motion:
 
     # Constants, turned into E once; S is the point of the steering axis nearest to the axle
     B_to_E = rotations.about(2, bike.tilt).T
-    axle = bike.rear_wheel.centre
+    axle = bike.rear_wheel.center
     S = ((bike.w + bike.c) * cos(bike.tilt) - bike.rR * sin(bike.tilt)) * rotations.unit(1)
     at_S = axle + B_to_E.T @ S
     rear = _turned(_welded(bike.rear_wheel, bike.rear_frame), B_to_E, axle)
     front = _turned(_welded(bike.fork, bike.front_wheel), B_to_E, at_S)
-    hub = B_to_E @ (bike.front_wheel.centre - at_S)
+    hub = B_to_E @ (bike.front_wheel.center - at_S)
 
     v_P = SX.sym("v_P", 3)  # of the rear wheel's material at P, in N; held
     frame = _rear_frame(bike, q, u, v_P)
-    v_rear = frame.v_axle + ca.cross(frame.omega, rear.centre)
+    v_rear = frame.v_axle + ca.cross(frame.omega, rear.center)
     C_to_E = rotations.about(3, delta)
     omega = C_to_E.T @ frame.omega + delta_dot * rotations.unit(3)  # of the fork, in C
     v_S = C_to_E.T @ (frame.v_axle + ca.cross(frame.omega, S))
-    v_front = v_S + ca.cross(omega, front.centre)
+    v_front = v_S + ca.cross(omega, front.center)
 
     # Rolling: v_Q = v_hub + omega_D x rF w3, where the product has no part along w3
     down_E = frame.to_N[2, :].T
@@ -92,8 +92,8 @@ def motion(bike: Bicycle, torques: Torques, q: SX, u: SX) -> Motion:
 
     depth_axle = -bike.rR * cos(phi)
     depth_S = depth_axle + ca.dot(down_E, S)
-    depth_rear = depth_axle + ca.dot(down_E, rear.centre)
-    depth_front = depth_S + ca.dot(down, front.centre)
+    depth_rear = depth_axle + ca.dot(down_E, rear.center)
+    depth_front = depth_S + ca.dot(down, front.center)
     speed = -bike.rR * (thetaR_dot + theta_dot)  # P keeps below the axle while the frame pitches
 
     axes = rotations.unit(2), rotations.unit(2)
@@ -140,14 +140,14 @@ def _rear_frame(bike: Bicycle, q: SX, u: SX, v_P: SX) -> _Frame:
 def _welded(a: Body, b: Body) -> Body:
     """Return two bodies as one (parallel axes theorem)."""
     mass = a.mass + b.mass
-    centre = (a.mass * a.centre + b.mass * b.centre) / mass
+    center = (a.mass * a.center + b.mass * b.center) / mass
     inertia = a.inertia + b.inertia
     for part in (a, b):
-        r = part.centre - centre
+        r = part.center - center
         inertia += part.mass * (ca.dot(r, r) * SX.eye(3) - r @ r.T)
-    return Body(mass, inertia, centre)
+    return Body(mass, inertia, center)
 
 
 def _turned(body: Body, turn: SX, origin: SX) -> Body:
-    """Return a body with its centre measured from another origin, resolved in other axes."""
-    return Body(body.mass, turn @ body.inertia @ turn.T, turn @ (body.centre - origin))
+    """Return a body with its center measured from another origin, resolved in other axes."""
+    return Body(body.mass, turn @ body.inertia @ turn.T, turn @ (body.center - origin))

@@ -1,10 +1,10 @@
-"""What every formulation of the bicycle looks like; N3 is down, the ground is the plane N1 N2."""
+"""Drawing of the bicycle: N3 is down, the ground is the plane N1 N2."""
 
 import casadi as ca
 from casadi import SX, cos, sin
 
 from casadi_models.dae import Model
-from casadi_models.dae.scenery import BLUE, DARK, GREEN, GREY, ORANGE, PINK, SKY
+from casadi_models.dae.scenery import BLUE, DARK, GRAY, GREEN, ORANGE, PINK, SKY
 from casadi_models.mechanics.rotations import about, unit
 
 _TUBE, _TYRE = 0.016, 0.022  # m, radii
@@ -40,16 +40,16 @@ def draw(model: Model) -> None:
     model.body("front wheel", front_axle, fork @ about(2, model.named("thetaF")))
     for wheel, radius in (("rear wheel", rR), ("front wheel", rF)):
         size = ca.vertcat(radius, _TYRE)
-        model.shape("wheel", "wheel", size, body=wheel, along=unit(2), colour=DARK)
+        model.shape("wheel", "wheel", size, body=wheel, along=unit(2), color=DARK)
     _frame(model, w, rR, to_S, tilt)
     _fork(model, rR, hub)
 
     for point, place, wheel in (("P", P, "rear"), ("Q", Q, "front")):
         force = ca.vertcat(*(model.named(f"f{axis}_{point}") for axis in "xyz"))
         meaning = f"force of the ground on the {wheel} wheel"
-        model.arrow(f"force at {point}", place, force, meaning, colour=ORANGE)
-    model.trace("path of P", P, colour=BLUE)
-    model.trace("path of Q", Q, colour=PINK)
+        model.arrow(f"force at {point}", place, force, meaning, color=ORANGE)
+    model.trace("path of P", P, color=BLUE)
+    model.trace("path of Q", Q, color=PINK)
 
 
 def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
@@ -63,22 +63,22 @@ def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
     hip, neck, hand = point(0.2, 0.86), point(0.45, 1.38), point(0.68, 0.98)
     tubes = ((axle, crank), (axle, saddle), (crank, saddle), (crank, head), (saddle, head))
     for i, ends in enumerate(tubes, start=1):
-        model.rod(f"tube {i}", ends, _TUBE, body="rear frame", colour=BLUE)
-    model.rod("trunk of the rider", (hip, neck), 0.1, body="rear frame", colour=SKY)
+        model.rod(f"tube {i}", ends, _TUBE, body="rear frame", color=BLUE)
+    model.rod("trunk of the rider", (hip, neck), 0.1, body="rear frame", color=SKY)
     for side, right in (("left", -1), ("right", 1)):
         aside = 0.1 * right * unit(2)
         arm, leg = (neck + 1.4 * aside, hand + 2 * aside), (hip + aside, crank + aside)
-        model.rod(f"{side} arm of the rider", arm, 0.035, body="rear frame", colour=SKY)
-        model.rod(f"{side} leg of the rider", leg, 0.05, body="rear frame", colour=SKY)
+        model.rod(f"{side} arm of the rider", arm, 0.035, body="rear frame", color=SKY)
+        model.rod(f"{side} leg of the rider", leg, 0.05, body="rear frame", color=SKY)
     model.shape("head of the rider", "sphere", SX(0.1), body="rear frame",
-                at=point(0.5, 1.55), colour=SKY)  # fmt: skip
+                at=point(0.5, 1.55), color=SKY)  # fmt: skip
 
 
 def _fork(model: Model, rR: SX, hub: SX) -> None:
     """Draw fork and handlebar; points from S, in C."""
     crown, top = ca.vertcat(0, 0, -0.05), ca.vertcat(0, 0, -0.34)
-    model.rod("blade", (hub, crown), _TUBE, body="fork", colour=GREEN)
-    model.rod("steering axis", (crown, top), _TUBE, body="fork", colour=GREEN)
+    model.rod("blade", (hub, crown), _TUBE, body="fork", color=GREEN)
+    model.rod("steering axis", (crown, top), _TUBE, body="fork", color=GREEN)
     ends = top - 0.26 * unit(2), top + 0.26 * unit(2)
-    model.rod("handlebar", ends, _TUBE, body="fork", colour=GREEN)
-    model.rod("axle", (hub - 0.06 * unit(2), hub + 0.06 * unit(2)), 0.01, body="fork", colour=GREY)
+    model.rod("handlebar", ends, _TUBE, body="fork", color=GREEN)
+    model.rod("axle", (hub - 0.06 * unit(2), hub + 0.06 * unit(2)), 0.01, body="fork", color=GRAY)

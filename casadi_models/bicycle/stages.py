@@ -2,7 +2,7 @@
 
 Signals carry the book's letters, rates end in `_dot`, and flow from stage to stage by name as in
 the book's Model 3. The matrices W and V turn the independent speeds u_I into angular velocities and
-velocities of the mass centres: of A and B in the axes of B, of C and D in those of C. R_R2B turns
+velocities of the mass centers: of A and B in the axes of B, of C and D in those of C. R_R2B turns
 components from the ground's axes into those of B.
 
 Source  Unit 7, Example 3: main script, Panels 4 to 10, and bicycleEOM, Panels 2 and 3. C_1 and C_2
@@ -43,7 +43,7 @@ class Geometry(NamedTuple):
 
     @property
     def r_B(self) -> SX:
-        """Mass centre of B from the rear axle, in B."""
+        """Mass center of B from the rear axle, in B."""
         return ca.vertcat(self.xB, 0, -self.zB)
 
     @property
@@ -53,12 +53,12 @@ class Geometry(NamedTuple):
 
     @property
     def r_C(self) -> SX:
-        """Mass centre of C from S, in C."""
+        """Mass center of C from S, in C."""
         return ca.vertcat(self.xC, 0, self.zC)
 
     @property
     def r_D(self) -> SX:
-        """Mass centre of D from S, in C."""
+        """Mass center of D from S, in C."""
         return ca.vertcat(self.xD, 0, self.zD)
 
     def r_A(self, theta: SX) -> SX:

@@ -18,8 +18,8 @@ def build() -> Dae:
     model.derivative(phi, omega)
     model.derivative(omega, shaft.alpha)
 
-    # Held speeds: those of the bearing points A and B across the axis, so that the residual of
-    # each equation is one bearing force. The speed along Z is held by nothing: nothing acts there.
+    # Constrained speeds: those of the bearing points A and B across the axis, so that the residual
+    # of each equation is one bearing force. The speed along Z is free: no force acts along Z.
     a, b = SX.sym("v_A", 2), SX.sym("v_B", 2)
     span = 4 * shaft.length
     tilt = ca.vertcat((a[1] - b[1]) / span, (b[0] - a[0]) / span)

@@ -1,4 +1,4 @@
-"""What the formulations share: shape, parameters, states, names of loads."""
+"""Shape, parameters, states and names of loads of all formulations of the crank shaft."""
 
 from functools import partial
 from itertools import pairwise
@@ -67,7 +67,7 @@ def properties(model: Model) -> Shaft:
         ends = [ca.DM(point) - ca.DM([0, 0, 2]) for point in (start, end)]
         middle, along = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
         size = float(ca.norm_2(along))
-        # slender bar about its centre, then the parallel axes theorem (Unit 1)
+        # slender bar about its center, then the parallel axes theorem (Unit 1)
         unit_inertia = _point(along) / 12 + _point(middle)
         inertia += size * unit_inertia * segment * length**2
     return Shaft(length, 8 * segment, model.inertia("shaft", inertia), alpha, g)

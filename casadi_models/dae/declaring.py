@@ -1,4 +1,4 @@
-"""The part of `Model` that declares variables and names itself in refusals."""
+"""The part of `Model` that declares variables and names the model in errors."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -30,16 +30,18 @@ class Declaring:
         self._name, self._formulation = name, formulation
         self._display = dict(display)
         with self._naming_the_model():
-            for unit, wanted in self._display.items():
-                convert(1.0, unit, wanted)
+            for unit, target in self._display.items():
+                convert(1.0, unit, target)
         self._variables: dict[str, Variable] = {}
         self._symbols: dict[str, dict[str, SX]] = {kind: {} for kind in "xzup"}
         self._outputs: dict[str, SX] = {}
         self._monitors: dict[str, SX] = {}
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{len(own)} {kind}" for kind, own in self._groups() if own)
-        return f"Model {self._full_name}: {told or 'nothing declared'}; freeze() makes a Dae of it"
+        counts = ", ".join(f"{len(own)} {kind}" for kind, own in self._groups() if own)
+        return (
+            f"Model {self._full_name}: {counts or 'nothing declared'}; freeze() makes a Dae of it"
+        )
 
     def _repr_html_(self) -> str:
         return shown.table(repr(self), self._groups())
@@ -54,7 +56,7 @@ class Declaring:
             yield name, [self._variables[own] for own in self._symbols[kind]]
 
     def state(self, name: str, unit: str, start: float, meaning: str, **facts: Unpack[Facts]) -> SX:
-        """Declare a state; `start` is exact unless a start rule makes it a first guess."""
+        """Declare a state; `start` is exact unless a start rule makes it an initial guess."""
         return self._declare("x", self._variable(name, unit, meaning, facts, start))
 
     def algebraic(
@@ -64,7 +66,7 @@ class Declaring:
         return self._declare("z", self._variable(name, unit, meaning, facts, guess, Start.GUESS))
 
     def input(self, name: str, unit: str, start: float, meaning: str, **facts: Unpack[Facts]) -> SX:
-        """Declare an input; it keeps its start value where nobody drives it."""
+        """Declare an input; it keeps its start value unless something drives it."""
         return self._declare("u", self._variable(name, unit, meaning, facts, start))
 
     def parameter(
@@ -97,7 +99,7 @@ class Declaring:
         self._variables[name] = variable
 
     def monitor(self, name: str, expression: Any, meaning: str) -> None:
-        """Declare a number that tells how well conditioned the equations are (1).
+        """Declare a condition number of the equations (1).
 
         It costs nothing until it is named as an output; see `Dae.watching`.
         """
@@ -163,8 +165,8 @@ class Declaring:
     def _column(self, what: str, expression: Any, rows: int | None = None) -> SX:
         value = self._expression(what, expression)
         if value.shape != (value.shape[0] if rows is None else rows, 1):
-            wanted = f"({'n' if rows is None else rows}, 1)"
-            raise self._refusal(f"{what} has shape {value.shape}; give shape {wanted}")
+            shape = f"({'n' if rows is None else rows}, 1)"
+            raise self._refusal(f"{what} has shape {value.shape}; give shape {shape}")
         return value
 
     @contextmanager

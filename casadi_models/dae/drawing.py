@@ -1,7 +1,7 @@
 """What a model looks like: bodies with shapes, arrows of loads, traces of points.
 
-Everything is a CasADi expression of the model's variables, found by name when somebody wants to
-see it; until then it costs nothing, in equations, runs and FMUs alike.
+Everything is a CasADi expression of the model's variables, looked up by name when a picture
+is drawn; until then it adds nothing to equations, simulations or FMUs.
 """
 
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ class Shape:
         size: The numbers that `SIZES` names, m; of parameters.
         at: Its middle in the body's axes, (3, 1), m; of parameters.
         along: Its third axis (of a wheel, the axle) in the body's axes, (3, 1); of parameters.
-        colour: "#rrggbb".
+        color: "#rrggbb".
     """
 
     name: str
@@ -53,7 +53,7 @@ class Shape:
     size: SX
     at: SX
     along: SX
-    colour: str
+    color: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Arrow:
     unit: str
     display_unit: str
     meaning: str
-    colour: str
+    color: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Trace:
 
     name: str
     at: SX
-    colour: str
+    color: str
 
 
 @dataclass(frozen=True)

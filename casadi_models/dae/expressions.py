@@ -22,8 +22,8 @@ def symbols(expression: SX) -> dict[int, str]:
     return {symbol.element_hash(): symbol.name() for symbol in ca.symvar(expression)}
 
 
-def refuse_faulty(rows: Mapping[str, SX], known: SX, allowed: str) -> None:
-    """Refuse expressions that use unknown symbols or hold a NaN or an infinity.
+def reject_faulty(rows: Mapping[str, SX], known: SX, allowed: str) -> None:
+    """Reject expressions that use unknown symbols or hold a NaN or an infinity.
 
     Args:
         rows: What each expression is, for messages, and the expression; columns.
@@ -64,7 +64,7 @@ def operation_count(function: ca.Function) -> int:
 
 
 def is_structurally_regular(residual: SX, unknowns: SX) -> bool:
-    """Tell whether every unknown can be matched to a residual of its own that depends on it."""
+    """Return whether every unknown can be matched to a residual of its own that depends on it."""
     jacobian = ca.jacobian_sparsity(residual, unknowns)
     return bool(ca.sprank(jacobian) == unknowns.numel() == residual.numel())
 

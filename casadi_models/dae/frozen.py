@@ -10,14 +10,15 @@ from casadi import SX
 
 from casadi_models.dae import packed, shown
 from casadi_models.dae.drawing import Drawing
+from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import operation_count
-from casadi_models.dae.invariants import Closing, Invariant
+from casadi_models.dae.invariants import CONSTRAINT_CONDITION, Closing, Invariant
 from casadi_models.dae.starts import StartRule, StartThrough
 from casadi_models.dae.variables import Experiment, Variable
 
 _LAWS = (
     *("ode", "alg", "outputs", "start_rules", "start_outputs", "limits", "invariants"),
-    *("closing", "monitors"),
+    *("closing", "monitors", "events", "smooth"),
 )
 
 
@@ -37,15 +38,19 @@ class Dae:
         start_rules: How calculated start values follow, in the order of evaluation.
         inertias: (body, 3x3 expression of p) for every inertia that must be physical.
         observed: Names that a run records; states, algebraics and outputs when not reduced.
-        x_start: Start value, or first guess where a rule is implicit, of every state.
+        x_start: Start value, or initial guess where a rule is implicit, of every state.
         report: What a reduction took away and why, a line each.
         limits: (scalar expression, meaning): the model holds only while each one is positive.
         invariants: What solvers let drift; a later one may move what an earlier one does not.
         closing: How drift decays; None where no equation sees to that.
         monitors: (variable, scalar expression) of how well conditioned the equations are; no
-            outputs until somebody asks for them.
+            outputs unless they are requested.
         drawing: What the system looks like; see `Model.shape`.
         start_outputs: Outputs by whose value starts of states may be given.
+        events: What happens at an instant, besides the relations of the equations; see `Event`.
+        smooth: Expressions whose relations are no events.
+        derived: How many states, the first ones, are followed by their derivatives along a
+            direction of the parameters.
 
     Raises:
         ValueError: Symbols, expressions and variables differ in number.
@@ -86,6 +91,9 @@ class Dae:
     monitors: tuple[tuple[Variable, SX], ...] = ()
     drawing: Drawing = field(default_factory=Drawing)
     start_outputs: tuple[StartThrough, ...] = ()
+    events: tuple[Event, ...] = ()
+    smooth: tuple[SX, ...] = ()
+    derived: int = 0
 
     def __post_init__(self) -> None:
         for what, variables, columns in (
@@ -126,6 +134,25 @@ class Dae:
         return ca.vertcat(SX(0, 1), *(margin for margin, _ in self.limits))
 
     @property
+    def constraint_condition(self) -> SX | None:
+        """Condition number of the constraints; None if the model does not declare it."""
+        known = [*self.monitors]
+        known += zip(self.output_variables, ca.vertsplit(self.outputs), strict=True)
+        return next((value for v, value in known if v.name == CONSTRAINT_CONDITION), None)
+
+    @property
+    def distance_from_singularity(self) -> SX:
+        """Reciprocal condition of the declared constraints: 1 at best, 0 if they are singular."""
+        condition = self.constraint_condition
+        assert condition is not None
+        return 1 / condition
+
+    @property
+    def has_conditioned_multipliers(self) -> bool:
+        """Whether multipliers enforce constraints whose condition number is declared."""
+        return bool(self.algebraics) and self.constraint_condition is not None
+
+    @property
     def casadi(self) -> dict[str, SX]:
         """What `casadi.integrator` takes: t, x, z, u, p, ode and alg by these names."""
         return {
@@ -146,14 +173,14 @@ class Dae:
 
     def watching(self, names: Collection[str]) -> "Dae":
         """Return the DAE with those of its monitors among the outputs that are named."""
-        wanted = [(v, expression) for v, expression in self.monitors if v.name in names]
-        if not wanted:
+        requested = [(v, expression) for v, expression in self.monitors if v.name in names]
+        if not requested:
             return self
         return replace(
             self,
-            outputs=ca.densify(ca.vertcat(self.outputs, *(e for _, e in wanted))),
-            output_variables=self.output_variables + tuple(v for v, _ in wanted),
-            observed=self.observed + tuple(v.name for v, _ in wanted),
+            outputs=ca.densify(ca.vertcat(self.outputs, *(e for _, e in requested))),
+            output_variables=self.output_variables + tuple(v for v, _ in requested),
+            observed=self.observed + tuple(v.name for v, _ in requested),
             monitors=tuple((v, e) for v, e in self.monitors if v.name not in names),
         )
 
@@ -172,7 +199,9 @@ class Dae:
         if self.closing is None:
             raise ValueError(f"{self.full_name}: no equation makes drift decay")
         if not 0 <= rate < inf:
-            raise ValueError(f"{self.full_name}: closing rate {rate} 1/s; give 0 or more")
+            raise ValueError(
+                f"{self.full_name}: Baumgarte stabilization rate {rate} 1/s; give 0 or more"
+            )
         alg = ca.substitute(self.closing.residual, self.closing.symbol, rate)
         return replace(self, alg=ca.densify(alg), closing=replace(self.closing, rate=rate))
 

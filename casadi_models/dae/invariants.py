@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from casadi import SX
 
+CONSTRAINT_CONDITION = "constraint_condition"  # output or monitor: condition of the constraints
+SINGULAR_CONDITION = 1e3  # condition from which a configuration is singular
+
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
 class Invariant:

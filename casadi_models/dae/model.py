@@ -2,27 +2,28 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.declaring import Declaring
+from casadi_models.dae.events import Happening
 from casadi_models.dae.expressions import (
     column,
     is_structurally_regular,
     quoted,
-    refuse_faulty,
+    reject_faulty,
     share,
 )
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.scenery import Scenery
-from casadi_models.dae.starts import AT_A_START, Starting, refuse_disorder
-from casadi_models.dae.variables import Experiment, Start, Variable
+from casadi_models.dae.starts import AT_A_START, Starting, reject_disorder
+from casadi_models.dae.variables import Experiment, Facts, Start, Variable
 
 
-class Model(Declaring, Starting, Scenery):
+class Model(Declaring, Starting, Happening, Scenery):
     """Builder of a `Dae`: declare, relate, freeze.
 
     Every declaring call returns the bare CasADi symbol, so that equations read as in the book.
@@ -81,6 +82,14 @@ class Model(Declaring, Starting, Scenery):
             if name in self._derivatives:
                 raise self._refusal(f"state '{name}' has two derivatives; give it one")
             self._derivatives[name] = rate
+
+    def discrete(
+        self, name: str, unit: str, start: float, meaning: str, **facts: Unpack[Facts]
+    ) -> SX:
+        """Declare a variable that only events change: a state with derivative 0."""
+        symbol = self.state(name, unit, start, meaning, **facts)
+        self.derivative(symbol, 0)
+        return symbol
 
     def equation(self, residual: Any) -> None:
         """Add residuals that the algebraic unknowns make zero."""
@@ -155,11 +164,11 @@ class Model(Declaring, Starting, Scenery):
 
     def numbers(self, expression: SX, *, but: SX) -> SX:
         """Replace every parameter, input and state but some by its start value; time by 0."""
-        kept = {symbol.element_hash() for symbol in ca.symvar(but)}
+        unchanged = {symbol.element_hash() for symbol in ca.symvar(but)}
         symbols, values = [self.t], [0.0]
         for kind in "xup":
             for name, symbol in self._symbols[kind].items():
-                if symbol.element_hash() not in kept:
+                if symbol.element_hash() not in unchanged:
                     symbols.append(symbol)
                     values.append(self._variables[name].start or 0.0)
         return ca.substitute(expression, ca.vertcat(*symbols), SX(values))
@@ -188,21 +197,26 @@ class Model(Declaring, Starting, Scenery):
             {f"output '{name}'": expression for name, expression in self._outputs.items()},
             {f"limit '{meaning}'": expression for expression, meaning in self._limits},
             {f"monitor '{name}'": expression for name, expression in self._monitors.items()},
+            {f"condition of '{event.name}'": event.condition for event in self._events},
+            {f"values of '{event.name}'": event.values for event in self._events},
+            {f"smooth expression {i}": row for i, row in enumerate(self._smooth, start=1)},
         )
         with self._naming_the_model():
             for part in parts:
-                refuse_faulty(part, ca.vertcat(self.t, x, z, u, p), "declared symbols")
+                reject_faulty(part, ca.vertcat(self.t, x, z, u, p), "declared symbols")
             inertias = {f"inertia of {body}": ca.vec(matrix) for body, matrix in self._inertias}
-            refuse_faulty(inertias, p, "parameters")
+            reject_faulty(inertias, p, "parameters")
             drifting = {
                 f"invariant '{i.meaning}'": ca.vertcat(i.residual, i.sizes)
                 for i in self._invariants
             }
-            refuse_faulty(drifting, ca.vertcat(self.t, x, u, p), AT_A_START)
-            refuse_disorder(self._rules, self.t, x, u, p)
+            reject_faulty(drifting, ca.vertcat(self.t, x, u, p), AT_A_START)
+            reject_disorder(self._rules, self.t, x, u, p)
             through = self._starts_through(x, p)
             drawing = self._drawing(ca.vertcat(self.t, x, z, u, p), p, self._variables)
-        ode, alg, outputs, limits, monitors = share([column(part.values()) for part in parts])
+        ode, alg, outputs, limits, monitors, conditions, values, smooth = share(
+            [column(part.values()) for part in parts]
+        )
         if not is_structurally_regular(alg, z):
             raise self._refusal(
                 "the algebraic equations do not determine every algebraic unknown (index above 1); "
@@ -244,4 +258,6 @@ class Model(Declaring, Starting, Scenery):
                 (self._variables[name], monitors[i]) for i, name in enumerate(self._monitors)
             ),
             drawing=drawing,
+            events=tuple(self._shared_events(conditions, values)),
+            smooth=(smooth,) if self._smooth else (),
         )

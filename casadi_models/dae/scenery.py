@@ -8,13 +8,13 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.drawing import SIZES, WORLD, Arrow, Body, Drawing, Shape, Trace, World
-from casadi_models.dae.expressions import quoted, refuse_faulty
+from casadi_models.dae.expressions import quoted, reject_faulty
 from casadi_models.units import convert
 
-_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
+_COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 _PATH = re.compile(r"[A-Za-z][A-Za-z0-9_ ']*")
 
-BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, GREY, DARK = [
+BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, GRAY, DARK = [
     "#0072B2",
     "#D55E00",
     "#009E73",
@@ -23,7 +23,7 @@ BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, GREY, DARK = [
     "#56B4E9",
     "#9A9A9A",
     "#444444",
-]  # Okabe and Ito's colours, which colour-blind readers can tell apart, and two greys
+]  # Okabe and Ito's colors, which color-blind readers can tell apart, and two grays
 
 
 class Scenery:
@@ -91,7 +91,7 @@ class Scenery:
         body: str = WORLD,
         at: Any = (0, 0, 0),
         along: Any = (0, 0, 1),
-        colour: str = BLUE,
+        color: str = BLUE,
     ) -> None:
         """Declare something that is fixed in a body, or in the world.
 
@@ -102,7 +102,7 @@ class Scenery:
             body: What `body` returned.
             at: Its middle in the body's axes, (3, 1), m; of parameters.
             along: Its third axis in the body's axes (the axle of a wheel), (3, 1); of parameters.
-            colour: "#rrggbb".
+            color: "#rrggbb".
         """
         self._free(f"{body}/{name}", [f"{s.body}/{s.name}" for s in self._shapes], "shape")
         if body not in self._bodies:
@@ -110,11 +110,11 @@ class Scenery:
         if kind not in SIZES:
             raise self._refusal(f"shape '{name}': no kind '{kind}'; there are {', '.join(SIZES)}")
         lengths = ca.vec(_dense(size))
-        wanted = SIZES[kind]
+        sizes = SIZES[kind]
         count = lengths.numel()
-        if (count < 6 or count % 3) if wanted is None else count != len(wanted):
-            told = "two or more points (3, n)" if wanted is None else f"{', '.join(wanted)}"
-            raise self._refusal(f"shape '{name}': {count} numbers; a {kind} has {told}")
+        if (count < 6 or count % 3) if sizes is None else count != len(sizes):
+            expected = "two or more points (3, n)" if sizes is None else f"{', '.join(sizes)}"
+            raise self._refusal(f"shape '{name}': {count} numbers; a {kind} has {expected}")
         self._shapes.append(
             Shape(
                 name,
@@ -123,7 +123,7 @@ class Scenery:
                 lengths,
                 self._matrix(f"place of '{name}'", at, 1),
                 self._matrix(f"direction of '{name}'", along, 1),
-                self._colour(name, colour),
+                self._color(name, color),
             )
         )
 
@@ -134,13 +134,13 @@ class Scenery:
         radius: Any,
         *,
         body: str = WORLD,
-        colour: str = BLUE,
+        color: str = BLUE,
     ) -> None:
         """Declare a cylinder between two points, (3, 1) each, in a body's axes."""
         start, end = (self._matrix(f"end of '{name}'", point, 1) for point in ends)
         size = ca.vertcat(SX(radius), ca.norm_2(end - start))
         middle = (start + end) / 2
-        self.shape(name, "cylinder", size, body=body, at=middle, along=end - start, colour=colour)
+        self.shape(name, "cylinder", size, body=body, at=middle, along=end - start, color=color)
 
     def arrow(
         self,
@@ -150,7 +150,7 @@ class Scenery:
         meaning: str,
         *,
         unit: str = "N",
-        colour: str = ORANGE,
+        color: str = ORANGE,
     ) -> None:
         """Declare a force or a torque: the point where it acts and its components in the world.
 
@@ -160,7 +160,7 @@ class Scenery:
             vector: The components, (3, 1), in the world.
             meaning: What acts on what.
             unit: Of the components: "N" or "N.m".
-            colour: "#rrggbb".
+            color: "#rrggbb".
         """
         self._free(name, [arrow.name for arrow in self._arrows], "arrow")
         shown = self._display_of(unit)
@@ -170,20 +170,20 @@ class Scenery:
             raise self._refusal(f"arrow '{name}': {error}") from error
         place = self._matrix(f"point of '{name}'", at, 1)
         components = self._matrix(f"components of '{name}'", vector, 1)
-        colour = self._colour(name, colour)
-        self._arrows.append(Arrow(name, place, components, unit, shown, meaning, colour))
+        color = self._color(name, color)
+        self._arrows.append(Arrow(name, place, components, unit, shown, meaning, color))
 
-    def trace(self, name: str, at: Any, *, colour: str = GREY) -> None:
+    def trace(self, name: str, at: Any, *, color: str = GRAY) -> None:
         """Declare a point whose path is drawn, (3, 1), m, in the world."""
         self._free(name, [trace.name for trace in self._traces], "trace")
         place = self._matrix(f"point of '{name}'", at, 1)
-        self._traces.append(Trace(name, place, self._colour(name, colour)))
+        self._traces.append(Trace(name, place, self._color(name, color)))
 
     def _drawing(self, symbols: SX, parameters: SX, names: Mapping[str, Any]) -> Drawing:
         """Return the drawing; `ValueError` for expressions of what the model does not have."""
         missing = [name for name in self._stand_ins if name not in names]
         if missing:
-            raise ValueError(f"a drawing needs {quoted(missing)}, which nobody declared")
+            raise ValueError(f"a drawing needs {quoted(missing)}, which the model does not declare")
         stand_ins = ca.vertcat(SX(0, 1), *self._stand_ins.values())
         fixed = [name for name in self._stand_ins if name in _names(parameters)]
         moving: dict[str, SX] = {}
@@ -195,8 +195,8 @@ class Scenery:
             moving[f"trace '{trace.name}'"] = trace.at
         still = {f"shape '{s.name}'": ca.vertcat(s.size, s.at, s.along) for s in self._shapes}
         constant = ca.vertcat(parameters, *(self._stand_ins[name] for name in fixed))
-        refuse_faulty(moving, ca.vertcat(symbols, stand_ins), "declared symbols")
-        refuse_faulty(still, constant, "parameters")
+        reject_faulty(moving, ca.vertcat(symbols, stand_ins), "declared symbols")
+        reject_faulty(still, constant, "parameters")
         if self._world.follow and self._world.follow not in self._bodies:
             raise ValueError(f"world: there is no body '{self._world.follow}' to follow")
         if not (self._shapes or self._arrows or self._traces):
@@ -224,10 +224,10 @@ class Scenery:
         if name in taken:
             raise self._refusal(f"{what} '{name}' is declared twice; choose another name")
 
-    def _colour(self, name: str, colour: str) -> str:
-        if not isinstance(colour, str) or not _COLOUR.fullmatch(colour):
-            raise self._refusal(f"'{name}' has colour {colour!r}; write it as '#rrggbb'")
-        return colour
+    def _color(self, name: str, color: str) -> str:
+        if not isinstance(color, str) or not _COLOR.fullmatch(color):
+            raise self._refusal(f"'{name}' has color {color!r}; write it as '#rrggbb'")
+        return color
 
     def _display_of(self, unit: str) -> str:
         raise NotImplementedError

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import is_structurally_regular, quoted, refuse_faulty, symbols
+from casadi_models.dae.expressions import is_structurally_regular, quoted, reject_faulty, symbols
 from casadi_models.dae.variables import Variable
 
 AT_A_START = "time, states, inputs and parameters"  # may stand in start rules and in invariants
@@ -95,14 +95,14 @@ class Starting:
         calculated = {order[i] for rule in self._rules for i in rule.states}
         for output, state in self._through.items():
             law = {f"output '{output}', which gives a start,": self._outputs[output]}
-            refuse_faulty(law, ca.vertcat(x, p), "states and parameters")
+            reject_faulty(law, ca.vertcat(x, p), "states and parameters")
             if state in calculated:
                 raise ValueError(f"the start of '{state}' is calculated; '{output}' cannot give it")
             together = {
                 f"start ({rule.meaning}), solved with '{output}',": rule.expression
                 for rule in self._rules
             }
-            refuse_faulty(together, ca.vertcat(x, p), "states and parameters")
+            reject_faulty(together, ca.vertcat(x, p), "states and parameters")
         return tuple(
             StartThrough(self._variables[output], order.index(state), self._outputs[output])
             for output, state in self._through.items()
@@ -118,8 +118,8 @@ class Starting:
         raise NotImplementedError
 
 
-def refuse_disorder(rules: Sequence[StartRule], t: SX, x: SX, u: SX, p: SX) -> None:
-    """Refuse rules that cannot be evaluated one after the other.
+def reject_disorder(rules: Sequence[StartRule], t: SX, x: SX, u: SX, p: SX) -> None:
+    """Reject rules that cannot be evaluated one after the other.
 
     Args:
         rules: In the order of evaluation.
@@ -133,7 +133,7 @@ def refuse_disorder(rules: Sequence[StartRule], t: SX, x: SX, u: SX, p: SX) -> N
     unsettled = [i for rule in rules for i in rule.states]
     for rule in rules:
         what = f"start ({rule.meaning})"
-        refuse_faulty({what: rule.expression}, ca.vertcat(t, x, u, p), AT_A_START)
+        reject_faulty({what: rule.expression}, ca.vertcat(t, x, u, p), AT_A_START)
         twice = [names[i] for i in rule.states if unsettled.count(i) > 1]
         if twice:
             raise ValueError(f"the start of {quoted(twice)} is calculated twice; keep one rule")

@@ -25,7 +25,8 @@ class Variable:
     """A named quantity; all numbers in `unit`.
 
     Attributes:
-        name: Letters, digits and _; begins with a letter.
+        name: Letters, digits and _; begins with a letter. In a coupled system, two such names
+            with a point: "part.variable".
         unit, display_unit: Names in `UNITS` of one kind; the display unit may be None.
         meaning: What it is, in a few words.
         start: None exactly where the start is calculated.
@@ -57,7 +58,7 @@ class Variable:
             raise ValueError(
                 "'time' cannot name a variable: it is the independent one; choose another"
             )
-        if not is_name(self.name):
+        if not (isinstance(self.name, str) and all(map(is_name, self.name.split(".")))):
             raise ValueError(f"{self.name!r} cannot name a variable: use letters, digits and _")
         if not self.foreign_unit:
             shown = self.unit if self.display_unit is None else self.display_unit
@@ -145,5 +146,5 @@ def number(value: object, what: str) -> float:
 
 
 def is_name(name: object) -> bool:
-    """Tell whether this may name a model, a formulation or a variable in C, XML and Python."""
+    """Return whether this may name a model, a formulation or a variable in C, XML and Python."""
     return isinstance(name, str) and _NAME.fullmatch(name) is not None

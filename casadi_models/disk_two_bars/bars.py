@@ -1,4 +1,4 @@
-"""What the formulations share: parameters, states, inertias and loads, outputs."""
+"""Parameters, states, inertias, loads and outputs of all formulations of the disk with bars."""
 
 from math import pi
 from typing import NamedTuple
@@ -44,10 +44,10 @@ class Motion(NamedTuple):
 class Data(NamedTuple):
     """Parameters, sorted by what they describe."""
 
-    disk_inertia: SX  # about its centre, in D
-    hinge: SX  # H1 from the disk's centre, in D
+    disk_inertia: SX  # about its center, in D
+    hinge: SX  # H1 from the disk's center, in D
     mass: SX  # of a bar
-    inertia: SX  # of a bar about its centre, in its axes
+    inertia: SX  # of a bar about its center, in its axes
     length: SX  # of a bar
     Omega: SX
     g: SX
@@ -88,12 +88,12 @@ def terms(motion: Motion, data: Data, bar1: Bar, bar2: Bar) -> Terms:
         place += bar.shift
         velocity += ca.cross(turn, bar.shift) + bar.velocity
         along, across = bar.rotation @ down, bar.rotation @ ca.cross(omega, down)
-        centre = velocity + across / 2
+        center = velocity + across / 2
         inertias += [
-            kane.InertialTerm(centre, data.mass * centre, turn),
+            kane.InertialTerm(center, data.mass * center, turn),
             kane.InertialTerm(omega, data.inertia @ omega, omega),
         ]
-        loads.append(kane.Load(centre, weight))
+        loads.append(kane.Load(center, weight))
         potential -= ca.dot(weight, place + along / 2)
         place, velocity = place + along, velocity + across
 

@@ -18,8 +18,8 @@ def build() -> Dae:
     theta = ca.vertcat(motion.theta1, motion.theta2)
     theta_dot = ca.vertcat(motion.theta1_dot, motion.theta2_dot)
 
-    # Held speeds: of each bar's upper end relative to what carries it, so that the residual of
-    # each equation is one component of a hinge force.
+    # Constrained speeds: of each bar's upper end relative to the body that carries it, so that the
+    # residual of each equation is one component of a hinge force.
     gaps = SX.sym("gap_rate", 3, 2)
     both = [
         bars.Bar(

@@ -22,9 +22,9 @@ def add_motion(model: Model, rod: Rod, rates: Pair, turns: Pair, relative: SX) -
         relative: R1^T R2, from L2 to L1.
     """
     (w1, w2), (R1, R2) = rates, turns
-    v1, v2 = ca.cross(w1, rod.centre), ca.cross(w2, rod.centre)  # of G1 against O, G2 against A
+    v1, v2 = ca.cross(w1, rod.center), ca.cross(w2, rod.center)  # of G1 against O, G2 against A
     v_O, v_A = SX.sym("v_O", 3), SX.sym("v_A", 3)  # held: O; link 2 against link 1 at A; in N
-    # The momentum of link 2 is m 2 v1, kept in L1, plus m v2, kept in L2: no derivative of a
+    # The momentum of link 2 is m 2 v1, in L1, plus m v2, in L2: no derivative of a
     # rotation is needed, only the whole velocity of G2 is written in both frames.
     in_1 = R1.T @ (v_O + v_A) + 2 * v1 + relative @ v2
     in_2 = R2.T @ (v_O + v_A) + relative.T @ (2 * v1) + v2
@@ -57,7 +57,7 @@ def add_motion(model: Model, rod: Rod, rates: Pair, turns: Pair, relative: SX) -
     forces = kane.reactions(system, motion)[2:]  # those of w1_z and w2_z vanish
     for (name, meaning), force in zip(links.JOINT_FORCES, ca.vertsplit(forces), strict=True):
         model.output(name, "N", force, meaning, nominal=30.0)
-    centre, velocity = R1 @ rod.centre, R1 @ v1
-    upper = Link(R1, w1, centre, velocity)
-    lower = Link(R2, w2, 2 * centre + R2 @ rod.centre, 2 * velocity + R2 @ v2)
+    center, velocity = R1 @ rod.center, R1 @ v1
+    upper = Link(R1, w1, center, velocity)
+    lower = Link(R2, w2, 2 * center + R2 @ rod.center, 2 * velocity + R2 @ v2)
     links.outputs(model, rod, (upper, lower))

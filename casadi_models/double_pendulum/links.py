@@ -1,4 +1,4 @@
-"""What the formulations share: parameters, the common start, states, outputs."""
+"""Parameters, common start, states and outputs of all formulations of the double pendulum."""
 
 from typing import NamedTuple
 
@@ -45,11 +45,11 @@ class Rod(NamedTuple):
     length: SX
     m: SX
     g: SX
-    inertia: SX  # about the mass centre, in L1 or L2
+    inertia: SX  # about the mass center, in L1 or L2
 
     @property
-    def centre(self) -> SX:
-        """Place of the mass centre against the upper joint, in L1 or L2."""
+    def center(self) -> SX:
+        """Place of the mass center against the upper joint, in L1 or L2."""
         return -self.length / 2 * UP
 
     @property
@@ -71,8 +71,8 @@ class Link(NamedTuple):
 
     rotation: SX
     rate: SX
-    centre: SX  # place of the mass centre
-    velocity: SX  # of the mass centre
+    center: SX  # place of the mass center
+    velocity: SX  # of the mass center
 
 
 def parameters(model: Model) -> tuple[Rod, tuple[Start, Start]]:
@@ -139,13 +139,13 @@ def outputs(model: Model, rod: Rod, links: tuple[Link, Link]) -> None:
     """Declare places of A and the tip, vertical angular momentum and energies."""
     momentum, kinetic, height = SX(0), SX(0), SX(0)
     for link, end in zip(links, ("A", "tip"), strict=True):
-        place = link.centre + link.rotation @ rod.centre
+        place = link.center + link.rotation @ rod.center
         for axis, value in zip("xyz", ca.vertsplit(place), strict=True):
             model.output(f"{axis}_{end}", "m", value, f"{axis} of {end}", nominal=0.5)
         spin = rod.inertia @ link.rate
-        momentum += (rod.m * ca.cross(link.centre, link.velocity) + link.rotation @ spin)[2]
+        momentum += (rod.m * ca.cross(link.center, link.velocity) + link.rotation @ spin)[2]
         kinetic += (rod.m * ca.dot(link.velocity, link.velocity) + ca.dot(link.rate, spin)) / 2
-        height += link.centre[2]
+        height += link.center[2]
     model.output("angular_momentum_z", "kg.m2/s", momentum, "angular momentum about O along Z")
     model.energies(kinetic, rod.m * rod.g * height, nominal=10.0)
 

@@ -39,8 +39,8 @@ def build() -> Dae:
     # The direction cosines serve as coordinates (Poisson: R' = R [w]); in the end they become
     # those of the quaternions. From G, -s leads to the upper end of the link and s to the lower.
     R1, R2 = SX.sym("R1", 3, 3), SX.sym("R2", 3, 3)
-    s1, s2 = R1 @ rod.centre, R2 @ rod.centre
-    s1_dot, s2_dot = R1 @ ca.cross(w1, rod.centre), R2 @ ca.cross(w2, rod.centre)
+    s1, s2 = R1 @ rod.center, R2 @ rod.center
+    s1_dot, s2_dot = R1 @ ca.cross(w1, rod.center), R2 @ ca.cross(w2, rod.center)
     gaps = ca.vertcat(r1 - s1, (r2 - s2) - (r1 + s1))  # at O and at A
     gap_rates = ca.vertcat(v1 - s1_dot, (v2 - s2_dot) - (v1 + s1_dot))
     system = kane.System(

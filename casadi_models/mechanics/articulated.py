@@ -24,8 +24,8 @@ class Link:
         rotation: R of the body in its parent, the hinge's angle in it, (3, 3).
         axis: Of the hinge, a unit vector in the body's axes, (3, 1).
         mass: kg.
-        centre: Mass centre from the hinge, in the body's axes, (3, 1), m.
-        inertia: About the mass centre, in the body's axes, (3, 3), kg.m2.
+        center: Mass center from the hinge, in the body's axes, (3, 1), m.
+        inertia: About the mass center, in the body's axes, (3, 3), kg.m2.
     """
 
     parent: int
@@ -33,7 +33,7 @@ class Link:
     rotation: SX
     axis: SX
     mass: SX | float
-    centre: SX
+    center: SX
     inertia: SX
 
 
@@ -68,15 +68,15 @@ def accelerations(links: Sequence[Link], rates: SX, torques: SX, gravity: SX) ->
 
     inertias = [_spatial_inertia(link) for link in links]
     biases = [_crossed_dual(v, I @ v) for v, I in zip(twists, inertias, strict=True)]  # noqa: E741
-    felt, needed, spare = [SX()] * n, [SX()] * n, [SX()] * n
+    hinge_inertia, needed, spare = [SX()] * n, [SX()] * n, [SX()] * n
     for i in reversed(range(n)):
-        felt[i] = inertias[i] @ hinges[i]
-        needed[i] = ca.dot(hinges[i], felt[i])
+        hinge_inertia[i] = inertias[i] @ hinges[i]
+        needed[i] = ca.dot(hinges[i], hinge_inertia[i])
         spare[i] = torques[i] - ca.dot(hinges[i], biases[i])
         parent = links[i].parent
         if parent >= 0:
-            share = felt[i] / needed[i]
-            passed = inertias[i] - share @ felt[i].T
+            share = hinge_inertia[i] / needed[i]
+            passed = inertias[i] - share @ hinge_inertia[i].T
             bias = biases[i] + passed @ drifts[i] + share * spare[i]
             inertias[parent] += _symmetric(moves[i].T @ _symmetric(passed) @ moves[i])
             biases[parent] += moves[i].T @ bias
@@ -85,19 +85,19 @@ def accelerations(links: Sequence[Link], rates: SX, torques: SX, gravity: SX) ->
     total, found = list[SX](), list[SX]()
     for i, link in enumerate(links):
         carried = moves[i] @ (total[link.parent] if link.parent >= 0 else ground) + drifts[i]
-        found.append((spare[i] - ca.dot(felt[i], carried)) / needed[i])
+        found.append((spare[i] - ca.dot(hinge_inertia[i], carried)) / needed[i])
         total.append(carried + hinges[i] * found[i])
     return ca.vertcat(SX(0, 1), *found)
 
 
 def _move(link: Link) -> SX:
-    """Return what turns a twist at the parent's hinge into one at the body's, (6, 6)."""
+    """Return the transformation of a twist from the parent's hinge to the body's, (6, 6)."""
     turn = SX(link.rotation).T
     return ca.blockcat([[turn, SX(3, 3)], [-turn @ _skew(link.place), turn]])
 
 
 def _spatial_inertia(link: Link) -> SX:
-    arm = _skew(link.centre)
+    arm = _skew(link.center)
     return ca.blockcat(
         [
             [SX(link.inertia) - link.mass * arm @ arm, link.mass * arm],

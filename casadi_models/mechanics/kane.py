@@ -94,7 +94,7 @@ class System:
         return ca.vertcat(self.free, self.dependent)
 
     def with_held_at_zero(self, expression: SX) -> SX:
-        """Put the held speeds to zero, after every partial derivative has been taken."""
+        """Put the constrained speeds to zero, after every partial derivative has been taken."""
         return ca.substitute(expression, self.held, SX.zeros(self.held.numel()))
 
     def time_derivative(self, expression: SX, unknown_dot: SX | None = None) -> SX:
@@ -133,8 +133,8 @@ def body(
 
     Args:
         mass: kg.
-        inertia: About the mass centre, in the frame of `omega`, (3, 3), kg.m2.
-        velocity: Of the mass centre, in that frame, (3, 1), m/s.
+        inertia: About the mass center, in the frame of `omega`, (3, 3), kg.m2.
+        velocity: Of the mass center, in that frame, (3, 1), m/s.
         omega: Angular velocity of the body, in that frame, (3, 1), rad/s.
         frame_rate: Angular velocity of the frame; the body's own when None. It may be another
             one where the inertia looks the same in it (wheels).
@@ -232,7 +232,7 @@ def generalized_residual(system: System, unknown_dot: SX, rows: SX) -> SX:
     Args:
         system: The mechanical system.
         unknown_dot: Accelerations of `System.unknown`.
-        rows: The speeds whose equations are wanted.
+        rows: The speeds whose equations are returned.
     """
     missing = SX.zeros(rows.numel())
     for term in system.inertias:
@@ -275,7 +275,7 @@ def constraint_loads(system: System, unknown_dot: SX) -> SX:
 
 
 def reactions(system: System, unknown_dot: SX, multipliers: SX | None = None) -> SX:
-    """Return the loads that drive the prescribed and hold the held speeds, in that order.
+    """Return the loads that drive the prescribed and enforce the constrained speeds, in that order.
 
     Args:
         system: The mechanical system.

@@ -24,12 +24,12 @@ STEPS = 50  # of Newton's method at the start
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
 class Mechanism:
-    """What was derived; columns in the model's symbols.
+    """The derived motion; columns in the model's symbols.
 
     Attributes:
         speeds, accelerations: Of every coordinate.
         loop_loads: What the loops exert against g (forces where g is a length).
-        drives: What moves the driven coordinates as they are told, in their order.
+        drives: The loads that drive the driven coordinates, in their order.
         system: Inertias and loads as the caller wrote them.
         u: The symbols that stand for the speeds there.
     """
@@ -106,7 +106,6 @@ def mechanism(
     independent: SX | None = None,
     driven: Mapping[str, SX | float] | None = None,
     speed_starts: Mapping[str, float] | None = None,
-    closing_rate: float = CLOSING_RATE,
     constant: SX | None = None,
 ) -> Mechanism:
     """Declare the motion of a mechanism in a model.
@@ -121,10 +120,9 @@ def mechanism(
         independent: Coordinates whose speeds remain; the others are eliminated and the result is an
             ODE. All speeds remain when None: a DAE with accelerations and loop loads as unknowns,
             which passes where the elimination is singular.
-        driven: Accelerations of coordinates that move as they are told, by name: loops may move
+        driven: Accelerations of coordinates with prescribed motion, by name: loops may move
             with them. Their speeds are states; the loads that this takes are `drives`.
         speed_starts: By coordinate, 0 where it is not named; of dependent ones, it follows.
-        closing_rate: Of drift from the loops in the DAE, 1/s; see `Model.closing_rate`.
         constant: States and inputs that count as constant where momenta are differentiated: the
             mass of a rocket, whose fuel takes its momentum along.
 
@@ -134,12 +132,12 @@ def mechanism(
     """
     names = tuple(variable.name for variable in model.declared(q))
     g = ca.vertcat(SX(0, 1), *(loops or {}).values())
-    _refuse_nonlinear(inertias, loads, u)
+    _reject_nonlinear(inertias, loads, u)
     closed = {f"loop '{name}'": SX(rows) for name, rows in (loops or {}).items()}
-    _refuse_foreign(model, closed, q, "let a coordinate of driven={...} move it")
+    _reject_foreign(model, closed, q, "let a coordinate of driven={...} move it")
     momenta = {f"the momentum of inertia {i}": x.momentum for i, x in enumerate(inertias, 1)}
     known = ca.vertcat(q, u, SX(0, 1) if constant is None else constant)
-    _refuse_foreign(model, momenta, known, "make it a coordinate, or name it in constant=")
+    _reject_foreign(model, momenta, known, "make it a coordinate, or name it in constant=")
     moves = ca.depends_on(ca.vertcat(*map(ca.vec, (closed | momenta).values())), model.t)
     clock = model.t if moves else SX(0, 1)
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(inertias), loads=tuple(loads))
@@ -147,29 +145,31 @@ def mechanism(
         if name not in names:
             raise ValueError(f"start of the speed of '{name}': no such coordinate")
     order = tuple(i for i, name in enumerate(names) if name in (driven or {}))
-    told = ca.vertcat(SX(0, 1), *((driven or {})[names[i]] for i in order))
-    parts = _Parts(model, q, u, names, system, g, dict(speed_starts or {}), order, told, clock)
+    driven_dot = ca.vertcat(SX(0, 1), *((driven or {})[names[i]] for i in order))
+    parts = _Parts(
+        model, q, u, names, system, g, dict(speed_starts or {}), order, driven_dot, clock
+    )
     if not g.numel():
         return _open(parts)
     jacobian = ca.jacobian(g, q)
     moving = parts.moving
     if independent is None:
-        found = _dependent(parts, loops or {}, jacobian[:, moving])
+        found, place = _dependent(parts, loops or {}, jacobian[:, moving])
         dependent = [moving[i] for i in found]
     else:
-        kept = [variable.name for variable in model.declared(independent)]
-        dependent = [i for i in moving if names[i] not in kept]
+        chosen = [variable.name for variable in model.declared(independent)]
+        dependent = [i for i in moving if names[i] not in chosen]
         if len(dependent) != g.numel():
             _dependent(parts, loops or {}, jacobian[:, moving])  # one too many by repetition?
             raise ValueError(
                 f"{g.numel()} loops for {len(moving)} coordinates leave {len(moving) - g.numel()} "
-                f"independent ones; {len(kept)} are named"
+                f"independent ones; {len(chosen)} are named"
             )
         _dependent(parts, loops or {}, jacobian[:, dependent])
     model.start_equation(q[dependent], g, "closure of the loops")
     model.invariant("position_drift", q[moving], g, "the loops are closed")
     if independent is None:
-        return _with_multipliers(parts, loops or {}, dependent, closing_rate)
+        return _with_multipliers(parts, loops or {}, dependent, place)
     return _eliminated(parts, dependent)
 
 
@@ -225,7 +225,7 @@ def _eliminated(parts: _Parts, dependent: list[int]) -> Mechanism:
 
 
 def _with_multipliers(
-    parts: _Parts, loops: Mapping[str, SX], dependent: list[int], rate: float
+    parts: _Parts, loops: Mapping[str, SX], dependent: list[int], place: DM
 ) -> Mechanism:
     model, q, g, moving = parts.model, parts.q, parts.g, parts.moving
     speeds = _speed_states(parts, range(len(parts.names)))
@@ -248,7 +248,7 @@ def _with_multipliers(
     velocity = ca.jtimes(g, q, speeds) + parts.moved
     inertias, loads = _in_states(parts, speeds)
     system = parts.system_of(speeds[moving], inertias, loads, q_dot=speeds, constraints=velocity)
-    decay = model.closing_rate(rate)
+    decay = model.closing_rate(CLOSING_RATE)
     residual = kane.multiplier_equations(system, unknown, loop_loads)
     closing = 2 * decay * velocity + decay**2 * g
     model.equation(residual + ca.vertcat(SX.zeros(len(moving)), closing))
@@ -268,7 +268,11 @@ def _with_multipliers(
         sizes=conditions.equal_energies(mass),
     )
     conditions.watch_masses(model, mass)
-    conditions.watch_constraints(model, kane.constraint_matrix(system), mass)
+
+    def at_start(expression: SX) -> DM:
+        return ca.Function("start", [q], [model.numbers(expression, but=q)])(place)
+
+    conditions.watch_constraints(model, kane.constraint_matrix(system), mass, at_start)
     drives = kane.reactions(system, unknown, loop_loads)
     return Mechanism(speeds, rates, loop_loads, drives, parts.system, parts.u)
 
@@ -331,7 +335,7 @@ def _rows(loops: Mapping[str, SX]) -> list[str]:
     ]
 
 
-def _refuse_nonlinear(
+def _reject_nonlinear(
     inertias: Sequence[kane.InertialTerm], loads: Sequence[kane.Load], u: SX
 ) -> None:
     rates = {f"inertia {i}": term.rate for i, term in enumerate(inertias, start=1)}
@@ -341,8 +345,8 @@ def _refuse_nonlinear(
             raise ValueError(f"the rate of {what} is not linear in the speeds")
 
 
-def _refuse_foreign(model: Model, rows: Mapping[str, SX], own: SX, way_out: str) -> None:
-    """Refuse what depends on something whose rate of change is not known, by name."""
+def _reject_foreign(model: Model, rows: Mapping[str, SX], own: SX, way_out: str) -> None:
+    """Reject what depends on something whose rate of change is not known, by name."""
     known = ca.vertcat(own, model.t, model.constants)
     for what, expression in rows.items():
         for symbol in ca.symvar(SX(expression)):
@@ -353,8 +357,8 @@ def _refuse_foreign(model: Model, rows: Mapping[str, SX], own: SX, way_out: str)
                 )
 
 
-def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int]:
-    """Return coordinates that the loops determine at the start, later ones first.
+def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> tuple[list[int], DM]:
+    """Return the coordinates that the loops determine, later ones first, and all at the start.
 
     Raises:
         ValueError: Names a loop that repeats others there.
@@ -381,4 +385,4 @@ def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> list[int
             f"loop '{name}' repeats others at the start, or the dependent "
             "coordinates cannot close it; leave it out, or choose other independent ones"
         )
-    return found
+    return found, place

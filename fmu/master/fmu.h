@@ -4,6 +4,7 @@
 
 #include <stdbool.h>
 #include <stddef.h>
+#include <stdint.h>
 
 enum { OK, WARNING, DISCARD, FAILED };             /* status; FMI 2 and 3 agree */
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* kinds of FMI 2's status */
@@ -35,6 +36,21 @@ typedef struct {
     int (*do_step_3)(void *, double, double, bool, bool *, bool *, bool *, double *);
     int (*get_boolean_status)(void *, int, int *);
     int (*get_real_status)(void *, int, double *);
+    int (*get_real)(void *, const uint32_t *, size_t, double *);
+    int (*set_real)(void *, const uint32_t *, size_t, const double *);
+    int (*get_float64)(void *, const uint32_t *, size_t, double *, size_t);
+    int (*set_float64)(void *, const uint32_t *, size_t, const double *, size_t);
+    int (*set_input_derivatives)(void *, const uint32_t *, size_t, const int *, const double *);
+    int (*output_derivatives_2)(void *, const uint32_t *, size_t, const int32_t *, double *);
+    int (*output_derivatives_3)(void *, const uint32_t *, size_t, const int32_t *, double *,
+                                size_t);
+    int (*directional_2)(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *,
+                         double *);
+    int (*directional_3)(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *,
+                         size_t, double *, size_t);
+    int (*get_fmu_state)(void *, void **);
+    int (*set_fmu_state)(void *, void *);
+    int (*free_fmu_state)(void *, void **);
 } Functions;
 
 typedef struct {

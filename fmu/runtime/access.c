@@ -6,6 +6,7 @@
 
 #include "evaluation.h"
 #include "logging.h"
+#include "modes.h"
 
 /* What must be fresh before a variable of a role is read. */
 static const unsigned needed_by[] = {
@@ -15,6 +16,7 @@ static const unsigned needed_by[] = {
     [OUTPUT] = OUTPUTS,
     [TIME] = 0,
     [INPUT] = 0,
+    [MODE] = START_VALUES | ALGEBRAICS,
     [PARAMETER] = 0,
 };
 
@@ -48,6 +50,7 @@ static const char *role_name(Role role) {
         [DERIVATIVE] = "derivative",
         [ALGEBRAIC] = "algebraic unknown",
         [INPUT] = "input",
+        [MODE] = "mode",
         [PARAMETER] = "parameter",
         [OUTPUT] = "output",
     };
@@ -115,7 +118,7 @@ static Status check_setting(Instance *self, const VariableInfo *variable, double
     return OK;
 }
 
-/* Set variables by reference: all, or none where one is refused. */
+/* Set variables by reference: all of them, or none if one is rejected. */
 Status set_values(Instance *self, const uint32_t references[], size_t count,
                   const double values[]) {
     if (count == 0) return OK;
@@ -129,8 +132,12 @@ Status set_values(Instance *self, const uint32_t references[], size_t count,
         const VariableInfo *variable = &variables[references[i]];
         if (variable->start_kind == CALCULATED && self->state.mode == INSTANTIATED)
             self->state.guesses[references[i] - FIRST_STATE] = values[i];
-        if (variable->role == PARAMETER && values[i] != self->state.values[references[i]])
+        if (variable->role == PARAMETER && values[i] != self->state.values[references[i]]) {
             self->state.retuned = true;
+#if HAS_EVENTS
+            self->state.switching.next = NOT_PLANNED;
+#endif
+        }
         self->state.values[references[i]] = values[i];
         self->state.stale |= dependents(self);
     }
@@ -177,15 +184,15 @@ Status get_indicators(Instance *self, double values[], size_t count) {
                       N_INDICATORS);
     if (count == 0) return OK;
     if (!values) return refuse(self, ERROR, "there is no room for %zu values", count);
-    double margins[ROOM(N_LIMITS)];
+    double margins[ROOM(N_LIMITS)] = {0};
     const Status status = get_margins(self, margins);
     if (status != OK) return status;
-    for (int i = 0; i < N_INDICATORS; i++)
+    for (int i = 0; i < N_MARGINS; i++)
         if (!isfinite(margins[i]))
             return refuse(self, DISCARD, "the margin of '%s' is %g at time %.17g", limits[i],
                           margins[i], self->state.values[TIME]);
-    memcpy(values, margins, count * sizeof *values);
-    return OK;
+    memcpy(values, margins, N_MARGINS * sizeof *values);
+    return N_WATCHED > 0 ? get_insides(self, values + N_MARGINS) : OK;
 }
 
 Status get_nominals(Instance *self, double nominals[], size_t count) {

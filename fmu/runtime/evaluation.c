@@ -7,6 +7,7 @@
 
 #include "equations.h"
 #include "logging.h"
+#include "modes.h"
 #include "rank.h"
 
 #if HAS_RANK
@@ -57,7 +58,7 @@ static Status settle_start(Instance *self) {
                       names, defect);
     }
     memcpy(values + FIRST_STATE, x, NX * sizeof(double));
-    return OK;
+    return begin_modes(self);
 }
 
 /* The common arguments of the equations: t, x, z, u, p. */
@@ -93,6 +94,8 @@ Hint limit_hint(Instance *self) {
 
 /* Algebraic unknowns; the last solution is the guess, and stays where there is no new one. */
 static Status solve_algebraics(Instance *self) {
+    const Status status = follow_present(self);
+    if (status != OK) return status;
     if (NZ == 0) return OK;
     double z[ROOM(NZ)] = {0};
     pass_values(self);
@@ -122,8 +125,10 @@ static Status compute_outputs(Instance *self) {
     self->res[1] = margins;
     const Status status =
         compute(self, model_outputs, self->state.values + FIRST_OUTPUT, "outputs");
-    if (status == OK) note_margins(self, margins);
-    return status;
+    if (status != OK) return status;
+    note_margins(self, margins);
+    if (N_WATCHED == 0) return OK;
+    return get_insides(self, self->state.values + FIRST_OUTPUT + NY - N_WATCHED);
 }
 
 static Status compute_derivatives(Instance *self) {
@@ -159,17 +164,17 @@ Status refresh(Instance *self, unsigned results) {
     return OK;
 }
 
-/* Look whether limits are left, where nobody has read an output. */
+/* Check the validity conditions even if no output is read. */
 void note_limits(Instance *self) {
     if (N_LIMITS > 0) refresh(self, OUTPUTS);
 }
 
-/* Watch the rank of the constraints from here on, where the model has a watch. */
+/* Start to detect singular configurations, in models with a detector. */
 void begin_watching(Instance *self) {
     if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
 }
 
-/* Look whether the constraints have lost rank since the last look: `status` where they have. */
+/* Return `status` if the model has passed a singular configuration since the last check. */
 Status look_back(Instance *self, Status status) {
     return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
 }

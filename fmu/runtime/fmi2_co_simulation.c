@@ -1,4 +1,5 @@
 /* FMI 2.0: the functions of co-simulation. Steps are computed while the importer waits. */
+#include "events.h"
 #include "fmi2_modes.h"
 #include "fmi2_status.h"
 #include "stepping.h"
@@ -9,7 +10,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Instance *self = c;
     if (!allowed(self, IN_SET_INPUT_DERIVATIVES, __func__)) return fmi2Error;
-    return fmi2_status(set_slopes(self, vr, nvr, order, value));
+    return fmi2_status(set_motion(self, vr, nvr, order, value));
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
@@ -34,7 +35,7 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
     return allowed(c, IN_CANCEL_STEP, __func__) ? fmi2OK : fmi2Error;
 }
 
-/* -- status of the last step: discard what cannot be told ------------------------------------- */
+/* -- status of the last step: discard requests without an answer ------------------------------ */
 
 static bool tells(Instance *self, const char *function, bool offered, const void *room,
                   fmi2Status *status) {
@@ -72,10 +73,11 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Int
     return status;
 }
 
-/* The model never ends the simulation itself. */
+/* An event may end the simulation. */
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
+    Instance *self = c;
     fmi2Status status;
-    if (tells(c, __func__, s == fmi2Terminated, value, &status)) *value = fmi2False;
+    if (tells(self, __func__, s == fmi2Terminated, value, &status)) *value = run_stopped(self);
     return status;
 }
 

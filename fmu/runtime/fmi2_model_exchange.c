@@ -1,6 +1,8 @@
-/* FMI 2.0: the functions of model exchange. Events change nothing but what `valid` says. */
+/* FMI 2.0: the functions of model exchange. All that happens at an instant does so in
+   one update of the discrete states. */
 #include "access.h"
 #include "evaluation.h"
+#include "events.h"
 #include "fmi2_modes.h"
 #include "fmi2_status.h"
 
@@ -28,7 +30,15 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) 
     if (!allowed(self, IN_NEW_DISCRETE_STATES, __func__)) return fmi2Error;
     if (!fmi2eventInfo) return fmi2_status(refuse(self, ERROR, "there is no room for the results"));
     *fmi2eventInfo = (fmi2EventInfo){0}; /* nothing to update, nothing changed, no event to come */
-    return fmi2OK;
+    Outcome outcome;
+    const Status status = happen(self, -1, &outcome);
+    fmi2eventInfo->terminateSimulation = outcome.ends;
+    fmi2eventInfo->valuesOfContinuousStatesChanged = outcome.states_changed;
+#if HAS_EVENTS
+    fmi2eventInfo->nextEventTimeDefined = next_event(self) != NO_EVENT;
+    fmi2eventInfo->nextEventTime = fmi2eventInfo->nextEventTimeDefined ? next_event(self) : 0.0;
+#endif
+    return fmi2_status(status);
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c,

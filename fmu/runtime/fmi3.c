@@ -55,7 +55,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
     return create(&host, __func__, instanceName, instantiationToken, INTERFACE_ME, loggingOn);
 }
 
-/* No event mode: the model has no events. */
+/* No event mode: events happen within a communication step. */
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
     fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
@@ -70,7 +70,9 @@ fmi3Instance fmi3InstantiateCoSimulation(
     host.may_return_early = earlyReturnAllowed;
     if (eventModeUsed) {
         const Instance draft = {.host = host, .name = "", .function = __func__, .categories = ~0u};
-        log_text(&draft, ERROR, "the model has no events: instantiate with eventModeUsed = false");
+        log_text(&draft, ERROR, "%s: instantiate with eventModeUsed = false",
+                 HAS_EVENTS ? "the model handles events within its steps"
+                            : "the model has no events");
         return NULL;
     }
     return create(&host, __func__, instanceName, instantiationToken, INTERFACE_CS, loggingOn);

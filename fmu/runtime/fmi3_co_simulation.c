@@ -1,10 +1,12 @@
 /* FMI 3.0: the functions of co-simulation. */
+#include "events.h"
 #include "fmi3_modes.h"
 #include "fmi3_status.h"
 #include "stepping.h"
 
 /* A step that fails is discarded: the instance is as it was before, and a shorter one may do. It
-   returns early where the importer has asked for it in an intermediate update. */
+   returns early where the importer has asked for it in an intermediate update, and where an event
+   ends the simulation. */
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
                       fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
@@ -17,8 +19,10 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
         return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
     const double reached = self->state.values[TIME];
-    *eventHandlingNeeded = *terminateSimulation = fmi3False;
-    *earlyReturn = status == OK && reached < currentCommunicationPoint + communicationStepSize;
+    *eventHandlingNeeded = fmi3False;
+    *terminateSimulation = status == OK && run_stopped(self);
+    *earlyReturn = status == OK && !*terminateSimulation &&
+                   reached < currentCommunicationPoint + communicationStepSize;
     *lastSuccessfulTime = reached;
     return fmi3_status(status);
 }

@@ -1,6 +1,8 @@
-/* FMI 3.0: the functions of model exchange. Events change nothing but what `valid` says. */
+/* FMI 3.0: the functions of model exchange. All that happens at an instant does so in
+   one update of the discrete states. */
 #include "access.h"
 #include "evaluation.h"
+#include "events.h"
 #include "fmi3_modes.h"
 #include "fmi3_status.h"
 
@@ -23,7 +25,7 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
     return status;
 }
 
-/* There are no discrete states. */
+/* Discrete states change in fmi3UpdateDiscreteStates alone. */
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
     return enter(instance, IN_DISCRETE_STATES, __func__, EVENT_MODE);
 }
@@ -41,7 +43,15 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
     *discreteStatesNeedUpdate = *terminateSimulation = *nextEventTimeDefined = fmi3False;
     *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
     *nextEventTime = 0.0;
-    return fmi3OK;
+    Outcome outcome;
+    const Status status = happen(self, -1, &outcome);
+    *terminateSimulation = outcome.ends;
+    *valuesOfContinuousStatesChanged = outcome.states_changed;
+#if HAS_EVENTS
+    *nextEventTimeDefined = next_event(self) != NO_EVENT;
+    if (*nextEventTimeDefined) *nextEventTime = next_event(self);
+#endif
+    return fmi3_status(status);
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,

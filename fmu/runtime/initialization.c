@@ -4,6 +4,7 @@
 #include <math.h>
 
 #include "evaluation.h"
+#include "events.h"
 #include "logging.h"
 
 static const double TIGHTEST_TOLERANCE = 1e-13; /* about 500 rounding errors */
@@ -33,6 +34,9 @@ Status set_up(Instance *self, const double *tolerance, double start, const doubl
 Status finish_initialization(Instance *self) {
     if (refresh(self, START_VALUES | ALGEBRAICS) != OK)
         return refuse(self, ERROR, "initialization failed; change start values or parameters");
+    if (begin_events(self) != OK) return ERROR;
     self->state.mode = self->state.interface == INTERFACE_ME ? EVENT_MODE : STEP_MODE;
-    return OK;
+    if (self->state.interface == INTERFACE_ME) return OK;
+    Outcome outcome; /* what happens at the start */
+    return happen(self, -1, &outcome);
 }

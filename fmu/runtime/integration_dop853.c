@@ -2,38 +2,37 @@
 
    A step goes on beyond a communication point where the inputs rest, and an interpolant gives the
    states there: so neither the work nor the result depends on the communication step. Inputs that
-   move, or have just been changed, end a step at the communication point. */
+   move, or have just been changed, end a step at the communication point.
+
+   A step in which a relation leaves its mode ends exactly there, as does one at a time event. */
 #include "integration.h"
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
+#include "crossing.h"
 #include "dop853_coefficients.h"
 #include "equations.h"
 #include "evaluation.h"
+#include "events.h"
+#include "input_motion.h"
 #include "midway.h"
 #include "rank.h"
 
-/* Errors of steps add up, and the order is high: a hundredth of the tolerance asked for in each
+/* Errors of steps add up, and the order is high: a hundredth of the requested tolerance in each
    step costs 1.8 times the right-hand sides, and brings the error of a run near the tolerance. */
 static const double OF_TOLERANCE = 0.01;
 static const double TIGHTEST = 1e-13; /* about 500 rounding errors */
+enum { MOST_CORRECTIONS = 40 };       /* of the time of a crossing */
 static const double ABSOLUTE = 0.01;  /* what is allowed at 0, in nominal values */
 
 typedef struct {
     Instance *fmu;
-    double began; /* the inputs' values are those of this time */
     double tolerance;
     double z[ROOM(NZ)];
     int trials; /* of steps that are left: MOST_TRIALS of model.h bound the time of a call */
 } Problem;
-
-static void inputs_at(const Problem *self, double t, double u[]) {
-    const State *state = &self->fmu->state;
-    for (int i = 0; i < NU; i++)
-        u[i] = state->values[FIRST_INPUT + i] + state->slopes[i] * (t - self->began);
-}
 
 /* dx/dt; the algebraic unknowns are solved from their last values. */
 static int problem_slope(void *problem, double t, const double *x, double *dx) {
@@ -41,7 +40,11 @@ static int problem_slope(void *problem, double t, const double *x, double *dx) {
     Instance *fmu = self->fmu;
     const double *values = fmu->state.values;
     double u[ROOM(NU)] = {0}, z[ROOM(NZ)] = {0};
-    inputs_at(self, t, u);
+    inputs_at(fmu, t, u);
+#if HAS_EVENTS
+    const Point at = {t, x, self->z, u};
+    if (!follow(fmu, &at)) return 1;
+#endif
     fmu->arg[0] = &t;
     fmu->arg[1] = x;
     fmu->arg[2] = self->z;
@@ -62,7 +65,7 @@ static double problem_scale(const void *problem, int i, double x) {
 }
 
 #if HAS_RANK
-static const double POOR = 0.5; /* distance from a loss of rank, 1 at best */
+static const double POOR = 0.5; /* distance from a singular configuration, 1 at best */
 
 /* The middle of the widest gap between the nodes of the stages. */
 static const double GAP = 7.0 / 15;
@@ -70,7 +73,7 @@ static const double GAP = 7.0 / 15;
 static double distance_at(Problem *self, double t, const double *x, double *rate) {
     Instance *fmu = self->fmu;
     double u[ROOM(NU)] = {0};
-    inputs_at(self, t, u);
+    inputs_at(fmu, t, u);
     fmu->arg[0] = &t;
     fmu->arg[1] = x;
     fmu->arg[2] = self->z;
@@ -91,7 +94,7 @@ static double time_to_loss(Problem *self, double t, const double *x) {
    cannot be, or rank is lost. */
 static bool keep_to_constraints(Problem *self, double t, double *x) {
     double u[ROOM(NU)] = {0};
-    inputs_at(self, t, u);
+    inputs_at(self->fmu, t, u);
     const double distance = distance_at(self, t, x, NULL);
     return distance >= POOR || (distance >= LEAST_RANK && restore(self->fmu, t, u, x));
 }
@@ -107,8 +110,8 @@ static bool keep_to_constraints(Problem *self, double t, double *x) {
 static const double GAP = 1;
 #endif
 
-/* The size of a step on the way to a loss of rank, near which no evaluation should be: either the
-   loss falls into the gap between two stages, or the step ends well before. */
+/* The size of a step near a singular configuration, where no evaluation should be: either the
+   configuration falls into the gap between two stages, or the step ends well before it. */
 static double size_before(double loss, double size) {
     if (loss == INFINITY) return size;
     return loss <= GAP * size ? loss / GAP : fmin(size, loss / 2);
@@ -118,6 +121,9 @@ static double size_before(double loss, double size) {
 static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
     const double *values = fmu->state.values;
     memory->until = values[TIME];
+#if HAS_EVENTS
+    memory->crossing = 0;
+#endif
     memcpy(memory->end, values + FIRST_STATE, sizeof memory->end);
     Slopes k;
     if (slope(ode, memory->until, memory->end, k[0]) || !is_finite(k[0])) return false;
@@ -128,18 +134,73 @@ static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, dou
     return true;
 }
 
+#if HAS_EVENTS
+typedef struct {
+    Problem *problem;
+    const Interpolant *piece;
+} Step;
+
+static void within_step(void *step, double t, double x[], double z[], double u[]) {
+    const Step *self = step;
+    evaluate(self->piece, t, x);
+    memcpy(z, self->problem->z, NZ * sizeof *z);
+    inputs_at(self->problem->fmu, t, u);
+}
+
+/* Step to where a relation leaves its mode, by Newton's method on the ends of such steps. */
+static bool step_to(const Ode *ode, Problem *self, const SolverMemory *memory, Slopes k,
+                    Crossing *crossing, double latest, double x[]) {
+    const double t = memory->until;
+    for (int n = 0; n < MOST_CORRECTIONS; n++) {
+        double u[ROOM(NU)] = {0}, *when = &crossing->time;
+        memcpy(x, memory->end, sizeof memory->end);
+        if (*when > t && stages(ode, t, *when - t, memory->end, k, x)) return false;
+        if (!keep_to_constraints(self, *when, x)) return false;
+        inputs_at(self->fmu, *when, u);
+        const Point at = {*when, x, self->z, u};
+        const double delay = crossing_delay(self->fmu, crossing->relation, &at);
+        const double better = fmin(fmax(*when + delay, t), latest);
+        if (fabs(better - *when) <= 2 * DBL_EPSILON * fabs(better)) break;
+        *when = better;
+    }
+    return true;
+}
+
+/* End an accepted step from `until` to `after` at x where a relation leaves its mode. */
+static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
+                            double *after, double x[]) {
+    Step accepted = {self, &memory->piece};
+    const Motion motion = {&accepted, within_step};
+    Crossing crossing = first_crossing(self->fmu, &motion, memory->until, *after);
+    memory->crossing = 0;
+    if (crossing.relation < 0) return true;
+    if (!step_to(ode, self, memory, k, &crossing, *after, x)) return false;
+    memory->crossing = crossing.relation + 1;
+    *after = crossing.time;
+    return true;
+}
+#else
+static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
+                            const double *after, double x[]) {
+    (void)ode, (void)self, (void)memory, (void)k, (void)after, (void)x;
+    return true;
+}
+#endif
+
 /* One step on from the end of the last, no further than `ahead`; it may end beyond `end`. */
 static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end, double ahead) {
     Slopes k;
     double x[NX];
+    const double began = self->fmu->state.values[TIME];
     const double t = memory->until, loss = time_to_loss(self, t, memory->end);
-    const double shortest = 10 * DBL_EPSILON * fmax(fabs(t), end - self->began);
+    const double shortest = 10 * DBL_EPSILON * fmax(fabs(t), end - began);
     memcpy(k[0], memory->slope, sizeof k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
         const double size = size_before(loss, memory->next);
-        const double most = loss < size ? 1 / OF_TOLERANCE : 1; /* all that was asked for */
+        const double most = loss < size ? 1 / OF_TOLERANCE : 1; /* the requested tolerance itself */
         const bool final = t + 1.01 * size >= ahead;
-        const double h = final ? ahead - t : size, after = final ? ahead : t + h;
+        const double h = final ? ahead - t : size;
+        double after = final ? ahead : t + h;
         const int lost = stages(ode, t, h, memory->end, k, x);
         const double error = lost ? NAN : error_of(ode, h, memory->end, x, k);
         if (!(error <= most) || !keep_to_constraints(self, after, x) ||
@@ -147,10 +208,18 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
             memory->next = h * (error > 1 ? growth(error, rejected) : 0.1);
             continue;
         }
-        if (after > end && (interpolate(ode, t, h, memory->end, x, k, &memory->piece) ||
-                            !all_finite(memory->piece.row[0], 8 * NX))) {
+        if ((HAS_EVENTS || after > end) &&
+            (interpolate(ode, t, h, memory->end, x, k, &memory->piece) ||
+             !all_finite(memory->piece.row[0], 8 * NX))) {
             memset(&memory->piece, 0, sizeof memory->piece);
-            ahead = end;
+            if (after > end)
+                ahead = end;
+            else
+                memory->next = 0.1 * h;
+            continue;
+        }
+        if (!end_at_crossing(ode, self, memory, k, &after, x)) {
+            memory->next = 0.1 * h;
             continue;
         }
         const double next = h * growth(error, rejected);
@@ -174,12 +243,11 @@ static void settle(const Problem *self, const SolverMemory *memory, double time)
     else
         memcpy(values + FIRST_STATE, memory->end, sizeof memory->end);
     memcpy(values + FIRST_ALGEBRAIC, self->z, NZ * sizeof *values);
-    for (int i = 0; i < NU; i++) values[FIRST_INPUT + i] += state->slopes[i] * (time - self->began);
-    values[TIME] = time;
+    move_inputs(self->fmu, time);
     state->stale |= AFTER_START;
 }
 
-/* The end of a step within a communication step: let others see it, and go on as if nobody had. */
+/* The end of a step within a communication step: an intermediate update that changes nothing. */
 static bool show(const Problem *self, const SolverMemory *memory, double *end) {
     State *state = &self->fmu->state;
     if (N_LIMITS == 0 && !self->fmu->host.step_finished) return true;
@@ -193,28 +261,46 @@ static bool show(const Problem *self, const SolverMemory *memory, double *end) {
     return well;
 }
 
+#if HAS_EVENTS
+enum { WENT_ON, HAPPENED, FAILED };
+
+/* All that happens where the last step ended, if anything does; then the solver starts afresh. */
+static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, double ahead) {
+    Instance *fmu = self->fmu;
+    if (memory->crossing == 0 && next_event(fmu) > memory->until) return WENT_ON;
+    Outcome outcome;
+    settle(self, memory, memory->until);
+    if (happen(fmu, (int)memory->crossing - 1, &outcome) != OK || outcome.ends) return FAILED;
+    if (refresh(fmu, ALGEBRAICS) != OK) return FAILED;
+    memcpy(self->z, fmu->state.values + FIRST_ALGEBRAIC, NZ * sizeof *self->z);
+    memcpy(memory->inputs, fmu->state.values + FIRST_INPUT, NU * sizeof *memory->inputs);
+    memory->next = 0;
+    return begin(ode, fmu, memory, ahead) ? HAPPENED : FAILED;
+}
+#endif
+
 bool integrate_to(Instance *self, double end) {
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     const State *state = &self->state;
     const double *u = state->values + FIRST_INPUT;
     SolverMemory *memory = &self->state.memory;
+    const bool resting = inputs_rest(self);
+    const bool first = !(memory->next > 0);
+    const bool same = first || (memcmp(memory->inputs, u, (NU - N_MODES) * sizeof *u) == 0 &&
+                                !self->state.retuned);
+    self->state.retuned = false;
+    const double ahead = resting && same ? fmax(state->stop_time, end) : end;
+    const bool goes_on = !first && resting && same && memory->rested > 0;
+#if HAS_EVENTS
+    if (!goes_on && !start_over(self)) return false;
+#endif
     Problem problem = {
         .fmu = self,
-        .began = state->values[TIME],
         .tolerance = fmax(OF_TOLERANCE * state->tolerance, TIGHTEST),
         .trials = MOST_TRIALS,
     };
     const Ode ode = {problem_slope, problem_scale, &problem};
     memcpy(problem.z, state->values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
-
-    bool resting = true;
-    for (int i = 0; i < NU; i++) resting &= state->slopes[i] == 0;
-    const bool first = !(memory->next > 0);
-    const bool same =
-        first || (memcmp(memory->inputs, u, NU * sizeof *u) == 0 && !self->state.retuned);
-    self->state.retuned = false;
-    const double ahead = resting && same ? fmax(state->stop_time, end) : end;
-    const bool goes_on = !first && resting && same && memory->rested > 0;
     if (!goes_on && !begin(&ode, self, memory, ahead)) {
         memset(memory, 0, sizeof *memory);
         return false;
@@ -222,12 +308,21 @@ bool integrate_to(Instance *self, double end) {
     memory->rested = resting;
     memcpy(memory->inputs, u, NU * sizeof *u);
 
-    while (memory->until < end)
-        if (!step(&ode, &problem, memory, end, ahead) ||
+    for (;;) {
+        double until = ahead;
+#if HAS_EVENTS
+        const int how = memory->until <= end ? pass_event(&ode, &problem, memory, ahead) : WENT_ON;
+        if (how == FAILED) return false;
+        if (how == HAPPENED) continue;
+        until = fmin(ahead, next_event(self));
+#endif
+        if (memory->until >= end) break;
+        if (!step(&ode, &problem, memory, end, until) ||
             (memory->until < end && !show(&problem, memory, &end))) {
             settle(&problem, memory, memory->until);
             return false;
         }
+    }
     settle(&problem, memory, end);
     return true;
 }

@@ -1,10 +1,16 @@
 /* Co-simulation by a generated solver, which starts anew in every communication step. */
 #include "integration.h"
 
+#include <float.h>
+#include <math.h>
 #include <string.h>
 
+#include "crossing.h"
 #include "equations.h"
 #include "evaluation.h"
+#include "events.h"
+#include "input_motion.h"
+#include "logging.h"
 #include "midway.h"
 
 /* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
@@ -12,17 +18,21 @@
    the integrator's own limit of steps bound the work of a call. */
 enum { MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
 
-/* Integrate over `length`; on failure nothing has changed. */
-static bool advance(Instance *self, double length) {
-    double *values = self->state.values, *u = values + FIRST_INPUT;
-    double q[3 + 2 * NU + NP], x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0}, du[ROOM(NU)] = {0};
-    for (int i = 0; i < NU; i++) du[i] = self->state.slopes[i] * length;
+/* Integrate up to a time; on failure nothing has changed. */
+static bool advance(Instance *self, double end) {
+    double *values = self->state.values;
+    const double length = end - values[TIME];
+    double q[3 + (1 + MOST_INPUT_ORDER) * NU + NP], x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0};
+    double *next = q + 3, factor = 1;
     q[0] = values[TIME];
     q[1] = length;
     q[2] = self->state.tolerance;
-    memcpy(q + 3, u, NU * sizeof *u);
-    memcpy(q + 3 + NU, du, NU * sizeof *du);
-    memcpy(q + 3 + 2 * NU, values + FIRST_PARAMETER, NP * sizeof *values);
+    for (int i = 0; i < NU; i++) *next++ = values[FIRST_INPUT + i];
+    for (int order = 1; order <= MOST_INPUT_ORDER; order++) {
+        factor *= length / order;
+        for (int i = 0; i < NU; i++) *next++ = self->state.motion[order - 1][i] * factor;
+    }
+    memcpy(next, values + FIRST_PARAMETER, NP * sizeof *values);
     self->arg[0] = values + FIRST_STATE;
     self->arg[1] = values + FIRST_ALGEBRAIC;
     self->arg[2] = q;
@@ -33,13 +43,106 @@ static bool advance(Instance *self, double length) {
 
     memcpy(values + FIRST_STATE, x, NX * sizeof *x);
     memcpy(values + FIRST_ALGEBRAIC, z, NZ * sizeof *z);
-    for (int i = 0; i < NU; i++) u[i] += du[i];
+    move_inputs(self, end);
     self->state.stale |= AFTER_START;
     return true;
 }
 
+#if HAS_EVENTS
+enum { MOST_CORRECTIONS = 30 };
+
+/* The cubic through both ends of a step. */
+typedef struct {
+    const Instance *fmu; /* at the end of the step */
+    const State *from, *to;
+    double slopes[2][ROOM(NX)];
+} Cubic;
+
+static void on_cubic(void *cubic, double t, double x[], double z[], double u[]) {
+    const Cubic *self = cubic;
+    const double *a = self->from->values, *b = self->to->values, h = b[TIME] - a[TIME];
+    const double s = (t - a[TIME]) / h, r = 1 - s;
+    for (int i = 0; i < NX; i++)
+        x[i] = r * r * (1 + 2 * s) * a[FIRST_STATE + i] + s * s * (1 + 2 * r) * b[FIRST_STATE + i] +
+               h * s * r * (r * self->slopes[0][i] - s * self->slopes[1][i]);
+    memcpy(z, a + FIRST_ALGEBRAIC, NZ * sizeof *z);
+    inputs_at(self->fmu, t, u);
+}
+
+/* Repeat a step so that it ends where a relation leaves its mode; nothing on failure. */
+static bool step_to(Instance *self, const State *from, Crossing *crossing) {
+    double *values = self->state.values, latest = values[TIME];
+    for (int n = 0; n < MOST_CORRECTIONS; n++) {
+        self->state = *from;
+        if (crossing->time > from->values[TIME] && !advance(self, crossing->time)) return false;
+        if (refresh(self, ALGEBRAICS) != OK) return false;
+        const Point at = {crossing->time, values + FIRST_STATE, values + FIRST_ALGEBRAIC,
+                          values + FIRST_INPUT};
+        const double delay = crossing_delay(self, crossing->relation, &at);
+        const double better = fmin(fmax(crossing->time + delay, from->values[TIME]), latest);
+        if (fabs(better - crossing->time) <= 2 * DBL_EPSILON * fabs(better)) break;
+        crossing->time = better;
+    }
+    return true;
+}
+
+/* End a step that has been made where a relation first leaves its mode, if one does. */
+static bool end_at_crossing(Instance *self, const State *from, int *relation) {
+    Cubic cubic = {.fmu = self, .from = from};
+    memcpy(cubic.slopes[0], from->values + FIRST_DERIVATIVE, NX * sizeof(double));
+    if (refresh(self, DERIVATIVES) != OK) return false;
+    const State to = self->state;
+    cubic.to = &to;
+    memcpy(cubic.slopes[1], to.values + FIRST_DERIVATIVE, NX * sizeof(double));
+    const Motion motion = {&cubic, on_cubic};
+    Crossing crossing = first_crossing(self, &motion, from->values[TIME], self->state.values[TIME]);
+    *relation = crossing.relation;
+    return crossing.relation < 0 || step_to(self, from, &crossing);
+}
+
+static bool cannot_slide(Instance *self) {
+    if (!is_sliding(self)) return false;
+    refuse(self, ERROR,
+           "an expression slides along 0 at %.12g s, which the solver of this FMU cannot follow; "
+           "export it with solver dop853",
+           self->state.values[TIME]);
+    return true;
+}
+
 bool integrate_to(Instance *self, double end) {
-    double *time = &self->state.values[TIME];
+    const double *time = &self->state.values[TIME];
+    double length = fmin(end - *time, LARGEST_STEP);
+    int failed = 0, relation = -1;
+    if (refresh(self, ALGEBRAICS) != OK || !start_over(self)) return false;
+    for (int n = 0; n < MOST_TRIALS && failed < MOST_FAILED; n++) {
+        if (relation >= 0 || next_event(self) <= *time) {
+            Outcome outcome;
+            if (happen(self, relation, &outcome) != OK || outcome.ends) return false;
+            length = fmin(end - *time, LARGEST_STEP);
+            relation = -1;
+            continue;
+        }
+        if (*time >= end) return true;
+        if (cannot_slide(self) || refresh(self, DERIVATIVES) != OK) return false;
+        const double goal = fmin(end, next_event(self)), rest = goal - *time;
+        const State before = self->state;
+        const bool last = length >= rest;
+        if (advance(self, last ? goal : *time + length)) {
+            if (!end_at_crossing(self, &before, &relation)) {
+                self->state = before;
+                return false;
+            }
+            if (*time < end && !pass_midway(self, &end)) return false;
+        } else {
+            failed++;
+            length = (last ? rest : length) / 4;
+        }
+    }
+    return false;
+}
+#else
+bool integrate_to(Instance *self, double end) {
+    const double *time = &self->state.values[TIME];
     double length = end - *time;
     int failed = 0;
     for (int attempt = 0; attempt < MOST_ATTEMPTS && *time < end && failed < MOST_FAILED;
@@ -51,8 +154,7 @@ bool integrate_to(Instance *self, double end) {
         if (self->state.watch.looks == 0) begin_watching(self);
         const State before = self->state;
 #endif
-        if (advance(self, last ? rest : length)) {
-            *time = last ? end : *time + length;
+        if (advance(self, last ? end : *time + length)) {
 #if HAS_RANK
             if (look_back(self, DISCARD) != OK) {
                 self->state = before;
@@ -67,3 +169,4 @@ bool integrate_to(Instance *self, double end) {
     }
     return *time >= end;
 }
+#endif

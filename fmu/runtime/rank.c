@@ -1,4 +1,4 @@
-/* Where the constraints of a model lose rank. */
+/* Singular configurations, where the constraints of a model lose rank. */
 #include "rank.h"
 
 #include <float.h>
@@ -82,7 +82,7 @@ void note_rank(Instance *self) {
     watch->when = values[TIME];
 }
 
-/* The distance on the cubic through the states and derivatives of two looks. */
+/* The distance on the cubic through the states and derivatives of two evaluations. */
 static double distance_on(Instance *self, const Look *from, const Look *to, double share) {
     const double h = to->time - from->time, t = from->time + share * h, rest = 1 - share;
     double x[NX];
@@ -97,7 +97,7 @@ typedef struct {
     double distance, when;
 } Place;
 
-/* The place nearest to a loss of rank on that cubic, between shares of its length. */
+/* The point of that cubic nearest to a singular configuration, between shares of its length. */
 static Place nearest_on(Instance *self, const Look *from, const Look *to, double begin,
                         double end) {
     Place nearest = {DBL_MAX, from->time};

@@ -1,5 +1,5 @@
-/* Where the constraints of a model lose rank: branches of motion meet, and nothing but the way a
-   solver has come tells them apart. Without HAS_RANK nobody looks. */
+/* Singular configurations, where the constraints of a model lose rank and branches of motion meet:
+   only the previous motion determines the branch. Without HAS_RANK there is no detection. */
 #ifndef RANK_H
 #define RANK_H
 

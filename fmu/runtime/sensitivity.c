@@ -11,6 +11,7 @@
 #include "access.h"
 #include "evaluation.h"
 #include "logging.h"
+#include "modes.h"
 
 bool starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
@@ -27,7 +28,13 @@ static bool is_known(const Instance *self, const VariableInfo *variable) {
 }
 
 static bool is_unknown(const VariableInfo *variable) {
-    return variable->role != TIME && variable->role != INPUT && variable->role != PARAMETER;
+    switch (variable->role) {
+    case TIME:
+    case INPUT:
+    case MODE:
+    case PARAMETER: return false;
+    default: return true;
+    }
 }
 
 Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
@@ -39,7 +46,9 @@ Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
     for (size_t i = 0; i < n_knowns; i++)
         if (!is_known(self, &variables[knowns[i]]))
             return refuse(self, ERROR, "%s is not a known", variables[knowns[i]].name);
-    return refresh(self, ALGEBRAICS);
+    const Status status = refresh(self, ALGEBRAICS);
+    if (status != OK || !is_sliding(self)) return status;
+    return refuse(self, DISCARD, "there are no derivatives while an expression slides along 0");
 }
 
 Status run(Instance *self, Equation *equation) {
@@ -156,7 +165,7 @@ Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count,
 
     double along[N_VARIABLES] = {[TIME] = 1};
     memcpy(along + FIRST_STATE, self->state.values + FIRST_DERIVATIVE, NX * sizeof(double));
-    memcpy(along + FIRST_INPUT, self->state.slopes, NU * sizeof(double));
+    memcpy(along + FIRST_INPUT, self->state.motion[0], NU * sizeof(double));
     status = push_forward(self, along);
     return status == OK ? gather(self, unknowns, count, along, rates) : status;
 }

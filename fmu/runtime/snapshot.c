@@ -13,7 +13,7 @@
 
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 4 };
+enum { LAYOUT_VERSION = 5 };
 
 typedef struct {
     uint64_t magic;
@@ -29,11 +29,15 @@ typedef struct {
     State state;
 } Snapshot;
 
-/* FNV-1a, 64 bits (Fowler, Noll, Vo): every change of a single byte changes it. */
+/* FNV-1a (Fowler, Noll, Vo) over words of 64 bits: every change of a single one changes it. */
 static uint64_t hash(const void *data, size_t size) {
     const unsigned char *bytes = data;
     uint64_t sum = UINT64_C(14695981039346656037);
-    for (size_t i = 0; i < size; i++) sum = (sum ^ bytes[i]) * UINT64_C(1099511628211);
+    for (size_t i = 0; i < size; i += sizeof(uint64_t)) {
+        uint64_t word = 0;
+        memcpy(&word, bytes + i, size - i < sizeof word ? size - i : sizeof word);
+        sum = (sum ^ word) * UINT64_C(1099511628211);
+    }
     return sum;
 }
 
@@ -74,16 +78,18 @@ static bool is_mode(uint32_t mode, uint32_t interface) {
 static bool plausible(const Instance *self, const State *state) {
     if (state->interface != self->state.interface || !is_mode(state->mode, state->interface))
         return false;
-    if (state->stale > EVERYTHING || state->experiment_set > 1 || state->slopes_spent > 1 ||
+    if (state->stale > EVERYTHING || state->experiment_set > 1 || state->motion_spent > 1 ||
         state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS || state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
-    for (int i = 0; i < NU; i++)
-        if (!isfinite(state->slopes[i])) return false;
+    if (!all_finite(&state->motion[0][0], MOST_INPUT_ORDER * ROOM(NU))) return false;
     if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;
     if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
 #if HAS_RANK
     if (!all_finite((const double *)&state->watch, WATCH_SIZE)) return false;
+#endif
+#if HAS_EVENTS
+    if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;

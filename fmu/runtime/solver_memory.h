@@ -14,6 +14,9 @@ typedef struct {
     double next;             /* size of the step that follows; 0: there was none before */
     double rested;           /* 1: the inputs did not move during the last step */
     double inputs[ROOM(NU)]; /* as it began */
+#if HAS_EVENTS
+    double crossing; /* relation that leaves its mode where the last step ended, from 1 on; or 0 */
+#endif
 } SolverMemory;
 #else
 typedef struct {

@@ -1,4 +1,4 @@
-/* The data of one instance: what continues a run, and who asked for it. No function is here. */
+/* The data of one instance: everything that continues a run, and its importer. No functions. */
 #ifndef STATE_H
 #define STATE_H
 
@@ -38,6 +38,8 @@ enum {
     EVERYTHING = START_VALUES | AFTER_START
 };
 
+enum { MOST_INPUT_ORDER = 3 }; /* of derivatives of inputs */
+
 /* A look at the rank of the constraints: their distance from losing it, 1 at best. */
 typedef struct {
     double time, distance, rate;
@@ -56,15 +58,38 @@ enum { WATCH_SIZE = sizeof(Watch) / sizeof(double) };
 
 _Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubles");
 
+#if HAS_EVENTS
+/* What past events leave for later ones; all of it doubles. */
+typedef struct {
+    double slides[ROOM(N_MODES)];      /* 1: the argument stays 0, and the mode follows from that */
+    double offsets[ROOM(N_MODES)];     /* rounding of an argument that was 0 at its last event */
+    double due[ROOM(N_MODES)];         /* when a relation of time alone switches next, or never */
+    double conditions[ROOM(N_EVENTS)]; /* of events, as they were after the last one */
+    double next; /* time event: the first of `due`; `NOT_PLANNED` after a change */
+    double last,
+        close;      /* time of the last event; how many in succession were close to each other */
+    double slack;   /* by which an argument passes 0 before that is an event */
+    double stopped; /* 1: an event has ended the run */
+} Switching;
+
+enum { SWITCHING_SIZE = sizeof(Switching) / sizeof(double) };
+
+_Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it is doubles");
+#endif
+
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */
 typedef struct {
     double values[N_VARIABLES]; /* by value reference */
-    double slopes[ROOM(NU)];    /* du/dt within the communication step */
-    double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
+    /* derivatives of the inputs by time, from the first on, within the communication step */
+    double motion[MOST_INPUT_ORDER][ROOM(NU)];
+    double guesses[ROOM(NX)]; /* where the solution of calculated start values begins */
     SolverMemory memory;
 #if HAS_RANK
     Watch watch;
+#endif
+#if HAS_EVENTS
+    Switching switching;
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double stop_time;              /* infinite where none was given */
@@ -73,7 +98,7 @@ typedef struct {
     uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_UPDATE */
     uint32_t stale;                /* of START_VALUES ... JACOBIAN */
     uint32_t experiment_set;       /* start time and tolerance are settled */
-    uint32_t slopes_spent;         /* they belong to a step that is over */
+    uint32_t motion_spent;         /* the inputs' derivatives belong to a step that is over */
     uint32_t step_status;          /* of the last communication step */
     uint32_t retuned;              /* a parameter has changed since the last one */
     uint32_t outside;              /* limits of the model that are left, a bit each */

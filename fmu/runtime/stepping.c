@@ -1,4 +1,4 @@
-/* Co-simulation: communication steps with inputs that move linearly within them. */
+/* Co-simulation: communication steps with inputs that move within them. */
 #include "stepping.h"
 
 #include <math.h>
@@ -6,15 +6,16 @@
 
 #include "access.h"
 #include "evaluation.h"
+#include "events.h"
 #include "integration.h"
 #include "logging.h"
 #include "sensitivity.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
-static void drop_spent_slopes(Instance *self) {
-    if (self->state.slopes_spent) memset(self->state.slopes, 0, sizeof self->state.slopes);
-    self->state.slopes_spent = false;
+static void drop_spent_motion(Instance *self) {
+    if (self->state.motion_spent) memset(self->state.motion, 0, sizeof self->state.motion);
+    self->state.motion_spent = false;
 }
 
 /* One communication step. FMI 2 keeps what was reached when a step fails, and discards; FMI 3
@@ -31,15 +32,21 @@ Status do_step(Instance *self, double from, double length) {
         return refuse(self, ERROR, "the step ends at %.17g, beyond the stop time %.17g", end,
                       self->state.stop_time);
 
-    drop_spent_slopes(self);
+    drop_spent_motion(self);
     const State before = self->state;
     const bool done = integrate_to(self, end);
-    if (self->state.mode != STEP_MODE) return ERROR; /* the importer's callback has erred */
-    self->state.slopes_spent = true;
+    if (self->state.mode != STEP_MODE) return ERROR; /* by the importer's callback, or an event */
+    self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;
     if (done) {
         note_limits(self);
         return OK;
+    }
+    const bool stopped = run_stopped(self);
+    if (stopped && self->host.fmi_version == 3) return OK;
+    if (stopped) {
+        self->state.mode = STEP_FAILED;
+        return DISCARD;
     }
     const double reached = self->state.values[TIME];
     const Hint hint = limit_hint(self);
@@ -59,9 +66,9 @@ static Status check_orders(Instance *self, size_t count, const int32_t orders[])
     return OK;
 }
 
-/* First time derivatives of inputs for the next communication step; what has another order is
-   dropped, as an importer may offer whatever its own side knows. */
-Status set_slopes(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+/* Time derivatives of inputs for the next communication step; those of higher orders are dropped,
+   as an importer may offer whatever its own side knows. */
+Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                   const double values[]) {
     if (count == 0) return OK;
     if (!known(self, references, count)) return ERROR;
@@ -75,15 +82,16 @@ Status set_slopes(Instance *self, const uint32_t references[], size_t count, con
             return refuse(self, DISCARD, "derivative %g of %s is not finite", values[i],
                           variable->name);
     }
-    drop_spent_slopes(self);
+    drop_spent_motion(self);
     Status status = OK;
     for (size_t i = 0; i < count; i++)
-        if (orders[i] == 1)
-            self->state.slopes[references[i] - FIRST_INPUT] = values[i];
+        if (orders[i] >= 1 && orders[i] <= MOST_INPUT_ORDER)
+            self->state.motion[orders[i] - 1][references[i] - FIRST_INPUT] = values[i];
         else
             status = refuse(self, WARNING,
-                            "inputs move linearly; the derivative of order %d of %s is dropped",
-                            (int)orders[i], variables[references[i]].name);
+                            "inputs are polynomials of order %d; the derivative of order %d of %s "
+                            "is dropped",
+                            MOST_INPUT_ORDER, (int)orders[i], variables[references[i]].name);
     return status;
 }
 

@@ -9,7 +9,7 @@
 INSIDE_BEGIN
 
 Status do_step(Instance *self, double from, double length);
-Status set_slopes(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                   const double values[]);
 Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                  double values[]);

@@ -7,21 +7,59 @@
 #include "dop853.h"
 #include "interrupt.h"
 #include "projection.h"
+#include "watch.h"
 
 enum { MOST_STEPS = 100000 }; /* per output interval */
+
+/* An accepted step, and its interpolant as soon as it is needed. */
+typedef struct {
+    const Ode *ode;
+    const double *x, *end;
+    double (*k)[NX];
+    double t, h;
+    Interpolant piece;
+    int known;
+} Accepted;
+
+static inline int interpolated(Accepted *self) {
+    if (!self->known &&
+        interpolate(self->ode, self->t, self->h, self->x, self->end, self->k, &self->piece))
+        return 1;
+    self->known = 1;
+    return 0;
+}
+
+static inline int within_accepted(void *accepted, double t, double *x, double *dx) {
+    Accepted *self = accepted;
+    if (interpolated(self)) return 1;
+    evaluate_both(&self->piece, t, x, dx);
+    return 0;
+}
+
+static inline int step_afresh(void *accepted, double t, double *x) {
+    const Accepted *self = accepted;
+    Slopes k;
+    memcpy(k[0], self->k[0], sizeof k[0]);
+    memcpy(x, self->x, NX * sizeof *x);
+    if (t > self->t && stages(self->ode, self->t, t - self->t, self->x, k, x)) return 1;
+    return restore(self->ode->context, t, x);
+}
 
 /* Integrates x over the grid; `out` takes a column per output time. Returns one of the codes. */
 static inline int integrate_adaptive(Problem *self, const Grid *grid, double *out, double *z,
                                      Course *course) {
     const Ode ode = {problem_slope, problem_scale, self};
     Slopes k;
-    Interpolant piece;
-    double x[NX], end[NX], t = grid->times[0];
+    double x[NX], end[NX], found[NX], t = grid->times[0];
+    Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0};
+    Step step = {self, t, 0, &accepted, within_accepted, step_afresh};
+    Place here, ahead;
     const double stop = grid->times[grid->points - 1];
     long long next = 1, trials = 0;
     int rejected = 0;
     memcpy(x, out, sizeof x);
     if (equations_at(self, t, x, k[0], z) || !is_finite(k[0])) return NOT_FINITE;
+    if (RELATIONS && look_afresh(self, t, x, k[END], &here)) return NOT_FINITE;
     double h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
     while (next < grid->points) {
         course->reached = t;
@@ -34,7 +72,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         if (final) h = stop - t;
         const int lost = stages(&ode, t, h, x, k, end);
         const double error = lost ? NAN : error_of(&ode, h, x, end, k);
-        const double after = final ? stop : t + h;
+        double after = final ? stop : t + h;
         if (!(error <= 1) || restore(self, after, end) || slope(&ode, after, end, k[END]) ||
             !is_finite(k[END])) {
             h *= error > 1 ? growth(error, rejected) : 0.1;
@@ -42,12 +80,29 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             continue;
         }
         ++self->steps;
-        if (grid->times[next] < after && interpolate(&ode, t, h, x, end, k, &piece))
-            return NOT_FINITE;
+        accepted.t = t;
+        accepted.h = h;
+        accepted.known = 0;
+        Crossing crossing = {after, -1};
+        if (RELATIONS) {
+            double z_end[NZ + 1];
+            step.t = t;
+            step.h = after - t;
+            if ((NZ > 0 && equations_at(self, after, end, k[END], z_end)) ||
+                look(self, after, end, z_end, k[END], &ahead))
+                return NOT_FINITE;
+            crossing = crossing_of(&step, grid->times + next, &here, &ahead);
+            if (crossing.relation >= 0 && end_at(&step, &crossing, found)) return NOT_FINITE;
+            after = crossing.time;
+            here = ahead;
+        }
+        const int crossed = crossing.relation >= 0;
+        if (grid->times[next] < after && interpolated(&accepted)) return NOT_FINITE;
         for (; next < grid->points && grid->times[next] <= after; ++next, trials = 0) {
+            if (crossed && grid->times[next] == after) break;
             double *column = out + next * NX;
             if (grid->times[next] < after) {
-                evaluate(&piece, grid->times[next], column);
+                evaluate(&accepted.piece, grid->times[next], column);
                 if (restore(self, grid->times[next], column) || !is_finite(column))
                     return NOT_FINITE;
             } else {
@@ -56,6 +111,10 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             if (z && equations_at(self, grid->times[next], column, k[1], z + next * NZ))
                 return NOT_FINITE;
             ++course->passed;
+        }
+        if (crossed) {
+            course->reached = after;
+            return ends_run(self, &crossing, found, out + next * NX, z ? z + next * NZ : NULL);
         }
         memcpy(x, end, sizeof x);
         memcpy(k[0], k[END], sizeof k[0]);

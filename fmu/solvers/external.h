@@ -3,22 +3,23 @@
  *     run(x0, z0, p, u) -> (xf, zf), one column per output time,
  *
  * p = (c, number of output times, of breaks and of columns of u, relative and absolute tolerance,
- * largest step, nominal values of the states, output times, breaks). At a break, the position of an
- * output time, a step ends and a fresh one begins. u has one column, or one per output time that
- * holds on the way there; where it changes is a break, too. None of these numbers is a constant of
- * the library: `cosim_sizes` must be called before CasADi asks for the sizes. A run that fails
- * leaves alone what it does not reach.
+ * largest step, nominal values of the states, whether the margin of each relation is 0 at the
+ * start, output times, breaks). At a break, the position of an output time, a step ends and a fresh
+ * one begins. u has one column, or one per output time that holds on the way there; where it
+ * changes is a break, too. None of these numbers is a constant of the library: `cosim_sizes` must
+ * be called before CasADi asks for the sizes. A run that fails leaves alone what it does not reach.
  */
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
 
-#define SETTINGS (6 + NX)
+#define SETTINGS (6 + NX + RELATIONS)
+#include "crossings.h"
 #include "shapes.h"
 
 /* What the functions below run; generated code fills it. */
 typedef struct {
-    Equations *rhs, *project;
-    WorkSize *rhs_work, *project_work; /* the latter NULL without the former */
+    Equations *rhs, *project, *watch;
+    WorkSize *rhs_work, *project_work, *watch_work; /* NULL with the function itself */
     int (*integrate)(Problem *self, const Grid *grid, double *out, double *z, Course *course);
 } Solver;
 
@@ -41,18 +42,28 @@ SHARED long long cosim_passed(void) {
     return passed;
 }
 
+static _Thread_local int relation;
+
+/* The relation at whose crossing the thread's last run ended; -1 if it ended elsewhere. */
+SHARED int cosim_relation(void) {
+    return relation;
+}
+
 static inline void widen(long long *size, long long wanted) {
     if (wanted > *size) *size = wanted;
 }
 
 SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w) {
-    long long arg = 0, res = 0, iw = 0, w = 0;
+    WorkSize *const others[] = {solver.project_work, solver.watch_work};
     int failed = solver.rhs_work(sz_arg, sz_res, sz_iw, sz_w);
-    if (solver.project_work) failed |= solver.project_work(&arg, &res, &iw, &w);
-    widen(sz_arg, arg);
-    widen(sz_res, res);
-    widen(sz_iw, iw);
-    widen(sz_w, w);
+    for (int i = 0; i < 2; ++i) {
+        long long arg = 0, res = 0, iw = 0, w = 0;
+        if (others[i]) failed |= others[i](&arg, &res, &iw, &w);
+        widen(sz_arg, arg);
+        widen(sz_res, res);
+        widen(sz_iw, iw);
+        widen(sz_w, w);
+    }
     *sz_arg += 4; /* ours come first */
     *sz_res += 2;
     return failed;
@@ -102,7 +113,9 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const double *x0 = arg[0] ? arg[0] : none, *c = arg[2];
     (void)mem;
     if (!c || !res[0]) return 1;
-    const double *settings = c + NC, *nominal = settings + SETTINGS - NX, *times = nominal + NX;
+    const double *settings = c + NC, *nominal = settings + 6, *zero = nominal + NX;
+    const double *times = zero + RELATIONS;
+    double offsets[RELATIONS + 1] = {0};
     const long long points = (long long)settings[0];
     const int given = arg[3] != NULL;
     const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
@@ -110,6 +123,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     Problem problem = {
         .rhs = solver.rhs,
         .project = solver.project,
+        .watch = solver.watch,
         .z = arg[1] ? arg[1] : none,
         .c = c,
         .arg = arg + 4,
@@ -119,6 +133,9 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .relative = settings[3],
         .absolute = settings[4],
         .nominal = nominal,
+        .zero = zero,
+        .offsets = offsets,
+        .relation = -1,
     };
     Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
@@ -127,6 +144,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         (double)problem.steps, (double)problem.calls, 0, code, course.reached, course.last};
     memcpy(report, seen, sizeof report);
     passed = course.passed;
+    relation = problem.relation;
     return code != SUCCESS;
 }
 

@@ -4,6 +4,7 @@
 
 #include "interrupt.h"
 #include "projection.h"
+#include "watch.h"
 
 enum { MOST_STAGES = 16 };
 
@@ -16,29 +17,86 @@ typedef struct {
 
 static const Method method;
 
+/* One step; `first` is the first stage whose slope is not known. Returns 0 where it succeeds. */
+static inline int step_of_method(Problem *self, double t, double h, int first, double (*k)[NX],
+                                 double *x) {
+    double sum[NX], y[NX];
+    for (int s = first; s < method.stages; ++s) {
+        method.sum(s, (const double (*)[NX])k, sum);
+        for (int i = 0; i < NX; ++i) y[i] = x[i] + h * sum[i];
+        if (equations_at(self, t + method.node[s] * h, y, k[s], NULL)) return 1;
+    }
+    method.sum(method.stages, (const double (*)[NX])k, sum);
+    for (int i = 0; i < NX; ++i) x[i] += h * sum[i];
+    return 0;
+}
+
+/* A step that was made, from state and slope at its begin to those at its end. */
+typedef struct {
+    Problem *problem;
+    double t, h, x[NX], slope[NX];
+    const double *end, *slope_at_end;
+} Made;
+
+/* On the cubic through its ends. */
+static inline int within_made(void *made, double t, double *x, double *dx) {
+    const Made *self = made;
+    const double h = self->h, s = (t - self->t) / h, r = 1 - s;
+    for (int i = 0; i < NX; ++i) {
+        const double a = self->x[i], b = self->end[i];
+        const double fa = self->slope[i], fb = self->slope_at_end[i];
+        x[i] = r * r * (1 + 2 * s) * a + s * s * (1 + 2 * r) * b + h * s * r * (r * fa - s * fb);
+        dx[i] = 6 * s * r * (b - a) / h + r * (1 - 3 * s) * fa + s * (1 - 3 * r) * fb;
+    }
+    return 0;
+}
+
+static inline int step_shorter(void *made, double t, double *x) {
+    const Made *self = made;
+    double k[MOST_STAGES][NX];
+    memcpy(x, self->x, sizeof self->x);
+    memcpy(k[0], self->slope, sizeof k[0]);
+    return (t > self->t && step_of_method(self->problem, self->t, t - self->t, 1, k, x)) ||
+           restore(self->problem, t, x);
+}
+
 static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, double *z,
                                   Course *course) {
-    double k[MOST_STAGES][NX], sum[NX], x[NX], y[NX];
+    double k[MOST_STAGES][NX], x[NX], found[NX], slope_ahead[NX];
+    Made made = {.problem = self, .end = x, .slope_at_end = slope_ahead};
+    Place here, ahead;
     memcpy(x, out, sizeof x);
     if (z && equations_at(self, grid->times[0], x, k[0], z)) return NOT_FINITE;
+    if (RELATIONS && look_afresh(self, grid->times[0], x, made.slope, &here)) return NOT_FINITE;
     for (long long next = 1; next < grid->points; ++next) {
         const double begin = grid->times[next - 1], length = grid->times[next] - begin;
         const double parts = fmax(1, ceil(length / grid->largest * (1 - 1e-12)));
         const double h = length / parts;
         course->last = h;
         for (double part = 0; part < parts; ++part) {
-            const double t = begin + part * h;
+            const double t = begin + part * h, end = part + 1 < parts ? t + h : grid->times[next];
             course->reached = t;
             if (halted) return HALTED;
-            for (int s = 0; s < method.stages; ++s) {
-                method.sum(s, (const double (*)[NX])k, sum);
-                for (int i = 0; i < NX; ++i) y[i] = x[i] + h * sum[i];
-                if (equations_at(self, t + method.node[s] * h, y, k[s], NULL)) return NOT_FINITE;
+            if (RELATIONS) {
+                memcpy(made.x, x, sizeof x);
+                memcpy(k[0], made.slope, sizeof made.slope);
             }
-            method.sum(method.stages, (const double (*)[NX])k, sum);
-            for (int i = 0; i < NX; ++i) x[i] += h * sum[i];
-            if (restore(self, part + 1 < parts ? t + h : grid->times[next], x)) return NOT_FINITE;
+            if (step_of_method(self, t, h, RELATIONS > 0, k, x) || restore(self, end, x))
+                return NOT_FINITE;
             ++self->steps;
+            if (!RELATIONS || !is_finite(x)) continue;
+            made.t = t;
+            made.h = end - t;
+            if (look_afresh(self, end, x, slope_ahead, &ahead)) return NOT_FINITE;
+            Step step = {self, t, made.h, &made, within_made, step_shorter};
+            Crossing crossing = crossing_of(&step, grid->times + next, &here, &ahead);
+            if (crossing.relation >= 0) {
+                if (end_at(&step, &crossing, found)) return NOT_FINITE;
+                course->reached = crossing.time;
+                return ends_run(self, &crossing, found, out + next * NX, z ? z + next * NZ : NULL);
+            }
+            memcpy(made.slope, slope_ahead, sizeof slope_ahead);
+            here = ahead;
         }
         if (!is_finite(x)) return NOT_FINITE;
         memcpy(out + next * NX, x, sizeof x);

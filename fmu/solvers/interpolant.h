@@ -18,4 +18,21 @@ static inline void evaluate(const Interpolant *p, double t, double *x) {
     }
 }
 
+/* States and their rates. */
+static inline void evaluate_both(const Interpolant *p, double t, double *x, double *dx) {
+    const double s = (t - p->t) / p->h, r = 1 - s;
+    for (int i = 0; i < NX; ++i) {
+        x[i] = p->row[7][i];
+        dx[i] = 0;
+    }
+    for (int j = 6; j >= 0; --j) {
+        const double factor = j % 2 ? r : s, sign = j % 2 ? -1 : 1;
+        for (int i = 0; i < NX; ++i) {
+            dx[i] = factor * dx[i] + sign * x[i];
+            x[i] = p->row[j][i] + factor * x[i];
+        }
+    }
+    for (int i = 0; i < NX; ++i) dx[i] /= p->h;
+}
+
 #endif

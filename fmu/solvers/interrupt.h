@@ -1,4 +1,4 @@
-/* A signal ends a run (Ctrl-C, a limit of processor time): the library takes it over meanwhile.
+/* A signal ends a run (Ctrl-C, a time limit): the library takes it over meanwhile.
  *
  * The run itself looks at `halted` once per step or right-hand side.
  */
@@ -61,8 +61,8 @@ static inline int is_handled(const Handling *before) {
 
 static const int watched_signals[] = {
     SIGINT,
-#ifdef SIGPROF
-    SIGPROF,
+#ifdef SIGALRM
+    SIGALRM,
 #endif
 };
 enum { WATCHED = sizeof watched_signals / sizeof *watched_signals };

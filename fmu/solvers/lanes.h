@@ -1,7 +1,7 @@
 /* Vectors of doubles, one system in each lane, and the functions that equations are made of.
  *
  * GCC's and Clang's vector types; every operation works on each lane by itself, so that what a
- * lane computes depends on nothing in its neighbours. LANES is the number of lanes, 1 to 8.
+ * lane computes depends on nothing in its neighbors. LANES is the number of lanes, 1 to 8.
  */
 #ifndef LANES_H
 #define LANES_H

@@ -1,7 +1,7 @@
 /* Many runs of one model, a run in each lane: Runge-Kutta pair of order 8(5,3), dense output.
  *
  * Every lane has its own time, step size and error; a lane whose run has ended takes the next one.
- * All arithmetic is lane by lane, so that a run does not depend on what its neighbours do.
+ * All arithmetic is lane by lane, so that a run does not depend on what its neighbors do.
  *
  * Source  Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, 2nd ed. 1993,
  *         sections II.4 (starting step, control) and II.10 (error estimate, interpolant).
@@ -36,7 +36,6 @@ typedef struct {
     LaneFunction *rhs;       /* t, x, u, c -> dx/dt */
     LaneFunction *observe;   /* t, needed states, u, c -> outputs, margins of the limits */
     const int *needed;
-    const double *nominal; /* of each state */
     const double *node;
     LaneRow *stage, *dense;
     LaneSum *error_5, *error_3;
@@ -47,16 +46,16 @@ static const LaneModel model;
 /* What is to be run; arrays by run, then by time. Threads share one batch. */
 typedef struct {
     long long runs, points;
-    const double *x0, *u, *p, *grid; /* the grid begins with the start time */
-    double relative, absolute;
-    double *out, *report; /* NaN beyond the last good time */
-    long long *next;      /* run to begin next */
+    const double *x0, *nominal, *u, *p, *grid; /* the grid begins with the start time */
+    double relative, absolute, largest;        /* step */
+    double *out, *report;                      /* NaN beyond the last good time */
+    long long *next;                           /* run to begin next */
     const volatile int *stop;
     long long stop_outside; /* whether a run ends where it leaves the limits */
 } Batch;
 
 typedef struct {
-    V t, h, c[NC + 1], u[NU + 1], p[NP + 1], x[NX], end[NX], sum[NX], k[EXTENDED][NX];
+    V t, h, c[NC + 1], u[NU + 1], p[NP + 1], nominal[NX], x[NX], end[NX], sum[NX], k[EXTENDED][NX];
     V row[8][NN + 1]; /* of the interpolants, in Hairer's nested form */
     long long run[LANES], next[LANES], trials[LANES], steps[LANES], calls[LANES];
     int rejected[LANES], final[LANES];
@@ -77,14 +76,14 @@ static M is_finite(const V *values) {
     return sum == every(0);
 }
 
-static V scale(const Batch *batch, int i, V x) {
-    return every(batch->absolute * model.nominal[i]) + every(batch->relative) * magnitude(x);
+static V scale(const Lanes *self, const Batch *batch, int i, V x) {
+    return every(batch->absolute) * self->nominal[i] + every(batch->relative) * magnitude(x);
 }
 
-static V norm(const Batch *batch, const V *values, const V *x) {
+static V norm(const Lanes *self, const Batch *batch, const V *values, const V *x) {
     V sum = every(0);
     for (int i = 0; i < NX; ++i) {
-        const V ratio = values[i] / scale(batch, i, x[i]);
+        const V ratio = values[i] / scale(self, batch, i, x[i]);
         sum += ratio * ratio;
     }
     return root(sum / every(NX));
@@ -96,14 +95,15 @@ static V eighth_root(V a) {
 
 /* Steps over which the error of order 8 is about the tolerance, from two derivatives. */
 static V first_steps(Lanes *self, const Batch *batch, double span) {
-    const V size = norm(batch, self->x, self->x), rate = norm(batch, self->k[0], self->x);
+    const V size = norm(self, batch, self->x, self->x),
+            rate = norm(self, batch, self->k[0], self->x);
     const V least = every(1e-5);
     V h = pick((size > least) & (rate > least), every(0.01) * size / rate, every(1e-6));
     h = smaller(h, every(span));
     for (int i = 0; i < NX; ++i) self->end[i] = self->x[i] + h * self->k[0][i];
     slopes(self, self->t + h, self->end, self->k[1]);
     for (int i = 0; i < NX; ++i) self->sum[i] = self->k[1][i] - self->k[0][i];
-    const V steepest = larger(rate, norm(batch, self->sum, self->x) / h);
+    const V steepest = larger(rate, norm(self, batch, self->sum, self->x) / h);
     const V next = pick(steepest > every(1e-15), eighth_root(every(0.01) / steepest),
                         larger(every(1e-6), every(1e-3) * h));
     const V best = smaller(smaller(every(100) * h, next), every(span));
@@ -180,6 +180,7 @@ static int refill(Lanes *self, const Batch *batch) {
             const long long run = __atomic_fetch_add(batch->next, 1, __ATOMIC_RELAXED);
             if (run >= batch->runs) continue;
             for (int i = 0; i < NX; ++i) self->x[i][l] = batch->x0[run * NX + i];
+            for (int i = 0; i < NX; ++i) self->nominal[i][l] = batch->nominal[run * NX + i];
             for (int i = 0; i < NU; ++i) self->u[i][l] = batch->u[run * NU + i];
             for (int i = 0; i < NP; ++i) self->p[i][l] = batch->p[run * NP + i];
             self->t[l] = batch->grid[0];
@@ -201,7 +202,8 @@ static int refill(Lanes *self, const Batch *batch) {
         const M good = is_finite(self->sum) & is_finite(self->x);
         for (int i = 0; i < NX; ++i) self->k[0][i] = pick(fresh, self->sum[i], self->k[0][i]);
         const double span = batch->grid[batch->points - 1] - batch->grid[0];
-        self->h = pick(fresh, first_steps(self, batch, span), self->h);
+        const V first = smaller(first_steps(self, batch, span), every(batch->largest));
+        self->h = pick(fresh, first, self->h);
         int again = 0;
         FOR_LANES if (fresh[l] && (!good[l] || self->next[l] >= batch->points)) {
             if (!good[l]) self->next[l] = 0;
@@ -227,7 +229,7 @@ static V errors(Lanes *self, const Batch *batch) {
     model.error_3(self->k, third);
     for (int i = 0; i < NX; ++i) {
         const V size = larger(magnitude(self->x[i]), magnitude(self->end[i]));
-        const V unit = scale(batch, i, size), a = self->sum[i] / unit, b = third[i] / unit;
+        const V unit = scale(self, batch, i, size), a = self->sum[i] / unit, b = third[i] / unit;
         sum_5 += a * a;
         sum_3 += b * b;
     }
@@ -334,7 +336,7 @@ static void step(Lanes *self, const Batch *batch) {
         self->k[0][i] = pick(good, self->k[END][i], self->k[0][i]);
     }
     self->t = pick(good, after, self->t);
-    self->h *= growth;
+    self->h = smaller(self->h * growth, every(batch->largest));
     FOR_LANES if (self->run[l] >= 0 && self->next[l] >= batch->points)
         finish(self, batch, l, ENDED);
 }

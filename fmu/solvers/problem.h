@@ -11,7 +11,7 @@
 #endif
 
 /* Codes 0 to 3 are those of CasADi's own integrators. */
-enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED };
+enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT };
 
 /* A function as CasADi writes it, and what it needs to work. */
 typedef int Equations(const double **arg, double **res, long long *iw, double *w, int mem);
@@ -20,6 +20,7 @@ typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, lon
 typedef struct {
     Equations *rhs;          /* (t, x, z guess, u, c) -> (dx/dt, z) */
     Equations *project;      /* see projection.h; NULL where nothing is corrected */
+    Equations *watch;        /* see watch.h; NULL without relations */
     const double *z, *u, *c; /* what every call is given */
     const double **arg;      /* CasADi's work space */
     double **res;
@@ -28,6 +29,10 @@ typedef struct {
     long long steps, calls;
     double relative, absolute; /* error that each step may have, the latter in nominal values */
     const double *nominal;     /* of the states */
+    const double *zero;        /* whether margins are 0 where the run begins, by definition */
+    double *offsets;           /* what they are there by value */
+    int looked_at;
+    int relation; /* which one ended the run */
 } Problem;
 
 /* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */

@@ -1,4 +1,4 @@
-"""Rigid-body systems as symbolic DAEs: CVODES and IDAS on one road, FMUs on the other.
+"""Rigid-body systems as symbolic DAEs: CVODES and IDAS on one backend, FMUs on the other.
 
     >>> import cosim
     >>> run = cosim.simulate("bicycle", stop_time=1, outputs=["phi", "delta"])
@@ -7,7 +7,8 @@
 
 `cosim.models()` is what there is, `cosim.info("bicycle")` what one is.
 
-Names are imported when first used, so that `import cosim` costs nothing.
+Names are imported when first used, so that `import cosim` costs nothing. `__init__.pyi` lists them,
+one `from MODULE import NAME as NAME` a line; type checkers read the same file.
 """
 
 from __future__ import annotations
@@ -20,130 +21,22 @@ TYPE_CHECKING = False  # as of `typing`, which takes as long to import as all of
 if TYPE_CHECKING:
     from typing import Any
 
-    from casadi_models.dae import Dae, Model
-    from cosim import errors, solvers
-    from cosim.api import run_scene, simulate
-    from cosim.errors import CosimError
-    from cosim.fmi.check.check import check_fmu
-    from cosim.fmi.export.package import export_fmu
-    from cosim.fmi.run.simulate import simulate_fmu
-    from cosim.fmi.ssp import write_ssp
-    from cosim.integrate.ensemble.ensemble import Ensemble
-    from cosim.integrate.ensemble.simulate_many import simulate_many
-    from cosim.integrate.integrator import integrator, start_vectors
-    from cosim.model.catalogue import load
-    from cosim.model.foreign.dae_builder import from_dae_builder
-    from cosim.model.foreign.from_casadi import from_casadi
-    from cosim.model.inputs import InputSeries, read_inputs
-    from cosim.model.reduction.reduce import reduce
-    from cosim.model.summary import models
-    from cosim.present.figures import draw_figures
-    from cosim.present.info import Info, info
-    from cosim.present.playback.animate import animate
-    from cosim.scene.scene import FigureSpec, Scene, Settings
-    from cosim.scene.scene_file import read_scene
-    from cosim.series.column import Column
-    from cosim.study.extremes.campaign import extremes
-    from cosim.study.linearize.linearize import linearize
-    from cosim.study.linearize.sweep import linearize_sweep
-    from cosim.study.sensitivity.sensitivity import sensitivity
-    from cosim.study.sweep.result import SweepResult
-    from cosim.study.sweep.sweep import sweep
-    from cosim.study.tradeoff.study import tradeoff
-    from cosim.trajectory import Trajectory
-    from cosim.verify.comparison import Comparison, compare
-    from cosim.verify.crosscheck import crosscheck
-    from cosim.verify.reference import reference
 
-_HOMES = {
-    "Column": "series.column",
-    "Comparison": "verify.comparison",
-    "CosimError": "errors",
-    "Ensemble": "integrate.ensemble.ensemble",
-    "FigureSpec": "scene.scene",
-    "Info": "present.info",
-    "InputSeries": "model.inputs",
-    "Scene": "scene.scene",
-    "Settings": "scene.scene",
-    "SweepResult": "study.sweep.result",
-    "Trajectory": "trajectory",
-    "animate": "present.playback.animate",
-    "check_fmu": "fmi.check.check",
-    "compare": "verify.comparison",
-    "crosscheck": "verify.crosscheck",
-    "draw_figures": "present.figures",
-    "export_fmu": "fmi.export.package",
-    "extremes": "study.extremes.campaign",
-    "from_casadi": "model.foreign.from_casadi",
-    "from_dae_builder": "model.foreign.dae_builder",
-    "info": "present.info",
-    "integrator": "integrate.integrator",
-    "linearize": "study.linearize.linearize",
-    "linearize_sweep": "study.linearize.sweep",
-    "load": "model.catalogue",
-    "models": "model.summary",
-    "read_inputs": "model.inputs",
-    "read_scene": "scene.scene_file",
-    "reduce": "model.reduction.reduce",
-    "reference": "verify.reference",
-    "run_scene": "api",
-    "sensitivity": "study.sensitivity.sensitivity",
-    "simulate": "api",
-    "simulate_fmu": "fmi.run.simulate",
-    "simulate_many": "integrate.ensemble.simulate_many",
-    "start_vectors": "integrate.integrator",
-    "sweep": "study.sweep.sweep",
-    "tradeoff": "study.tradeoff.study",
-    "write_ssp": "fmi.ssp",
-}
+def _modules() -> dict[str, str]:
+    """Return the module of each public name."""
+    with open(f"{__file__}i", encoding="utf-8") as stub:  # noqa: PTH123 (pathlib loads slowly)
+        lines = [line.split() for line in stub if line.startswith("from ")]
+    return {name: module for _, module, _, name, *_ in lines}
 
-__all__ = [
-    "Column",
-    "Comparison",
-    "CosimError",
-    "Dae",
-    "Ensemble",
-    "FigureSpec",
-    "Info",
-    "InputSeries",
-    "Model",
-    "Scene",
-    "Settings",
-    "SweepResult",
-    "Trajectory",
-    "animate",
-    "check_fmu",
-    "compare",
-    "crosscheck",
-    "draw_figures",
-    "errors",
-    "export_fmu",
-    "extremes",
-    "from_casadi",
-    "from_dae_builder",
-    "info",
-    "integrator",
-    "linearize",
-    "linearize_sweep",
-    "load",
-    "models",
-    "read_inputs",
-    "read_scene",
-    "reduce",
-    "reference",
-    "run_scene",
-    "sensitivity",
-    "simulate",
-    "simulate_fmu",
-    "simulate_many",
-    "solvers",
-    "start_vectors",
-    "sweep",
-    "tradeoff",
-    "write_ssp",
-]
 
-present_by(animate="cosim.present.playback.animate:animate")
+_MODULES = _modules()
+__all__ = sorted(_MODULES)
+
+present_by(
+    animate="cosim.present.playback.animate:animate",
+    plot="cosim.present.figures:draw_panels",
+    tradeoff="cosim.present.work_precision:draw_pareto_front",
+)
 
 
 def __getattr__(name: str) -> Any:
@@ -151,14 +44,10 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version  # takes longer to import than all the rest
 
         return version("cosim-rigid")
-    if name in ("Dae", "Model"):
-        value = getattr(import_module("casadi_models.dae"), name)
-    elif name in ("errors", "solvers"):
-        return import_module(f"cosim.{name}")
-    elif name in _HOMES:
-        value = getattr(import_module(f"cosim.{_HOMES[name]}"), name)
-    else:
+    if name not in _MODULES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'{_hint(name)}")
+    module = _MODULES[name]
+    value = vars(import_module(module)).get(name) or import_module(f"{module}.{name}")
     globals()[name] = value
     return value
 

@@ -1,49 +1,41 @@
-"""Calls of `import cosim` that need more than one room: runs of an accuracy, or within a time."""
+"""Functions of `import cosim` that combine packages: run requests, goals and scenes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any, Unpack
+from typing import Any, TypedDict, Unpack
 
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
-from cosim.arrays import Vector
+from cosim import backend as backends
+from cosim.backend import Backend
 from cosim.errors import UsageError
-from cosim.integrate import simulate as native
-from cosim.integrate.run.asked_times import AskedTimes, again
-from cosim.integrate.run.outputs import recording
-from cosim.integrate.run.stopping import run_until
-from cosim.integrate.solver import Solver
-from cosim.integrate.solvers import SOLVERS
-from cosim.memo import kept_per_thread
-from cosim.model.catalogue import load
-from cosim.model.driving import driven
-from cosim.model.quantities import quantity
-from cosim.model.values import A_DAE, assign, plain_values
-from cosim.scene import roads
-from cosim.scene.goals import GOALS, OVERRULED, refuse_contradiction
-from cosim.scene.roads import Road
+from cosim.integrate.keywords import Keywords, requested
+from cosim.model.request import RunRequest
+from cosim.model.solver import Goal, Solver
 from cosim.scene.scene import Scene
-from cosim.study.accuracy.front import pays_compiling
-from cosim.study.accuracy.solver_selection import promised_run
+from cosim.study.accuracy.choice import accurate_run
 from cosim.trajectory import Trajectory
 
 
-class Options(native.Shorthand, total=False):
-    """What few runs need; see `simulate`."""
+class RareKeywords(TypedDict, total=False):
+    """Rarely needed keywords; see `simulate`."""
 
+    relative_tolerance: float | None
+    absolute_tolerance: float | None
+    step_size: float | None
+    max_step: float | None
     compiled: bool | None
-    on_invalid: str
+    on_invalid: str | None
     drift_control: str | None
     output_times: ArrayLike | None
     stop_when: str | None
 
 
 def simulate(
-    dae: Dae | str,
+    dae: Dae | str | RunRequest,
     *,
-    start_time: float = 0.0,
+    start_time: float | None = None,
     stop_time: float | None = None,
     output_interval: float | None = None,
     solver: str | Solver | None = None,
@@ -52,47 +44,55 @@ def simulate(
     start_values: Mapping[str, float | str] | None = None,
     inputs: Any = None,
     outputs: Sequence[str] | None = None,
-    **options: Unpack[Options],
+    **options: Unpack[RareKeywords],
 ) -> Trajectory:
     """Integrate a DAE with CVODES, or with IDAS when it has algebraic unknowns.
 
     Args:
-        dae: The model, or the name of one; SI units throughout.
-        start_time: Begin of the run, s.
+        dae: The model, the name of one, or a request whose fields are the defaults of all other
+            arguments; SI units throughout.
+        start_time: Begin of the run, s; 0 when None.
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.
         solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
-            the name of one; CVODES, or IDAS for a DAE, when None: and where constraints lose rank,
-            `dop853` with projection if the run itself tells that it keeps to its branch.
-        accuracy: Instead of solver and tolerance: largest global error of the outputs, in nominal
-            values. The cheapest configuration that was measured to do is taken, and checked.
-        budget: Instead of these, too: time that the solver may take, s.
-        start_values: Numbers in SI units, or texts with a unit, by name, that replace starts of
-            states, parameters, or inputs.
+            the name of one; CVODES, or IDAS for a DAE, when None.
+        accuracy: Target instead of solver and tolerance: largest global error of the outputs, in
+            nominal values. The cheapest configuration whose measured error is small enough is used,
+            and its error on this run is estimated by a second method.
+        budget: Target instead of solver, tolerance and accuracy: largest time of the solver, s.
+        start_values: Numbers in SI units, or texts with a unit, by name, that replace initial
+            values of states, parameters, or constant inputs.
         inputs: An `InputSeries`, piecewise linear; or by name a number, a text with a unit, a
-            formula of time, states and parameters, a function of time, samples at the output
-            times (n,), or an `InputSeries`. A formula, and a function that CasADi can take
-            (`lambda t: np.sin(t)`), are followed exactly; any other function is sampled at the
-            output times. Other inputs keep their start value.
-        outputs: Names to record, monitors among them; everything but those when None.
-        options: What few runs need.
-            `compiled`: whether to compile the equations; where that pays when None.
-            `on_invalid`: what happens where a run leaves the model's limits, or a fixed step is
-            too long for the motion: "warn" (the default) says so in `stats["invalid"]`, "stop"
-            ends the run there, "ignore" looks at neither.
-            `drift_control`: "none", "baumgarte" (the model's closing rate) or "projection" after
-            every step, which makes `dop853` the default solver; what the model has when None.
-            `relative_tolerance`, `absolute_tolerance`, `step_size`: numbers of a solver that is
-            named or left out: error per step relative to each state's size (1), 1e-8 when None;
-            error per step in the nominal value of each unknown (1), a hundredth of the relative
-            one when None; largest step of `rk4` and `ode8`, s, the output interval when None.
-            `output_times`: times of one's own, s, (n,), in place of `stop_time` and
-            `output_interval`.
+            formula of time, states and parameters, also with constants of its own that become
+            parameters, `("k*phi", {"k": 2.0})`, a function of time, samples at the output times
+            (n,), or an `InputSeries`. A formula, and a function that CasADi can evaluate
+            symbolically (`lambda t: np.sin(t)`), become part of the equations; any other function
+            is sampled at the output times. Other inputs are constant.
+        outputs: Names to record, monitors among them; everything but monitors when None.
+        options: Rarely needed keywords.
+            `relative_tolerance`: error per step relative to the size of each state (1), 1e-8 when
+            None. For the default solver, a tolerance below 1e-8 is read as the desired accuracy of
+            the result.
+            `absolute_tolerance`: error per step in the nominal value of each unknown (1), which is
+            1 SI unit if neither the model nor the initial values set it; a hundredth of the
+            relative tolerance when None.
+            `step_size`: largest step of `rk4` and `ode8`, s; the output interval when None.
+            `max_step`: largest step of the other solvers, s. When None, the error control chooses
+            the steps; but if the equations contain time or an `InputSeries` drives them, no step
+            spans more than 10 output intervals or a fiftieth of the run.
+            `compiled`: whether the equations are compiled; small models are when None.
+            `on_invalid`: what happens if a run violates a validity condition of the model, or a
+            fixed step is too long for the motion: "warn" (the default) reports it in
+            `stats["invalid"]`, "stop" ends the run at that time, "ignore" checks neither. It also
+            ignores singular configurations, at which a run is rejected otherwise.
+            `drift_control`: "none", "baumgarte" (the model's stabilization rate) or "projection"
+            after every step, which makes `dop853` the default solver and passes singular
+            configurations; as the model is built when None.
+            `output_times`: output times, s, (n,), in place of `stop_time` and `output_interval`.
             `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes
-            true; `stats.stop` says so. It is looked at on the output times, then located as
-            accurately as the solver integrates by repeating the run with closer output times.
-            `start`: another name of `start_values`.
+            true; `stats.stop` reports it. It is evaluated at the output times, then located to the
+            accuracy of the solver by repeating the run with closer output times.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit. Its
@@ -100,146 +100,60 @@ def simulate(
 
     Raises:
         UnknownName: A name does not exist: of a value, an output, a solver or an option.
-        ParameterError: A value is not finite or out of its bounds, or asks for what cannot be.
-        UsageError: The solver cannot integrate the model, something is said twice, or is given
-            beside the `accuracy` or `budget` that decides on it.
+        ParameterError: A value is not finite or out of its bounds.
+        UsageError: The solver cannot integrate the model, or two arguments contradict each other.
         InitialConditionError: The start values contradict the constraints.
-        SolverError: The run failed, stopped at a limit, or does not have the `accuracy`; `partial`
-            is what there is.
+        SolverError: The run failed, violated a validity condition with `on_invalid="stop"`, reached
+            a singular configuration, or missed the `accuracy`; `partial` is the run up to there.
         Interrupted: Ctrl-C, a `KeyboardInterrupt` whose `partial` holds the run up to there.
         MissingTool: `compiled` is True and no compiler works.
+
+    References:
+        Hindmarsh et al., SUNDIALS, ACM TOMS 2005, doi:10.1145/1089014.1089020.
 
     Example:
         >>> run = simulate("crank_shaft", start_values={"omega": "60rpm"}, stop_when="phi > 2*pi")
         >>> round(run.stats.stop_time, 6)  # of 2 pi t + 5 t^2 = 2 pi
         0.656758
     """
-    native.refuse_unknown(options, Options.__optional_keys__)
-    dae = named(dae) if isinstance(dae, str) else dae
-    if not isinstance(dae, Dae):
-        raise UsageError.of_type("a run", dae, A_DAE)
-    fixed = {name: options.get(name) for name in (*OVERRULED, "drift_control")}
-    refuse_contradiction(accuracy, budget, **fixed | {"solver": solver})
-    given = _numbers_of_texts(dae, native.one_of(dae, start_values, options.pop("start", None)))
-    own_times, condition = options.pop("output_times", None), options.pop("stop_when", None)
-    times = AskedTimes(dae, start_time, stop_time, output_interval, own_times)
-    settled = driven(dae, inputs, times.grid)
-    dae = settled.dae
-    run: dict[str, Any] = {"inputs": settled.series}
-    run["start_values"] = _together(dae, given, settled.constants)
-    if condition is not None:
-        if accuracy is not None or budget is not None:
-            raise UsageError(
-                f"{dae.full_name}: stop_when needs a solver; leave accuracy or budget out"
-            )
-        found = _until(dae, condition, times, outputs, run | {"solver": solver, **options})
-    elif accuracy is None and budget is None:
-        run |= {"solver": solver, "outputs": outputs, **options}
-        found = native.simulate(dae, **times.given, **run)
-    else:
-        found = _promised(dae, accuracy, budget, times, outputs, run, options)
-    if accuracy is None and budget is None and SOLVERS[found.stats["solver"]].adaptive:
-        settings = run | {"solver": solver, **options}
-        span = float(found.time[0]), float(found.time[-1])
-        found = found.computed_by(partial(again, dae, settings, *span))
-    return times.asked(found)
+    return execute(
+        requested(
+            dae,
+            start_time=start_time,
+            stop_time=stop_time,
+            output_interval=output_interval,
+            solver=solver,
+            accuracy=accuracy,
+            budget=budget,
+            start_values=start_values,
+            inputs=inputs,
+            outputs=outputs,
+            **options,
+        )
+    )
 
 
-def _promised(
-    dae: Dae,
-    accuracy: float | None,
-    budget: float | None,
-    times: AskedTimes,
-    outputs: Sequence[str] | None,
-    run: dict[str, Any],
-    options: Options,
-) -> Trajectory:
-    """Run with what an accuracy or a budget chooses."""
-    assign(dae, run["start_values"])
-    dae, names = recording(dae, outputs)
-    grid = times.grid()
-    compiled = options.get("compiled")
-    compiled = pays_compiling(dae, grid) if compiled is None else compiled
-    run = run | times.given | {"on_invalid": options.get("on_invalid", "warn")}
-    solve = partial(native.simulate, dae, outputs=names, compiled=compiled, **run)
-    length = float(grid[-1] - grid[0])
-    return promised_run(dae, solve, names, length, compiled, accuracy, budget)
-
-
-def _until(
-    dae: Dae,
-    condition: str,
-    times: AskedTimes,
-    outputs: Sequence[str] | None,
-    run: dict[str, Any],
-) -> Trajectory:
-    """Run until a condition becomes true."""
-    dae, names = recording(dae, outputs)
-
-    def solve(watched: Dae, grid: Vector, names: Sequence[str]) -> Trajectory:
-        return native.simulate(watched, output_interval=grid, outputs=names, **run)
-
-    return run_until(dae, condition, solve, times.grid(), names)
-
-
-def _together(dae: Dae, given: Any, constants: Mapping[str, float]) -> Any:
-    """Return start values with those of constant inputs."""
-    if not constants or not isinstance(given, Mapping | None):
-        return given
-    if twice := constants.keys() & (given or {}).keys():
-        raise UsageError(f"{dae.full_name}: {min(twice)} is given twice; give it once")
-    return {**(given or {}), **constants}
-
-
-def _numbers_of_texts(dae: Dae, given: Any) -> Any:
-    """Return what is given for starts, texts as numbers in the variables' units."""
-    if not isinstance(given, Mapping) or not isinstance(dae, Dae):
-        return given  # and refused with the rest
-    units = {v.name: v.unit for v in dae.variables}
-    return {
-        name: quantity(name, value, units[name])
-        if isinstance(value, str) and name in units
-        else value
-        for name, value in given.items()
-    }
-
-
-@kept_per_thread(16)
-def _catalogued(name: str) -> Dae:
-    return load(name)
-
-
-def named(name: str) -> Dae:
-    """Return the model of a name, the same one for the same name of the catalogue.
-
-    Raises:
-        CosimError: See `load`.
-    """
-    return load(name) if ".py:" in name else _catalogued(name)
+def execute(request: RunRequest, backend: Backend = Backend.NATIVE) -> Trajectory:
+    """Execute a request on a backend; a goal is first resolved to a solver and a tolerance."""
+    if isinstance(request.solver, Goal) and backend.native:
+        if backend is Backend.INTERPRETED:
+            request = replace(request, policy=replace(request.policy, compiled=False))
+        return accurate_run(request)
+    return backends.run(request, backend)
 
 
 def run_scene(
-    scene: Scene,
-    road: Road | str | None = None,
-    *,
-    stop_when: str | None = None,
-    output_times: ArrayLike | None = None,
-    **options: Any,
+    scene: Scene, backend: Backend | str = Backend.NATIVE, **keywords: Unpack[Keywords]
 ) -> Trajectory:
-    """Run a scene on a road: through the integrators here, or through fmpy as an FMU made from it.
-
-    With an accuracy or a budget, the front of the model with its author's values is what chooses,
-    so that it need not be measured anew for each of the scene's values.
+    """Run a scene, reduced to what its outputs require.
 
     Args:
         scene: What to run.
-        road: "native", "native-interpreted", "fmu-me" or "fmu-cs"; the first one when None.
-        stop_when: A condition that ends the run; see `simulate`.
-        output_times: Times of one's own, s; see `simulate`.
-        options: `compiled`, `on_invalid`, `drift_control` of the native road.
+        backend: "native", "native-interpreted", "fmu-me" or "fmu-cs".
+        keywords: Keywords of `simulate` that replace settings of the scene.
 
     Raises:
-        UsageError: An FMU shall run with an accuracy, a budget or a condition.
+        UsageError: An FMU cannot run with a stop condition, a goal or explicit output times.
         CosimError: The run failed; see `simulate`, `export_fmu`, `simulate_fmu`.
 
     Example:
@@ -248,28 +162,6 @@ def run_scene(
         ('T',)
     """
     if not isinstance(scene, Scene):
-        return roads.run_on_road(scene, road, **options)  # which refuses it
-    goals = {name: getattr(scene.settings, name) for name in GOALS}
-    goal = any(value is not None for value in goals.values())
-    asked: dict[str, Any] = {"stop_when": stop_when, "output_times": output_times}
-    if not goal and all(value is None for value in asked.values()):
-        return roads.run_on_road(scene, road, **options)
-    way = Road.NATIVE if road is None else Road.named(road)
-    if not way.native:
-        words = "accuracy and budget are" if goal else "stop_when and output_times are"
-        raise UsageError(
-            f"{scene.name}: {words} for CasADi's integrators; an FMU gets its accuracy when it is "
-            "exported: cosim export --accuracy"
-        )
-    if way is Road.INTERPRETED:
-        options["compiled"] = False
-    dae = roads.scene_dae(replace(scene, values={}) if goal else scene)
-    settings = roads.native_settings(scene, dae)
-    if output_times is not None:
-        settings["stop_time"] = None
-    if not goal:
-        return simulate(dae, **asked, **settings, **options)
-    known = {v.name for v in (*dae.states, *dae.parameters, *dae.inputs)}
-    values = plain_values(scene.dae, scene.values)
-    start = {name: value for name, value in values.items() if name in known}
-    return simulate(dae, start_values=start, **asked, **goals, **settings, **options)
+        raise UsageError.of_type("run_scene", scene, "what cosim.read_scene returns")
+    request = requested(scene.request, **keywords) if keywords else scene.request
+    return execute(request.reduced(), Backend.named(backend))

@@ -1,4 +1,4 @@
-"""Types of arrays, and arrays that nobody can change."""
+"""Array types, and read-only arrays."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,7 +9,7 @@ Vector = NDArray[np.float64]  # of any number of dimensions; docstrings give the
 
 
 def frozen(given: ArrayLike) -> Vector:
-    """Return doubles that nobody can change any more; a copy only where somebody could."""
+    """Return a read-only array of doubles; a copy unless the argument is read-only already."""
     if isinstance(given, np.ndarray) and _is_frozen(given):
         return given
     array = np.array(given, dtype=float)

@@ -1,34 +1,14 @@
-"""Everything a caller may catch: `CosimError` and its children, each with its exit code."""
+"""Exceptions: `CosimError` and its subclasses, each with an exit code."""
 
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Any, Protocol
+from typing import Any
 
 from casadi_models import CATALOG
-from cosim.text.escaping import visible
-from cosim.text.lists import shortened
-
-
-class PartialRun(Protocol):
-    """What a failed run leaves behind; a `cosim.Trajectory`, or what many runs left."""
-
-    @property
-    def time(self) -> Any:
-        """Output times, s, (n,)."""
-
-    @property
-    def stats(self) -> Mapping[str, Any]:
-        """What it took."""
-
-    @property
-    def status(self) -> str:
-        """Where and why the run stopped."""
-
-    def __getitem__(self, name: str) -> Any:
-        """Return the values of a variable, (n,)."""
+from cosim.text import shortened, visible
 
 
 class CosimError(Exception):
@@ -52,10 +32,10 @@ class UsageError(CosimError):
     exit_code = 2
 
     @classmethod
-    def of_type(cls, call: str, value: object, wanted: str) -> UsageError:
+    def of_type(cls, call: str, value: object, expected: str) -> UsageError:
         """Say that a call was given something of a type that it cannot use."""
         given = f"{' '.join(reprlib.repr(value).split())}, of type {type(value).__name__}"
-        return cls(f"{call} was given {given}; give {wanted}")
+        return cls(f"{call} was given {given}; give {expected}")
 
 
 class ParameterError(UsageError):
@@ -91,17 +71,25 @@ class InitialConditionError(CosimError):
 
 
 class SolverError(CosimError):
-    """A run that ended early; `partial` holds every output up to there."""
+    """A simulation that stopped early.
 
-    def __init__(self, message: str, partial: PartialRun | None = None) -> None:
+    Attributes:
+        partial: Every output up to there, a `Trajectory`; None if there is nothing.
+    """
+
+    def __init__(self, message: str, partial: Any = None) -> None:
         super().__init__(message)
         self.partial = partial
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run that Ctrl-C ended; `partial` holds every output up to there."""
+    """A simulation that Ctrl-C stopped.
 
-    def __init__(self, message: str, partial: PartialRun) -> None:
+    Attributes:
+        partial: Every output up to there: a `Trajectory`, or the results of many runs.
+    """
+
+    def __init__(self, message: str, partial: Any) -> None:
         super().__init__(message)
         self.partial = partial
 
@@ -111,7 +99,7 @@ class ExportError(CosimError):
 
 
 class FmuError(CosimError):
-    """An FMU that cannot be read or run; what it says itself is shown as one harmless line."""
+    """An FMU that cannot be read or run; its own message is shown as one escaped line."""
 
     def __init__(self, message: object) -> None:
         super().__init__(visible(" ".join(str(message).splitlines())))
@@ -122,7 +110,7 @@ class SecurityError(FmuError):
 
 
 class MissingTool(CosimError):
-    """A compiler or an optional package that is not there; the message says how to get it."""
+    """A missing compiler or optional package; the message says how to install it."""
 
     exit_code = 5
 

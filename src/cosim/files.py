@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written beside their place, then renamed."""
+"""Atomic writing and checked reading of files: a file is complete or absent."""
 
 import errno
 import os
@@ -34,9 +34,6 @@ def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     Yields:
         What is written to; where the block is left by an error, the old content stays.
-
-    Raises:
-        ExportError: See there.
     """
     with _explained(target):
         place = _place(target)
@@ -57,48 +54,34 @@ def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
             temporary.unlink(missing_ok=True)
 
 
-def opened_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> BinaryIO:
-    """Open a file for reading that is a plain one: no pipe, whose end may never come, no device.
-
-    Args:
-        source: The file; links are followed.
-        most_bytes: That it may have.
+def opened_plain(
+    source: str | os.PathLike[str], most_bytes: int = MOST_READ, *, links: bool = True
+) -> BinaryIO:
+    """Open a plain file for reading: no pipe, whose end may never come, and no device.
 
     Raises:
-        OSError: It is missing, no plain file, or larger.
+        OSError: It is missing, no plain file, a link without `links`, or larger than `most_bytes`.
     """
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    handle = os.open(source, flags)
-    try:
-        facts = os.fstat(handle)
-        if stat.S_ISDIR(facts.st_mode):
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if not stat.S_ISREG(facts.st_mode):
-            raise OSError(errno.EINVAL, "it is no plain file")
-        if facts.st_size > most_bytes:
-            raise OSError(errno.EFBIG, f"it has more than {most_bytes} bytes")
-        return os.fdopen(handle, "rb")
-    except BaseException:
-        os.close(handle)
-        raise
+    facts = Path(source).stat(follow_symlinks=links)
+    if stat.S_ISDIR(facts.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(facts.st_mode):
+        raise OSError(errno.EINVAL, "it is no plain file")
+    if facts.st_size > most_bytes:
+        raise OSError(errno.EFBIG, f"it has more than {most_bytes} bytes")
+    return Path(source).open("rb")
 
 
 def read_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> bytes:
-    """Return the content of a plain file.
-
-    Raises:
-        OSError: See `opened_plain`.
-    """
+    """Return the content of a plain file."""
     with opened_plain(source, most_bytes) as stream:
         return stream.read()
 
 
 def read_text(source: str | os.PathLike[str], what: str = "") -> str:
-    """Return the text of a plain file that people write; a byte order mark is tolerated.
+    """Return the text of a plain UTF-8 file that people write; a byte order mark is tolerated.
 
-    Args:
-        source: The file, in UTF-8.
-        what: What it is, for messages, e.g. "the input series ".
+    Messages say `what` it is, e.g. "the input series ".
 
     Raises:
         UsageError: It cannot be read, or is in another encoding.
@@ -111,8 +94,8 @@ def read_text(source: str | os.PathLike[str], what: str = "") -> str:
         raise UsageError(f"{source} is not a UTF-8 text; save it in UTF-8") from error
 
 
-def refuse_unwritable(target: str | os.PathLike[str]) -> None:
-    """Refuse a name under which nothing can be written, before anything is computed for it.
+def reject_unwritable(target: str | os.PathLike[str]) -> None:
+    """Reject a path that cannot be written, before anything is computed for it.
 
     Raises:
         ExportError: See `write_atomically`.

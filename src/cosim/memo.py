@@ -1,4 +1,4 @@
-"""What depends on a model and settings alone is built once, for runs of thousands of variants."""
+"""`cached_per_thread`: memoize a function per thread (CasADi integrators are not thread-safe)."""
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
@@ -9,24 +9,20 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def kept_per_thread(most: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Keep a function's latest results, each thread its own: CasADi's integrators are not shared.
-
-    Args:
-        most: Number of results that are kept, the least recently used goes first.
-    """
+def cached_per_thread(most: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Return a decorator that caches a function's `most` latest results in each thread."""
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
-        own = local()
+        of_thread = local()
 
         @wraps(function)
-        def keeping(*args: P.args, **kwargs: P.kwargs) -> T:
+        def cached(*args: P.args, **kwargs: P.kwargs) -> T:
             try:
-                call = own.call
+                call = of_thread.call
             except AttributeError:
-                call = own.call = lru_cache(most)(function)
+                call = of_thread.call = lru_cache(most)(function)
             return cast(T, call(*args, **kwargs))
 
-        return keeping
+        return cached
 
     return decorate

@@ -1,11 +1,14 @@
-"""`Trajectory`: what every run on either road returns."""
+"""`Trajectory`: the result of a run on any backend."""
 
 from __future__ import annotations
 
+import io
+import json
 import os
 import re
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import inf
 from pathlib import Path
@@ -16,13 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.presenters import presenter
-from cosim.series.column import Column, summary_rows
 from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_csv
-from cosim.series.frames import data_frame, data_set
-from cosim.series.interpolation import resample, times_within
-from cosim.series.npz_file import read_npz, write_npz
-from cosim.text.tables import MOST_LINES, Table, html_table, text_table
+from cosim.series.samples import Column, resample, summary_rows, times_within
+from cosim.text import MOST_LINES, Table, html_table, text_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,23 +37,40 @@ SHOWN_PANELS = 6  # of the picture in a notebook
 __all__ = ["Column", "Trajectory", "repr_17"]
 
 
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at an instant of a run.
+
+    Attributes:
+        time: s.
+        name: Name of the event, or the operation of the equations that switched.
+        before, after: States and discrete variables just before and after it, SI.
+    """
+
+    time: float
+    name: str
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class Trajectory:
     """Values of variables over time, in SI units.
 
-    `run["phi"]` is an array, `run[["phi", "delta"]]` a run with these variables only; `name in run`
-    and `for name in run` speak of names, `len(run)` is the number of times, as in pandas.
+    `run["phi"]` is an array, `run[["phi", "delta"]]` a run with these variables only. `name in run`
+    and `for name in run` refer to names; `len(run)` is the number of times, as in pandas.
 
     Attributes:
         model: `MODEL/FORMULATION`, or the name in an FMU.
         time: Output times, s, (n,).
         columns: The variables.
         values: One column per variable, (n, len(columns)).
-        stats: What the run took: solver, steps, rhs_calls, wall_time [s], compiled, ...
+        stats: Facts about the run: solver, steps, rhs_calls, wall_time [s], compiled, ...
         status: "complete", or where and why the run stopped early.
-        drawing: What the model looks like, with the run's parameters; None where nobody knows.
-        numbers: Parameters and constant inputs that it was run with, SI; None where nobody knows.
-        again: Computes the run at other times within its span; None where nothing can.
+        drawing: What the model looks like, with the run's parameters; None if not known.
+        numbers: Parameters and constant inputs of the run, SI; None if not known.
+        again: Computes the run at other times within its span; None if it cannot be computed again.
+        events: What happened at instants, in order.
 
     Raises:
         UsageError: The shapes do not fit, or a variable occurs twice.
@@ -76,6 +94,7 @@ class Trajectory:
     drawing: Drawing | None = field(default=None, repr=False)
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
     numbers: Mapping[str, float] | None = field(default=None, repr=False)
+    events: tuple[Event, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
@@ -107,22 +126,22 @@ class Trajectory:
 
     @property
     def validity(self) -> tuple[float, tuple[str, ...]]:
-        """From when on the run is not what it seems, s (infinite when never), and why."""
+        """Time from which the run is invalid, s (infinite if it is valid), and the reasons."""
         reasons = tuple(str(text) for text in self.stats.get("invalid", ()))
         if not len(self):
             return inf, reasons
-        said = re.match(r"from (\S+) s on ", reasons[0]) if reasons else None
-        known = float(said[1]) if said else self.time[0] if reasons else inf
+        match = re.match(r"from (\S+) s on ", reasons[0]) if reasons else None
+        known = float(match[1]) if match else self.time[0] if reasons else inf
         start = float(self.stats.get("invalid_from", known))
         if self.complete:
             return start, reasons
         return min(start, float(self.time[-1])), (*reasons, self.status)
 
     def column(self, name: str) -> Column:
-        """Return what is known of a variable.
+        """Return the metadata of a variable.
 
         Raises:
-            UnknownName: It was not recorded.
+            UnknownName: The variable was not recorded.
         """
         return self.columns[self._index(name)]
 
@@ -136,7 +155,7 @@ class Trajectory:
         """Return the values of a variable (or of "time"), (n,); of a list of names, a run.
 
         Raises:
-            UnknownName: It was not recorded.
+            UnknownName: The variable was not recorded.
         """
         if isinstance(name, list | tuple):
             return self.select(name)
@@ -156,18 +175,18 @@ class Trajectory:
         return len(self.time)
 
     def select(self, names: str | Sequence[str]) -> Trajectory:
-        """Return the same run with these variables only, in this order; one name is a list, too.
+        """Return the same run with these variables only, in this order; a single name is accepted.
 
         Raises:
-            UnknownName: One was not recorded.
-            UsageError: One is named twice.
+            UnknownName: A variable was not recorded.
+            UsageError: A variable is named twice.
         """
-        wanted = (names,) if isinstance(names, str) else tuple(names)
+        requested = (names,) if isinstance(names, str) else tuple(names)
         own = self.names
-        if wanted == own:
+        if requested == own:
             return replace(self)
         places = {name: i for i, name in enumerate(own)}
-        chosen = [places[name] if name in places else self._index(name) for name in wanted]
+        chosen = [places[name] if name in places else self._index(name) for name in requested]
         columns = tuple(self.columns[i] for i in chosen)
         values = self.values[:, chosen]
         values.setflags(write=False)
@@ -181,11 +200,11 @@ class Trajectory:
     def at(self, times: ArrayLike) -> Any:
         """Return the run at other times within its span.
 
-        A run of `cosim.simulate` is computed again for them, by the interpolant of its solver; any
-        other one is interpolated between its samples, by polynomials of degree 5.
+        A run of `cosim.simulate` is computed again at these times by its solver. Any other run is
+        interpolated between its samples by polynomials of degree 5.
 
         Args:
-            times: s; one number, or an array (m,) that does not fall.
+            times: One time, or an array (m,) in increasing order, s.
 
         Returns:
             Values by name for a number; a `Trajectory` for an array.
@@ -200,19 +219,17 @@ class Trajectory:
             >>> run.at([0.5, 1.5])["x"]
             array([0.25, 2.25])
         """
-        wanted = times_within(self.model, self.time, times)
+        requested = times_within(self.model, self.time, times)
         if self.again is not None:
-            found = self.again(np.atleast_1d(wanted)).select(self.names)
+            found = self.again(np.atleast_1d(requested)).select(self.names)
         else:
-            values, _ = resample(self.time, self.values, np.atleast_1d(wanted))
-            found = replace(self, time=np.atleast_1d(wanted), values=values)
-        return found.final if wanted.ndim == 0 else found
+            values, _ = resample(self.time, self.values, np.atleast_1d(requested))
+            found = replace(self, time=np.atleast_1d(requested), values=values)
+        return found.final if requested.ndim == 0 else found
 
     def computed_by(self, again: Callable[[Vector], Trajectory]) -> Trajectory:
-        """Return the same run, which a function computes again at other times; see `at`."""
-        other = object.__new__(type(self))  # of fields that have been checked
-        vars(other).update(vars(self), again=again)
-        return other
+        """Return the same run with a function that computes it at other times; see `at`."""
+        return replace(self, again=again)
 
     def summary(self) -> Table:
         """Return start, end, smallest and largest value of every variable, in display units."""
@@ -233,24 +250,24 @@ class Trajectory:
     ) -> Trajectory:
         """Read a run, a measurement or another tool's result from a CSV file.
 
-        The first line names the columns, `time` among them or first. Units stand behind the names
-        in brackets or in a second line; values become SI.
+        The first line names the columns. Time is the column `time`, or else the first one. Units
+        are in brackets after the names or in a second line; values are converted to SI.
 
         Args:
             path: The file; columns separated by commas, semicolons or tabs.
-            units: Units of columns, by name, where the file does not tell them.
-            like: A run whose units, nominal values and meanings are taken for the same names.
-            model: What it is called; the name of the file when None.
+            units: Units by name of columns without a unit in the file.
+            like: A run whose units, nominal values and meanings apply to the same names.
+            model: Name of the model; the name of the file if None.
 
         Raises:
             UsageError: The file cannot be read, has no header or an unknown unit.
-            ParameterError: A cell is no number, or the time falls.
+            ParameterError: A cell is not a number, or time decreases.
         """
         place = Path(path)
         samples = read_csv_samples(place)
         known = {} if like is None else {column.name: column for column in like.columns}
-        wanted = {name: column.unit for name, column in known.items()}
-        pairs, values = in_si(place, samples, units or {}, wanted)
+        requested = {name: column.unit for name, column in known.items()}
+        pairs, values = in_si(place, samples, units or {}, requested)
         columns = tuple(
             known.get(name, Column(name, unit, shown))
             for name, (unit, shown) in zip(samples.names, pairs, strict=True)
@@ -278,7 +295,7 @@ class Trajectory:
         return ["time", *self.names]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"again": None}  # a result travels without its model
+        return self.__dict__ | {"again": None}  # a pickled result does not contain its model
 
     @property
     def structured(self) -> NDArray[Any]:
@@ -298,13 +315,13 @@ class Trajectory:
 
         Raises:
             ExportError: The file cannot be written.
-            UsageError: The target is neither.
+            UsageError: The target is neither a file name nor an open text file.
             UnknownName: There is no such kind of units.
         """
         write_csv(target, self.columns, self.time, self.values, units)
 
     def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
-        """Write everything, bit for bit, as a file of numpy; see `from_npz`.
+        """Write everything, bit for bit, as an NPZ file of numpy; see `from_npz`.
 
         Args:
             target: File name, replaced atomically, or an open binary file.
@@ -312,61 +329,80 @@ class Trajectory:
         Raises:
             ExportError: The file cannot be written.
         """
-        facts: dict[str, Any] = {"model": self.model, "stats": dict(self.stats)}
-        facts |= {"status": self.status}
-        facts |= {"numbers": None if self.numbers is None else dict(self.numbers)}
-        write_npz(target, self.columns, self.time, self.values, facts)
+        facts = {
+            "model": self.model,
+            "stats": dict(self.stats),
+            "status": self.status,
+            "numbers": None if self.numbers is None else dict(self.numbers),
+            "columns": [asdict(column) for column in self.columns],
+        }
+        content = io.BytesIO()
+        np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
+        if not isinstance(target, str | os.PathLike):
+            target.write(content.getvalue())
+            return
+        from cosim.files import write_atomically  # only if a file is written
+
+        write_atomically(target, content.getvalue())
 
     @classmethod
     def from_npz(cls, source: str | os.PathLike[str] | BinaryIO) -> Trajectory:
-        """Read what `to_npz` wrote.
+        """Read a file that `to_npz` wrote.
 
         Raises:
-            UsageError: It is no such file.
+            UsageError: The file is not of that kind.
         """
-        columns, time, values, facts = read_npz(source)
         try:
-            return cls(time=time, columns=columns, values=values, **facts)
-        except TypeError as error:
-            raise UsageError(f"{source} holds no trajectory: {error}") from error
+            path = Path(source) if isinstance(source, str | os.PathLike) else None
+            content = io.BytesIO(path.read_bytes()) if path else source
+            with np.load(content, allow_pickle=False) as stored:
+                facts = json.loads(str(stored["facts"]))
+                columns = tuple(Column(**column) for column in facts.pop("columns"))
+                return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise UsageError(f"{source} contains no trajectory: {error}") from error
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a `pandas.DataFrame` indexed by time; units in `attrs`."""
-        attrs = {"model": self.model, "units": self.units, "status": self.status}
-        return data_frame(self.columns, self.time, self.values, attrs)
+        """Return a `pandas.DataFrame` of SI values indexed by time; units in `attrs`.
+
+        Raises:
+            MissingTool: pandas is not installed.
+        """
+        pandas = optional_module("pandas", "data")
+        frame: pd.DataFrame = pandas.DataFrame(self.values, columns=self.names, index=self.time)
+        frame.index.name = "time"
+        frame.attrs = {"model": self.model, "units": self.units, "status": self.status}
+        return frame
 
     def to_xarray(self) -> xr.Dataset:
-        """Return an `xarray.Dataset` over time; unit and meaning in each variable's `attrs`."""
+        """Return an `xarray.Dataset` over time; unit and meaning in each variable's `attrs`.
+
+        Raises:
+            MissingTool: xarray is not installed.
+        """
+        variables = {
+            column.name: ("time", values, column.facts)
+            for column, values in zip(self.columns, self.values.T, strict=True)
+        }
+        coordinates = {"time": ("time", self.time, {"units": "s"})}
         attrs = {"model": self.model, "status": self.status}
-        return data_set(self.columns, self.time, self.values, attrs)
+        found: xr.Dataset = optional_module("xarray", "data").Dataset(variables, coordinates, attrs)
+        return found
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draw variables over time in their display units, a panel each.
 
-        The span in which the run is outside its model is shaded and named.
+        The span in which the run is outside its validity range is shaded and explained.
 
         Args:
-            names: One, or several; all when None.
+            names: One variable or several; all if None.
 
         Raises:
             UnknownName: A variable was not recorded.
         """
-        from cosim.plotting import Panel, draw_panels  # matplotlib takes its time
-
         shown = self.select(names if names is not None else self.names)
-        panels = [
-            Panel(
-                column.meaning or column.name,
-                f"{column.name} [{column.shown_unit}]",
-                column.shown(shown[column.name]),
-                float(column.shown(np.array(column.nominal))),
-            )
-            for column in shown.columns
-        ]
-        start, reasons = self.validity
-        suffix = "" if self.complete else f" ({self.status})"
-        title = f"{self.model}{suffix}"
-        return draw_panels(title, self.time, panels, invalid_from=start, reasons=reasons)
+        figure: Figure = presenter("plot")(shown)
+        return figure
 
     def animate(self, target: str | os.PathLike[str] | None = None, **options: Any) -> Any:
         """Show the run in three dimensions; see `cosim.animate`."""

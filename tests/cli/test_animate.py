@@ -32,6 +32,7 @@ def test_fmu_is_shown_by_the_model_that_it_is_named_after(tmp_path):
     assert target.exists()
 
 
+@pytest.mark.slow
 def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr(
@@ -45,14 +46,14 @@ def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
         f"thetaR_dot={value}" for value in (-12, -14, -16)
     ]
     shown.clear()
-    roads = ("--compare", "multipliers,book", "--stop-time", "0.1")
-    assert animate("bicycle", *roads, "-o", tmp_path / "x.html") == 0
+    backends = ("--compare", "multipliers,book", "--stop-time", "0.1")
+    assert animate("bicycle", *backends, "-o", tmp_path / "x.html") == 0
     assert [run.model for run in shown] == [f"bicycle/{f}" for f in
                                             ("independent", "multipliers", "book")]  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "expected"),
     [
         (["bicycle", "-o", "x.foo"], 3, "no animation format 'foo'"),
         (["bicykle", "-o", "x.png"], 3, "did you mean bicycle?"),
@@ -62,10 +63,10 @@ def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
         (["bicycle", "-o", "nowhere/x.png"], 1, "create nowhere first"),
     ],
 )
-def test_wrong_words_end_with_their_code(words, code, told, capsys, tmp_path, monkeypatch):
+def test_wrong_options_exit_with_their_code(words, code, expected, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert animate(*words) == code
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
@@ -78,7 +79,7 @@ def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
 def test_times_of_the_poses_are_not_those_of_the_run(monkeypatch, tmp_path):
     """A trace is the whole path, not straight lines from pose to pose."""
     shown = []
-    target = "cosim.present.playback.animate.animate"
+    target = "cosim.cli.verbs.animate.animate"
     monkeypatch.setattr(target, lambda runs, *_, **__: shown.extend(runs) or tmp_path / "x")
     options = ("--stop-time", "0.2", "--at", "0,0.1", "-o", str(tmp_path / "x.png"))
     assert main(["animate", "crank_shaft/driven", *options]) == 0

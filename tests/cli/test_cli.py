@@ -7,6 +7,7 @@ missing, 130 interrupted.
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import warnings
@@ -15,9 +16,11 @@ import numpy as np
 import pytest
 
 import casadi_models
-from cosim.cli.main import main
+from cosim.backend import Backend
+from cosim.cli.main import command_line, main
+from cosim.cli.verbs import VERBS
 from cosim.errors import CosimError
-from cosim.model import summary
+from cosim.model import catalogue as summary
 
 BLOW_UP = """
 from casadi_models.dae import Model
@@ -29,7 +32,8 @@ def build():
     model.derivative(x, x**2)
     return model.freeze()
 """
-SHORT = ("--stop-time", "0.02", "--interpreted")
+INTERPRETED = ("--backend", "native-interpreted")
+SHORT = ("--stop-time", "0.02", *INTERPRETED)
 
 
 # -- files ----------------------------------------------------------------------------------------
@@ -37,23 +41,23 @@ SHORT = ("--stop-time", "0.02", "--interpreted")
 
 @pytest.mark.parametrize("verb", ["simulate", "export", "plot"])
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "expected"),
     [
         ("{}/none/a.{}", "No such file or directory; create .*none first"),
         ("{}/folder.{}", "it is a directory; give a file name"),
         ("{}/a\0b.{}", "null (byte|character)"),
         ("{}/" + 300 * "a" + ".{}", "File name too long"),
-        ("/proc/a.{1}", ""),  # refuses new files to every user
+        ("/proc/a.{1}", ""),  # no user can create files there
     ],
 )
-def test_impossible_output_file_is_named_with_the_cause(verb, name, told, tmp_path, capsys):
+def test_impossible_output_file_is_named_with_the_cause(verb, name, expected, tmp_path, capsys):
     ending = {"simulate": "csv", "export": "fmu", "plot": "png"}[verb]
     (tmp_path / f"folder.{ending}").mkdir()
     options = SHORT if verb != "export" else ()
     target = name.format(tmp_path, ending)
     assert main([verb, "crank_torque.toml", *options, "--output-file", target]) == 1
     printed = capsys.readouterr().err
-    assert re.search(f"ExportError: cannot write .*: .*{told}", printed), printed
+    assert re.search(f"ExportError: cannot write .*: .*{expected}", printed), printed
     assert len(printed.splitlines()) == 1
     assert sorted(path.name for path in tmp_path.rglob("*")) == [f"folder.{ending}"]
 
@@ -67,28 +71,28 @@ def test_failed_command_leaves_the_old_file(tmp_path, capsys):
 
 @pytest.mark.parametrize("verb", ["simulate", "crosscheck"])
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "expected"),
     [
         (None, "No such file or directory; give an FMU"),
         (b"", "it is not a zip archive; give an FMU"),
         (b"PK\3\4 and then garbage", "it is not a zip archive; give an FMU"),
     ],
 )
-def test_file_that_is_no_fmu_is_told(verb, content, told, tmp_path, capsys):
+def test_file_that_is_no_fmu_is_reported(verb, content, expected, tmp_path, capsys):
     path = tmp_path / "a.fmu"
     if content is not None:
         path.write_bytes(content)
     assert main([verb, str(path)]) == 1
-    assert capsys.readouterr().err == f"FmuError: cannot read {path}: {told}\n"
+    assert capsys.readouterr().err == f"FmuError: cannot read {path}: {expected}\n"
 
 
 # -- failed and interrupted runs, missing tools: 1, 130, 5 ----------------------------------------
 
 
-def test_failed_run_prints_what_it_reached_and_says_so(tmp_path, capsys):
+def test_failed_run_prints_the_computed_part_and_the_error(tmp_path, capsys):
     (tmp_path / "blow_up.py").write_text(BLOW_UP)
     model = f"{tmp_path}/blow_up.py:build"
-    assert main(["simulate", model, "--stop-time", "2", "--interpreted"]) == 1
+    assert main(["simulate", model, "--stop-time", "2", *INTERPRETED]) == 1
     printed = capsys.readouterr()
     time, x = np.genfromtxt(printed.out.splitlines()[1:], delimiter=",").T
     assert 0.9 < time[-1] < 1
@@ -102,13 +106,13 @@ def test_interrupted_command_ends_with_130(debug, monkeypatch, capsys):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cosim.cli.running.run_scene", interrupt)
+    monkeypatch.setattr("cosim.cli.runs.run_scene", interrupt)
     assert main(["simulate", "crank_shaft", *["--debug"] * debug]) == 130
     assert capsys.readouterr().err == "interrupted\n"
 
 
 @pytest.mark.parametrize("verb", ["export", "crosscheck"])
-def test_missing_compiler_ends_with_5_and_says_how_to_get_one(verb, tmp_path, monkeypatch, capsys):
+def test_missing_compiler_exits_with_5_and_names_the_remedy(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -120,19 +124,19 @@ def test_missing_compiler_ends_with_5_and_says_how_to_get_one(verb, tmp_path, mo
     assert "pip install" in message
 
 
-def test_fault_of_our_own_is_one_line_unless_debugging(monkeypatch, capsys):
+def test_internal_error_is_one_line_unless_debugging(monkeypatch, capsys):
     def fail(*_, **__):
-        raise ZeroDivisionError("what\nnobody thought of")
+        raise ZeroDivisionError("an unforeseen\ncase")
 
-    monkeypatch.setattr("cosim.cli.running.run_scene", fail)
+    monkeypatch.setattr("cosim.cli.runs.run_scene", fail)
     assert main(["simulate", "crank_shaft"]) == 1
-    told = "cosim simulate failed with ZeroDivisionError: what nobody thought of; show where with"
-    assert capsys.readouterr().err == f"{told}: --debug\n"
+    expected = "cosim simulate failed with ZeroDivisionError: an unforeseen case; show where with"
+    assert capsys.readouterr().err == f"{expected}: --debug\n"
     with pytest.raises(ZeroDivisionError):
         main(["simulate", "crank_shaft", "--debug"])
 
 
-def test_error_shows_where_it_arose_when_debugging():
+def test_error_shows_its_origin_when_debugging():
     with pytest.raises(CosimError, match="did you mean bicycle"):
         main(["info", "bycicle", "--debug"])
 
@@ -149,26 +153,29 @@ def test_model_that_cannot_be_exported_leaves_the_table_of_the_others(tmp_path, 
 # -- what is done: 0 ------------------------------------------------------------------------------
 
 
-def test_warning_is_a_line_of_text_and_no_refusal(capsys):
+def test_warning_is_one_line_and_not_an_error(capsys):
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         assert main(["simulate", "bar_on_frame", *SHORT, "-p", "theta=60"]) == 0
-    told = capsys.readouterr().err
-    assert told.startswith("warning: bar_on_frame/reduced: theta = 60 rad is more than two turns")
-    assert len(told.splitlines()) == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith(
+        "warning: bar_on_frame/reduced: theta = 60 rad is more than two turns"
+    )
+    assert len(printed.splitlines()) == 1
 
 
-def test_list_names_every_formulation_in_text_and_in_json(capsys):
-    assert main(["list"]) == 0
+@pytest.mark.parametrize("verb", ["info", "list"])
+def test_list_names_every_formulation_in_text_and_in_json(verb, capsys):
+    assert main([verb]) == 0
     text = capsys.readouterr().out
-    assert main(["list", "--json"]) == 0
+    assert main([verb, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["models"]
     assert [row["model"] for row in rows] == list(casadi_models.CATALOG)
     assert all(re.search(rf"^{name} ", text, re.MULTILINE) for name in casadi_models.CATALOG)
 
 
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
-def test_info_tells_unit_start_and_meaning_of_every_variable(name, capsys):
+def test_info_shows_unit_start_and_meaning_of_every_variable(name, capsys):
     assert main(["info", name, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     tables = [facts[key] for key in ("states", "algebraic unknowns", "inputs", "parameters")]
@@ -179,7 +186,7 @@ def test_info_tells_unit_start_and_meaning_of_every_variable(name, capsys):
 def test_values_settings_and_outputs_reach_the_run(capsys):
     line = ["simulate", "crank_shaft", "-p", "omega=60rpm", "--start-values", "alpha", "0"]
     times = ["--start-time", "1", "--stop-time", "2", "--output-interval", "0.5"]
-    how = ["--outputs", "phi, omega", "--solver", "ode8", "--interpreted"]
+    how = ["--outputs", "phi, omega", "--solver", "ode8", *INTERPRETED]
     assert main([*line, *times, *how]) == 0
     head, *rows = capsys.readouterr().out.splitlines()
     assert head == "time,phi,omega"
@@ -198,9 +205,9 @@ def test_json_holds_the_numbers_of_the_csv(capsys):
     np.testing.assert_array_equal(np.column_stack([*facts["values"].values()]), rows)
 
 
-def test_reader_that_has_seen_enough_is_no_error():
+def test_closed_pipe_is_no_error():
     script = "from cosim.cli.main import main; raise SystemExit(main())"
-    command = [sys.executable, "-c", script, "simulate", "bicycle", "--interpreted"]
+    command = [sys.executable, "-c", script, "simulate", "bicycle", *INTERPRETED]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout.readline().startswith("time,")
     process.stdout.close()
@@ -209,7 +216,7 @@ def test_reader_that_has_seen_enough_is_no_error():
     assert process.wait(60) == 0
 
 
-def test_letter_that_the_terminal_does_not_have_ends_nothing(tmp_path):
+def test_character_that_the_terminal_lacks_causes_no_error(tmp_path):
     model = tmp_path / "angle.py"
     model.write_text(BLOW_UP.replace("goes to infinity at 1 s", "Winkel \u03b8"), encoding="utf-8")
     script = "from cosim.cli.main import main; raise SystemExit(main())"
@@ -249,7 +256,7 @@ def test_info_reads_scenes_and_fmus(exported, capsys):
 def test_recorded_catalogue_is_that_of_the_models():
     recorded = json.loads(summary.FILE.read_text())
     stale = [n for n in casadi_models.CATALOG if recorded.get(n) != summary.facts_of(n)]
-    assert stale == [], "run: python -m cosim.model.summary"
+    assert stale == [], "run: python -m cosim.model.catalogue"
     assert [*recorded] == [*casadi_models.CATALOG]
 
 
@@ -260,3 +267,47 @@ def test_list_needs_no_casadi():
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_a_verb_explains_it_with_two_examples(verb, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([verb, "--help"])
+    assert end.value.code == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert VERBS[verb].summary in text
+    assert "output:" in text
+    assert len(set(VERBS[verb].examples)) == 2
+    for example in VERBS[verb].examples:
+        assert example in text
+        words = shlex.split(example)[1:]
+        assert command_line().parse_args(words).verb == verb
+
+
+def test_help_lists_daily_verbs_first_and_the_cache_last(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    places = [text.index(f"\n  {verb} ") for verb in VERBS]
+    assert places == sorted(places)
+    assert [*VERBS][:2] == ["info", "simulate"]
+    assert [*VERBS][-1] == "cache"
+
+
+def test_backend_of_a_run_is_chosen_by_name(capsys):
+    line = ["simulate", "crank_shaft", "--stop-time", "0.02", "--outputs", "phi"]
+    runs = []
+    for backend in Backend:
+        assert main([*line, "--backend", backend]) == 0
+        runs.append(np.genfromtxt(capsys.readouterr().out.splitlines()[1:], delimiter=","))
+    for run in runs[1:]:
+        np.testing.assert_allclose(run, runs[0], rtol=1e-6, atol=1e-12)
+
+
+def test_equilibrium_is_a_point_to_linearize_at(capsys):
+    line = ["linearize", "bar_on_frame", "-p", "Omega_dot=0", "--outputs", "M_phi"]
+    assert main([*line, "--equilibrium"]) == 0
+    assert "equilibrium" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as end:
+        main([*line, "--equilibrium", "--at", "1"])
+    assert end.value.code == 2

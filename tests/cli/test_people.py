@@ -50,7 +50,8 @@ def test_printed_number_comes_out_of_one_command(line, printed, units, capsys):
 
 # -- units, times, inputs, stops ------------------------------------------------------------------
 
-SHORT = ("--stop-time", "20ms", "--interpreted")
+INTERPRETED = ("--backend", "native-interpreted")
+SHORT = ("--stop-time", "20ms", *INTERPRETED)
 
 
 def test_file_in_the_book_s_units_names_them_in_its_second_line(tmp_path, capsys):
@@ -65,21 +66,21 @@ def test_file_in_the_book_s_units_names_them_in_its_second_line(tmp_path, capsys
     assert "no kind of units 'imperial'; it has si, book" in capsys.readouterr().err
 
 
-def test_terminal_gets_a_summary_and_a_pipe_every_row(monkeypatch, capsys):
+def test_terminal_shows_a_summary_and_a_pipe_receives_every_row(monkeypatch, capsys):
     line = ["simulate", "crank_shaft", *SHORT, "--outputs", "phi"]
     assert main(line) == 0
     assert capsys.readouterr().out.startswith("time,phi\n0,")
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     assert main(line) == 0
-    told = capsys.readouterr()
-    assert "min at [s]" in told.out
-    assert len(told.out.splitlines()) == 3
-    assert "every output time: -o FILE.csv" in told.err
+    printed = capsys.readouterr()
+    assert "min at [s]" in printed.out
+    assert len(printed.out.splitlines()) == 3
+    assert "every output time: -o FILE.csv" in printed.err
 
 
 def test_inputs_come_as_formulas_and_files_and_runs_stop(tmp_path, capsys):
     (tmp_path / "torque.csv").write_text("time,steer_torque\n0,0\n1,1\n")
-    outputs = ["--outputs", "phi", "--interpreted", "--at", "0.5"]
+    outputs = ["--outputs", "phi", *INTERPRETED, "--at", "0.5"]
     found = {}
     for name, words in {
         "formula": ["--input", "steer_torque = t"],
@@ -90,17 +91,17 @@ def test_inputs_come_as_formulas_and_files_and_runs_stop(tmp_path, capsys):
         found[name] = float(capsys.readouterr().out.split()[-1])
     assert found["formula"] == pytest.approx(found["file"], rel=1e-6)
     assert abs(found["none"] - found["file"]) > 1e-3
-    line = ["simulate", "crank_shaft", "--stop-when", "phi > 360deg", "--interpreted", "--json"]
+    line = ["simulate", "crank_shaft", "--stop-when", "phi > 360deg", *INTERPRETED, "--json"]
     assert main(line) == 0
-    told = capsys.readouterr()
-    assert json.loads(told.out)["values"]["phi"][-1] == pytest.approx(2 * np.pi, rel=1e-7)
-    assert told.err.startswith("stopped where phi > 360deg from 0.1241")
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["values"]["phi"][-1] == pytest.approx(2 * np.pi, rel=1e-7)
+    assert printed.err.startswith("stopped where phi > 360deg from 0.1241")
 
 
 @pytest.mark.parametrize(
     ("alias", "name"), [("ode45", "erk"), ("ode15s", "cvodes"), ("ode4", "rk4")]
 )
-def test_solvers_have_matlab_s_names_too(alias, name, capsys):
+def test_solvers_also_have_the_names_of_matlab(alias, name, capsys):
     assert main(["simulate", "crank_shaft", *SHORT, "--solver", alias, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["stats"]["solver"] == name
     assert cosim.simulate("crank_shaft", stop_time=0.1, solver=alias).stats.solver == name
@@ -114,7 +115,7 @@ def test_times_may_have_a_unit(text, value):
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "expected"),
     [
         ("simulat bicycle", "did you mean simulate?"),
         ("simulate bicycle --stoptime 3", "did you mean --stop-time?"),
@@ -123,22 +124,24 @@ def test_times_may_have_a_unit(text, value):
         ("simulate bicycle --at soon", "--at: 'soon' is not a number with a unit"),
         ("scene bicycle_modell_1", "did you mean bicycle_model_1"),
         ("new pendulum.txt", "give a name like pendulum.py"),
-        ("--print-completion tcsh", "no shell 'tcsh'"),
+        ("new mine.toml", "add --from SCENE"),
+        ("new mine.py --from crank_torque", "give a name like mine.toml"),
+        ("--print-completion csh", "no shell 'csh'; did you mean tcsh?"),
     ],
 )
-def test_wrong_words_are_told_with_the_nearest(line, told, capsys):
+def test_unknown_words_are_reported_with_the_nearest_name(line, expected, capsys):
     try:
         code = main(line.split())
     except SystemExit as end:  # of argparse
         code = end.code
     assert code in (2, 3)
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 # -- to start from --------------------------------------------------------------------------------
 
 
-def test_new_model_runs_and_is_left_alone(tmp_path, monkeypatch, capsys):
+def test_new_model_runs_and_is_not_overwritten(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["new", "swing.py"]) == 0
     assert "cosim simulate swing.py:build" in capsys.readouterr().err
@@ -155,7 +158,16 @@ def test_scene_is_printed_as_it_is_shipped(tmp_path, capsys):
     assert cosim.read_scene(tmp_path / "mine.toml").title == "Drive torque of the crank shaft"
 
 
-def test_export_and_plot_say_what_they_wrote_as_json(tmp_path, capsys):
+def test_shipped_scene_is_copied_to_a_new_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "mine.toml", "--from", "crank_torque"]) == 0
+    assert "cosim simulate mine.toml" in capsys.readouterr().err
+    assert cosim.read_scene("mine.toml").title == "Drive torque of the crank shaft"
+    assert main(["new", "mine.toml", "--from", "crank_torque"]) == 2
+    assert "mine.toml exists" in capsys.readouterr().err
+
+
+def test_export_and_plot_report_written_files_as_json(tmp_path, capsys):
     picture = tmp_path / "a.png"
     assert main(["plot", "crank_torque.toml", "-o", str(picture), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["files"] == [str(picture)]
@@ -179,8 +191,8 @@ def test_completion_names_verbs_and_options(shell, capsys):
         assert check.stderr == ""
 
 
-def test_verdicts_are_coloured_on_a_terminal_where_nobody_objects(monkeypatch, capsys):
-    rows = [{"road": "fmpy", "verdict": "ok"}, {"road": "ok", "verdict": "DIFFERS"}]
+def test_verdicts_are_colored_on_a_terminal_unless_no_color_is_set(monkeypatch, capsys):
+    rows = [{"backend": "fmpy", "verdict": "ok"}, {"backend": "ok", "verdict": "DIFFERS"}]
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
     show_table(rows, as_json=False)

@@ -1,4 +1,4 @@
-"""What the command line refuses: in one sentence, before anything is computed or written.
+"""Errors of the command line: one sentence, before anything is computed or written.
 
 Exit codes: 2 wrong usage, 3 unknown name; 1 a file that cannot be.
 """
@@ -14,7 +14,7 @@ from cosim.cli.main import main
 def refused(capsys, monkeypatch, tmp_path):
     """Return a function that runs a command line which must fail without computing anything."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cosim.integrate.run.attempts.call", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("cosim.integrate.nominal.call", lambda *_: pytest.fail("it ran"))
 
     def run(line):
         try:
@@ -34,7 +34,7 @@ def refused(capsys, monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "expected"),
     [
         ("", "the following arguments are required: VERB; see: cosim --help"),
         ("simulat bicycle", "invalid choice: 'simulat' .*'simulate'.*; see: cosim --help"),
@@ -50,7 +50,7 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle -p phi=1 -p phi=2", "phi is given twice"),
         ("simulate bicycle -p phi=1 --start-values phi 2", "phi is given twice"),
         ("simulate bicycle --start-values phi", "'phi' has no value; give NAME VALUE pairs"),
-        ("simulate bicycle --interface-type CoSimulation", "--interface-type is for FMUs"),
+        ("simulate bicycle --interface-type CoSimulation", "--interface-type is for FMU files"),
         ("simulate bicycle --step-size 0.1", "cvodes chooses its own steps"),
         ("simulate bicycle --solver rk4 --relative-tolerance 1e-3", "rk4 has no error control"),
         ("simulate bicycle --solver ode8 --absolute-tolerance 1", "ode8 has no error control"),
@@ -60,23 +60,24 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate swing.py:build", "swing.py is not a file"),
         ("export bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
         ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
-        ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one road only"),
+        ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one backend only"),
         ("simulate bicycle.fmu --solver idas", "--solver is for models"),
-        ("simulate bicycle.fmu --interpreted", "--interpreted is for models"),
+        ("simulate bicycle.fmu --backend native-interpreted", "--backend is for models"),
+        ("simulate bicycle --timeout 0", "--timeout: 0 is not a positive, finite time"),
         ("simulate bicycle.fmu -p phi=3deg", "phi = 3deg: give a number in the FMU's own unit"),
     ],
 )
-def test_wrong_usage_is_told_with_the_way_out(line, told, refused):
+def test_wrong_usage_is_reported_with_the_remedy(line, expected, refused):
     code, message = refused(line)
     assert code == 2
-    assert re.search(told, message), message
+    assert re.search(expected, message), message
 
 
 # -- numbers that make no sense: 2 ----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         ("--stop-time nan", "stop_time = nan is not finite"),
         ("--stop-time inf", "stop_time = inf is not finite"),
@@ -114,10 +115,10 @@ def test_wrong_usage_is_told_with_the_way_out(line, told, refused):
         ("--start-values phi soon", "phi: 'soon' is not a number with a unit"),
     ],
 )
-def test_senseless_number_is_refused_with_its_name_value_and_rule(words, told, refused):
+def test_invalid_number_is_rejected_with_its_name_value_and_rule(words, expected, refused):
     code, message = refused(f"simulate bicycle {words}")
     assert code == 2
-    assert re.search(told, message), message
+    assert re.search(expected, message), message
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,7 @@ def test_senseless_number_is_refused_with_its_name_value_and_rule(words, told, r
         "plot crank_shaft --stop-time nan --output-file a.png",
     ],
 )
-def test_other_verbs_refuse_senseless_numbers_too(line, refused):
+def test_other_verbs_reject_invalid_numbers(line, refused):
     code, message = refused(line)
     assert code == 2
     assert message.startswith("ParameterError: ")
@@ -145,7 +146,7 @@ def test_other_verbs_refuse_senseless_numbers_too(line, refused):
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "expected"),
     [
         ("simulate Bicycle", "no model 'Bicycle'; did you mean bicycle. .all: cosim list"),
         ("info bycicle", "no model 'bycicle'; did you mean bicycle"),
@@ -173,6 +174,7 @@ def test_other_verbs_refuse_senseless_numbers_too(line, refused):
         ("simulate bicycle --solver=", "no solver ''; it has cvodes"),
         ("simulate bicycle --on-invalid explode", "'explode'; it has warn, stop, ignore"),
         ("simulate bicycle --drift-control projektion", "did you mean projection"),
+        ("simulate bicycle --backend fmu-mee", "no backend 'fmu-mee'; did you mean fmu-me"),
         ("export bicycle --fmi 4", "no FMI version '4'; it has 2, 3"),
         ("export bicycle --platform win32", "no platform 'win32'; did you mean win64"),
         ("export bicycle --platform=", "no platform ''; it has native, all"),
@@ -183,13 +185,13 @@ def test_other_verbs_refuse_senseless_numbers_too(line, refused):
         ("tradeoff bicycle --output-file a.txt", "no file format '.txt'; it has .csv, .json"),
     ],
 )
-def test_unknown_name_is_told_with_the_nearest(line, told, refused):
+def test_unknown_name_is_reported_with_the_nearest_name(line, expected, refused):
     code, message = refused(line)
     assert code == 3
-    assert re.search(told, message), message
+    assert re.search(expected, message), message
 
 
-def test_calculated_start_is_told_with_what_may_be_set(refused):
+def test_calculated_start_is_rejected_with_the_names_that_can_be_set(refused):
     code, message = refused("simulate bicycle -p theta=1")
     assert code == 1
     assert "the start of theta is calculated" in message
@@ -212,7 +214,30 @@ def test_calculated_start_is_told_with_what_may_be_set(refused):
         "extremes --figure none/a.png",
     ],
 )
-def test_impossible_output_file_is_told_before_anything_is_computed(line, refused):
+def test_impossible_output_file_is_reported_before_any_computation(line, refused):
     code, message = refused(line)
     assert code == 1
     assert message.startswith("ExportError: cannot write ")
+
+
+# -- files whose ending stands for another format: 2 ----------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "endings"),
+    [
+        ("simulate crank_shaft -o x.xlsx", r"\.csv or \.json"),
+        ("simulate crank_shaft -o x.mat", r"\.csv or \.json"),
+        ("simulate crank_shaft -o x.json", r"\.json is for --json"),
+        ("simulate crank_shaft --json -o x.csv", r"\.json is for --json"),
+        ("export crank_shaft -o x.zip", r"\.fmu"),
+        ("linearize crank_shaft -o eig.png", r"\.csv"),
+        ("sensitivity crank_shaft -o x.txt", r"\.csv"),
+        ("extremes crank_shaft -o x.txt", r"\.csv"),
+        ("sweep crank_shaft -p omega=1:2:2 -o x.parquet", r"\.csv"),
+    ],
+)
+def test_ending_that_a_verb_does_not_write_is_rejected(line, endings, refused):
+    code, message = refused(line)
+    assert code == 2
+    assert re.search(endings, message), message

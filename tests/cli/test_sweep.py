@@ -1,4 +1,4 @@
-"""`cosim sweep`: what the command line says, and with which code it ends."""
+"""`cosim sweep`: its table, its messages and its exit codes."""
 
 import csv
 import io
@@ -33,33 +33,43 @@ def test_a_failed_run_is_a_row_and_code_1(capsys, tmp_path):
         ["sweep", "crank_shaft", "--samples", str(table), "-p", "alpha=0", "--times", "1",
          "--outputs", "phi", "--workers", "0"]
     )  # fmt: skip
-    told = capsys.readouterr()
-    rows = rows_of(told.out)
+    printed = capsys.readouterr()
+    rows = rows_of(printed.out)
     assert code == 1
     assert [row["status"] for row in rows] == ["complete", "refused"]
     assert float(rows[0]["phi_final"]) == pytest.approx(1)
     assert "diameter = -1 m is out of its range" in rows[1]["reason"]
-    assert "2 runs: 1 complete, 1 refused" in told.err
+    assert "2 runs: 1 complete, 1 refused" in printed.err
+
+
+def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
+    pytest.importorskip("zarr")
+    words = ["sweep", "crank_shaft", "--outputs", "phi", "--times", "1", "--workers", "0",
+             "--store", str(tmp_path / "runs.zarr")]  # fmt: skip
+    assert main([*words, "--design", "random:4", "-p", "omega=1:2"]) == 0
+    assert capsys.readouterr().out == ""
+    assert main([*words, "--resume", "-o", str(tmp_path / "runs.csv")]) == 0
+    assert len(rows_of((tmp_path / "runs.csv").read_text())) == 4
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "expected"),
     [
         ([], 2, "nothing varies"),
         (["-p", "omegaa=1,2"], 3, "omega"),
-        (["-p", "omega=1:2"], 2, "ranges are for --sample"),
+        (["-p", "omega=1:2"], 2, "ranges are for --design"),
         (["-p", "omega=1:2:1"], 2, "N of 2 or more"),
         (["-p", "omega"], 2, "write NAME="),
         (["-p", "omega=1 m"], 2, "omega"),
-        (["--sample", "sobol"], 2, "KIND:N"),
-        (["--sample", "sobbol:4", "-p", "omega=1:2"], 3, "sobol"),
-        (["--sample", "random:4", "-p", "omega=normal(1,0)"], 2, "not positive"),
+        (["--design", "sobol"], 2, "KIND:N"),
+        (["--design", "sobbol:4", "-p", "omega=1:2"], 3, "sobol"),
+        (["--design", "random:4", "-p", "omega=normal(1,0)"], 2, "not positive"),
         (["-p", "omega=1,2", "--keep", "maxx"], 3, "max"),
         (["-p", "omega=1,2", "--times", "1,x"], 2, "not a number"),
         (["--samples", "missing.csv"], 2, "cannot read"),
-        (["--samples", "a.csv", "--sample", "lhs:4"], 2, "not both"),
+        (["--samples", "a.csv", "--design", "lhs:4"], 2, "not both"),
     ],
 )
-def test_what_is_wrong_ends_with_its_code_and_a_line(capsys, words, code, told):
+def test_wrong_options_exit_with_their_code_and_one_line(capsys, words, code, expected):
     assert main(["sweep", "crank_shaft", *words]) == code
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err

@@ -4,13 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.fmi_cases import VERSIONS
+from helpers.samples import sampled
 
 import casadi_models
 import cosim
 from casadi_models.dae import Dae
 from cosim.codegen.initialization import algebraic_function, start_function
 
-EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
+EVERY = pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 
 
 def numbers(variables) -> list[float]:

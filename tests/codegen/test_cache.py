@@ -39,7 +39,7 @@ def damage(library, content):
 
 
 @pytest.mark.parametrize("offset", [0, 4, 100, 600, 2000, -300, -20, -1])
-def test_library_with_one_flipped_bit_is_made_again_and_said_once(folder, offset, recwarn):
+def test_library_with_one_flipped_bit_is_rebuilt_with_one_warning(folder, offset, recwarn):
     library = cached_library("key", lambda: CODE)
     whole = library.read_bytes()
     changed = bytearray(whole)
@@ -49,14 +49,14 @@ def test_library_with_one_flipped_bit_is_made_again_and_said_once(folder, offset
     assert again.read_bytes() == whole
     assert ctypes.CDLL(str(again)).answer() == 42
     assert cached_library("key", lambda: pytest.fail("made a third time")) == again
-    assert [str(w.message) for w in recwarn] == [f"{library} was damaged; it is made again"]
+    assert [str(w.message) for w in recwarn] == [f"{library} was corrupt and has been rebuilt"]
 
 
 @pytest.mark.parametrize("content", [b"", b"\x7fELF", bytes(16384)])
-def test_library_that_was_cut_or_zeroed_is_made_again(folder, content):
+def test_truncated_or_zeroed_library_is_rebuilt(folder, content):
     library = cached_library("key", lambda: CODE)
     damage(library, content)
-    with pytest.warns(RuntimeWarning, match="was damaged"):
+    with pytest.warns(RuntimeWarning, match="was corrupt"):
         assert ctypes.CDLL(str(cached_library("key", lambda: CODE))).answer() == 42
 
 
@@ -79,7 +79,7 @@ def test_link_or_pipe_in_place_of_a_library_is_replaced(folder, kind, tmp_path):
     assert ctypes.CDLL(str(again)).answer() == 42
 
 
-def test_folder_in_place_of_a_library_is_refused(folder):
+def test_folder_in_place_of_a_library_is_rejected(folder):
     library = cached_library("key", lambda: CODE)
     library.unlink()
     library.mkdir()
@@ -89,22 +89,22 @@ def test_folder_in_place_of_a_library_is_refused(folder):
 
 
 @pytest.mark.parametrize("content", [b"", b"\0" * 100, b"{" * 5000, b"cosim-cache 1 \n", None])
-def test_damaged_entry_is_none_and_said_once(folder, content):
-    cache.keep("fronts/one", b"content")
+def test_corrupt_entry_is_none_with_one_warning(folder, content):
+    cache.store("fronts/one", b"content")
     assert cache.content_of("fronts/one") == b"content"
     place = folder / "fronts" / "one"
     place.write_bytes(place.read_bytes()[:-1] if content is None else content)
-    with pytest.warns(RuntimeWarning, match="was damaged"):
+    with pytest.warns(RuntimeWarning, match="was corrupt"):
         assert cache.content_of("fronts/one") is None
     assert cache.content_of("fronts/one") is None  # and no second warning
-    cache.keep("fronts/one", b"content")
+    cache.store("fronts/one", b"content")
     assert cache.content_of("fronts/one") == b"content"
 
 
 @posix
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda p: p.symlink_to("/dev/zero")])
 def test_pipe_folder_or_device_in_place_of_an_entry_is_not_read(folder, make):
-    cache.keep("fronts/other", b"")
+    cache.store("fronts/other", b"")
     make(folder / "fronts" / "one")
     assert cache.content_of("fronts/one") is None
 
@@ -132,7 +132,7 @@ def test_older_cache_that_others_can_read_is_closed(folder):
 
 @posix
 @pytest.mark.parametrize("mode", [0o777, 0o757, 0o1777])
-def test_cache_that_others_can_write_to_is_refused_before_anything_is_loaded(folder, mode):
+def test_cache_writable_by_others_is_rejected_before_anything_is_loaded(folder, mode):
     folder.mkdir()
     folder.chmod(mode)
     with pytest.raises(CacheError, match=r"other users can write to .*set COSIM_CACHE"):
@@ -141,7 +141,7 @@ def test_cache_that_others_can_write_to_is_refused_before_anything_is_loaded(fol
 
 
 @posix
-def test_cache_below_a_folder_that_others_can_write_to_is_refused(folder):
+def test_cache_below_a_folder_writable_by_others_is_rejected(folder):
     folder.parent.chmod(0o777)
     with pytest.raises(CacheError, match=f"other users can write to {folder.parent}; set"):
         cache.private_folder()
@@ -152,14 +152,14 @@ def test_cache_below_a_folder_that_others_can_write_to_is_refused(folder):
 @posix
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() != 0, reason="only root gives files away")
 @pytest.mark.parametrize("which", ["cache", "above"])
-def test_cache_of_another_user_is_refused(folder, which):
+def test_cache_of_another_user_is_rejected(folder, which):
     folder.mkdir(mode=0o700)
     os.chown(folder if which == "cache" else folder.parent, 12345, -1)
     with pytest.raises(CacheError, match="is another user's; set COSIM_CACHE"):
         cache.private_folder()
 
 
-def test_user_without_a_home_is_told_to_choose_a_folder(monkeypatch):
+def test_missing_home_folder_is_reported_with_a_remedy(monkeypatch):
     for name in ("COSIM_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
 
@@ -172,12 +172,14 @@ def test_user_without_a_home_is_told_to_choose_a_folder(monkeypatch):
 
 
 @posix
-def test_noexec_is_said_before_anything_is_compiled(folder, monkeypatch):
+def test_noexec_is_reported_before_anything_is_compiled(folder, monkeypatch):
     class Noexec:
         f_flag = os.ST_NOEXEC
 
     monkeypatch.setattr(compiler.os, "statvfs", lambda place: Noexec)
-    with pytest.raises(MissingTool, match=r"mounted noexec.*set COSIM_CACHE .*--interpreted"):
+    with pytest.raises(
+        MissingTool, match=r"mounted noexec.*set COSIM_CACHE .*--backend native-interpreted"
+    ):
         cached_library("key", lambda: pytest.fail("generated"))
     assert made(folder) == []
 
@@ -187,7 +189,7 @@ def test_noexec_is_said_before_anything_is_compiled(folder, monkeypatch):
 
 def test_entries_used_longest_ago_go_first(folder):
     for age, name in ((3, "a"), (2, "b"), (1, "c")):
-        cache.keep(f"fronts/{name}", bytes(1000))
+        cache.store(f"fronts/{name}", bytes(1000))
         when = time.time() - age * 3600
         os.utime(folder / "fronts" / name, (when, when))
     cache.content_of("fronts/a")  # is use
@@ -198,10 +200,10 @@ def test_entries_used_longest_ago_go_first(folder):
 def test_size_is_bounded_by_the_environment(folder, monkeypatch):
     monkeypatch.setenv("COSIM_CACHE_SIZE", "2500")
     for name in "abcd":
-        cache.keep(f"fronts/{name}", bytes(1000))
+        cache.store(f"fronts/{name}", bytes(1000))
         when = time.time() - 3600
         os.utime(folder / "fronts" / name, (when, when))
-    cache.keep("fronts/e", bytes(1000))
+    cache.store("fronts/e", bytes(1000))
     assert [p.name for p in (folder / "fronts").iterdir() if p.name == "e"] == ["e"]
     assert cache.contents().files == 2
 
@@ -209,28 +211,28 @@ def test_size_is_bounded_by_the_environment(folder, monkeypatch):
 def test_entries_of_a_few_bytes_are_written_without_a_look_at_all_others(folder, monkeypatch):
     looks = []
     monkeypatch.setattr(cache, "prune", lambda: looks.append(1))
-    cache.keep("fronts/little", b"exported here")
+    cache.store("fronts/little", b"exported here")
     assert not looks
-    cache.keep("fronts/large", bytes(10_000))
+    cache.store("fronts/large", bytes(10_000))
     assert looks
 
 
 def test_every_folder_that_is_written_to_is_pruned_and_cleared(folder):
-    for name in ("pictures", "exports", "fronts"):
-        cache.keep(f"{name}/a", b"x")
+    for name in ("pictures", "made", "fronts"):
+        cache.store(f"{name}/a", b"x")
     assert cache.clear().files == 3
 
 
 @pytest.mark.parametrize("size", ["-1", "2GB", "1e9"])
-def test_size_that_is_no_number_is_refused(folder, monkeypatch, size):
+def test_invalid_size_is_rejected(folder, monkeypatch, size):
     monkeypatch.setenv("COSIM_CACHE_SIZE", size)
     with pytest.raises(CacheError, match=r"COSIM_CACHE_SIZE = .* is not a number of bytes"):
-        cache.keep("fronts/a", b"")
+        cache.store("fronts/a", b"")
 
 
 def test_clear_removes_what_the_cache_made_and_nothing_else(folder):
     cached_library("key", lambda: CODE)
-    cache.keep("fronts/a", b"x")
+    cache.store("fronts/a", b"x")
     (folder / "mine").mkdir()
     (folder / "mine" / "thesis.tex").write_text("all of it")
     assert cache.clear().files == 2

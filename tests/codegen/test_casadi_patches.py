@@ -69,7 +69,7 @@ def test_entry_is_flattened():
         smallest_step,
     ],
 )
-def test_driver_in_another_form_is_refused(code, change):
+def test_unknown_form_of_the_driver_is_rejected(code, change):
     with pytest.raises(UsageError, match=r"casadi .* in another form .*run without compiling"):
         change(code)
 

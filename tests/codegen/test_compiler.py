@@ -1,4 +1,4 @@
-"""The compiler search, the cache, and every way in which compiling fails: said, and bounded."""
+"""The compiler search, the cache, and every failure of compiling: reported and limited."""
 
 import ctypes
 import os
@@ -44,7 +44,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir() if path.name != ".lock")
 
 
-def test_compiled_code_is_kept_and_not_compiled_twice(cache, script):
+def test_compiled_code_is_stored_and_not_compiled_twice(cache, script):
     library = cached_library("key", lambda: CODE)
     assert ctypes.CDLL(str(library)).answer() == 42
     assert names(cache) == [library.name]
@@ -68,16 +68,16 @@ def test_library_for_another_processor_is_not_loaded(cache, monkeypatch):
     assert cached_library("key", lambda: CODE) != first
 
 
-def test_damaged_library_is_made_again(cache):
+def test_corrupt_library_is_rebuilt(cache):
     library = cached_library("key", lambda: CODE)
     library.write_bytes(library.read_bytes()[:100])
-    with pytest.warns(RuntimeWarning, match="was damaged; it is made again"):
+    with pytest.warns(RuntimeWarning, match="was corrupt and has been rebuilt"):
         again = cached_library("key", lambda: CODE)
     assert again == library
     assert ctypes.CDLL(str(again)).answer() == 42
 
 
-def test_long_code_is_compiled_with_less_optimisation(cache, script, tmp_path):
+def test_long_code_is_compiled_with_less_optimization(cache, script, tmp_path):
     script(f'echo "$@" >> {tmp_path}/calls', 'exec cc "$@"')
     cached_library("short", lambda: CODE)
     cached_library("long", lambda: CODE + "/*" + "x" * 200_000 + "*/")
@@ -105,7 +105,7 @@ def test_compiler_is_searched_in_the_order_of_the_documentation(monkeypatch, tmp
 # -- faults ---------------------------------------------------------------------------------------
 
 
-def test_no_compiler_is_said_with_what_was_tried_and_how_to_get_one(monkeypatch, tmp_path):
+def test_missing_compiler_is_reported_with_attempts_and_remedy(monkeypatch, tmp_path):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(compiling, "find_spec", lambda name: None)
@@ -131,7 +131,7 @@ def test_failing_compiler_is_quoted_with_its_command_and_its_last_lines(cache, s
     assert "line 81" in message
     assert "line 80" not in message
     assert "CC=" in message
-    assert "--interpreted" in message
+    assert "--backend native-interpreted" in message
     assert names(cache) == []
 
 
@@ -215,23 +215,27 @@ def runs(process):
 LONG = "double f(double x) {{ double a = x; {} return a; }}\n".format("a = a * x + 1.5;" * 3000)
 
 
-def test_compiler_without_memory_goes_on_without_optimising(cache, script):
+def test_compiler_without_memory_goes_on_without_optimizing(cache, script):
     script(
         'case "$*" in *-O0*) exec cc "$@";; esac',
         "echo cc1: out of memory allocating 65536 bytes >&2; exit 1",
     )
-    with pytest.warns(RuntimeWarning, match="4 GB of memory; .*; it goes on without optimising"):
+    with pytest.warns(
+        RuntimeWarning, match="4 GB of memory; .*; compiling again without optimization"
+    ):
         library = cached_library("key", lambda: CODE)
     assert ctypes.CDLL(str(library)).answer() == 42
 
 
-def test_memory_of_the_compiler_is_bounded_and_the_limit_is_said(cache, monkeypatch):
+def test_memory_limit_of_the_compiler_is_enforced_and_reported(cache, monkeypatch):
     monkeypatch.setenv("COSIM_COMPILER_MEMORY", str(70 * 10**6))
     if "ziglang" in find_compiler() or "clang" in find_compiler()[0]:
         pytest.skip("takes its memory in another way")
     with (
         pytest.warns(RuntimeWarning, match=r"more than 0\.07 GB of memory"),
-        pytest.raises(CompilerExhausted, match=r"COSIM_COMPILER_MEMORY.*--interpreted"),
+        pytest.raises(
+            CompilerExhausted, match=r"COSIM_COMPILER_MEMORY.*--backend native-interpreted"
+        ),
     ):
         cached_library("key", lambda: LONG)
     assert names(cache) == []
@@ -241,14 +245,14 @@ def test_memory_of_the_compiler_is_bounded_and_the_limit_is_said(cache, monkeypa
 
 
 @pytest.mark.parametrize("place", ["/proc/cache", "/dev/null/cache"])
-def test_cache_that_cannot_be_written_is_said(monkeypatch, place):
+def test_unwritable_cache_is_reported(monkeypatch, place):
     # /proc and a device refuse a folder to every user, root included
     monkeypatch.setenv("COSIM_CACHE", place)
-    with pytest.raises(MissingTool, match=f"cannot keep compiled code in {place}: .*COSIM_CACHE"):
+    with pytest.raises(MissingTool, match=f"cannot store compiled code in {place}: .*COSIM_CACHE"):
         cached_library("key", lambda: CODE)
 
 
-def test_full_disk_is_said(cache, monkeypatch):
+def test_full_disk_is_reported(cache, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
@@ -304,7 +308,7 @@ def test_library_that_another_process_has_made_and_loaded_meanwhile_is_taken(cac
     assert ctypes.CDLL(str(cached_library("key", lambda: CODE))).answer() == 42
 
 
-def test_what_a_compiler_writes_besides_is_gone_with_it(cache, script, tmp_path, monkeypatch):
+def test_temporary_files_of_a_compiler_are_removed(cache, script, tmp_path, monkeypatch):
     theirs = tmp_path / "temporary"
     theirs.mkdir()
     for name in ("TMPDIR", "TEMP", "TMP"):

@@ -1,4 +1,4 @@
-"""Functions of libraries: right on both roads with their C code, a sentence without it."""
+"""Functions of libraries: right on both backends with their C code, a sentence without it."""
 
 import shutil
 import zipfile
@@ -112,7 +112,7 @@ def test_library_without_c_code_runs_interpreted_and_is_not_exported(generated, 
     run = cosim.simulate(dae, **END)
     judge(run)
     assert not run.stats["compiled"]
-    told = r"external function 'law': its C code is not at hand.*; put law\.c beside"
+    told = r"external function 'law': its C code is missing.*; put law\.c beside"
     assert "interpreted: external function 'law'" in run.stats["note"]
     for call in (
         lambda: cosim.simulate(dae, compiled=True),
@@ -124,17 +124,19 @@ def test_library_without_c_code_runs_interpreted_and_is_not_exported(generated, 
     assert not (tmp_path / "m.fmu").exists()
 
 
-def test_c_code_that_computes_something_else_is_refused(generated):
+def test_c_code_that_differs_from_its_library_is_rejected(generated):
     dae = model(imported(generated, ""))
     generated.write_text(generated.read_text().replace("sin(", "cos("))
     with pytest.raises(UsageError, match=r"law\.c computes something else than the library"):
         cosim.simulate(dae, compiled=True)
 
 
-def test_c_code_that_does_not_compile_is_refused(generated, tmp_path):
+def test_c_code_that_does_not_compile_is_rejected(generated, tmp_path):
     dae = model(imported(generated, ""))
     generated.write_text("int law( {\n")
-    with pytest.raises(UsageError, match=r"external function 'law': .*law\.c is of no use"):
+    with pytest.raises(
+        UsageError, match=r"external function 'law': .*law\.c cannot be compiled or loaded"
+    ):
         cosim.export_fmu(dae, tmp_path / "m.fmu")
 
 
@@ -153,10 +155,10 @@ def test_finite_differences_stand_in_for_derivatives(by_hand, tmp_path):
         assert run["x"][-1] == pytest.approx(exact, abs=1e-7)
 
 
-def test_code_that_nobody_links_is_refused_before_it_could_end_the_process(by_hand):
+def test_undefined_function_is_rejected_before_it_could_end_the_process(by_hand):
     function = ca.external("bare", str(by_hand.with_name(f"libbare{SUFFIX}")))
     x = MX.sym("x")
     generator = ca.CodeGenerator("code", {"with_header": False})
     generator.add(ca.Function("caller", [x], [function(x)]))
-    with pytest.raises(UsageError, match="calls 'bare', of which there is no C code"):
+    with pytest.raises(UsageError, match="calls 'bare', whose C code is missing"):
         cached_library("test of unlinked code", generator.dump)

@@ -101,7 +101,7 @@ def test_formula_without_a_value_is_named():
         starts(dae, p=-1.0)
 
 
-def test_calculated_start_outside_its_bounds_is_refused():
+def test_calculated_start_value_outside_its_bounds_is_rejected():
     model = Model("bounded")
     x = model.state("x", "m", 0.5, "x", minimum=0.0, maximum=1.0)
     p = model.parameter("p", "m", 0.5, "p")
@@ -137,11 +137,11 @@ def test_nonlinear_equations_without_a_solution_give_no_number(x):
     [
         pytest.param(lambda x, z, u: z**2 - x, -1.0, "z", id="no root"),
         pytest.param(
-            lambda x, z, u: x * z - 1, 0.0, "equation 1 of 1 holds no unknown", id="singular"
+            lambda x, z, u: x * z - 1, 0.0, "equation 1 of 1 contains no unknown", id="singular"
         ),
     ],
 )
-def test_start_without_consistent_unknowns_is_refused(residual, start, what):
+def test_start_values_without_consistent_unknowns_are_rejected(residual, start, what):
     dae = algebraic(residual)
     values = assign(dae, {"x": start})
     told = rf"algebraic: .* no solution at the start \({what}"
@@ -155,7 +155,7 @@ def test_systems_without_algebraic_unknowns_have_none():
     assert algebraic_values(dae, 0.0, values.x, values).shape == (0,)
 
 
-def test_start_equations_that_repeat_each_other_are_refused_with_a_sentence():
+def test_redundant_start_equations_are_rejected_with_one_message():
     """CasADi's factorization of their slopes raises an error of its own."""
     model = Model("twice")
     a, b = model.state("a", "1", 0.3, "a"), model.state("b", "1", 0.4, "b")
@@ -170,7 +170,7 @@ def test_first_guess_from_which_nothing_is_found_is_what_to_change():
     """z^2 = x has slope 0 at z = 0, the guess that nobody gave; exp z = x is flat far below."""
     x, z = ca.SX.sym("x"), ca.SX.sym("z")
     flat = cosim.from_casadi({"x": x, "z": z, "ode": -x, "alg": z**2 - x}, {"x": 1.0})
-    told = r"equation 1 of 1 has slope 0 at the first guess\); .*give another first guess, as start"
+    told = r"equation 1 of 1 has slope 0 at the initial guess\); .*give another initial guess"
     with pytest.raises(InitialConditionError, match=told):
         cosim.simulate(flat, compiled=False)
     far = {"x": x, "z": z, "ode": -x, "alg": ca.exp(z) - x}

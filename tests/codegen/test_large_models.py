@@ -9,11 +9,10 @@ from casadi import SX
 
 import casadi_models
 import cosim
-from cosim.codegen import directional_jacobian
-from cosim.codegen.directional_jacobian import has_long_jacobian
-from cosim.codegen.functions import driven_equations, equations, is_large
-from cosim.fmi.export.sources.sensitivities import directional_function, jacobian_function
-from cosim.integrate.run.worthwhile import SMALL
+from cosim.codegen import functions as directional_jacobian
+from cosim.codegen.functions import driven_equations, equations, has_long_jacobian, is_large
+from cosim.fmi.export.derivatives import directional_function, jacobian_function
+from cosim.integrate.preparation import LARGE
 
 MODELS = ("bicycle/independent", "bicycle/multipliers", "double_pendulum/multipliers")
 
@@ -35,6 +34,7 @@ def test_derivatives_of_an_fmu_are_the_same_on_both_sides_of_the_limit(name, der
         np.testing.assert_allclose(found.full(), expected.full(), rtol=1e-9, atol=1e-11 * size)
 
 
+@pytest.mark.slow
 def test_banded_jacobian_takes_as_many_directions_as_its_band_is_wide():
     x = SX.sym("x", 2000)
     banded = ca.vertcat(x[1:], 0) * x - ca.vertcat(0, x[:-1])
@@ -48,7 +48,7 @@ def test_no_formulation_of_the_catalogue_is_large(name):
     dae = cosim.load(name)
     assert not is_large(dae)
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
-    assert ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions() <= SMALL
+    assert ca.Function("laws", symbols, [dae.ode, dae.alg]).n_instructions() <= LARGE
 
 
 @pytest.mark.parametrize("function", [driven_equations, partial(equations, sensitivities=False)])

@@ -10,7 +10,6 @@ from casadi import SX
 import cosim
 from cosim.codegen.compiler import compile_library
 from cosim.codegen.pieces import MOST_BRANCHES, in_pieces
-from cosim.fmi.export.sources.folding import folded
 
 
 def generated(function: ca.Function) -> str:
@@ -26,15 +25,14 @@ def results(code: str, folder, name: str, arguments) -> list[np.ndarray]:
     return [np.array(r) for r in ca.external("f", str(path)).call(arguments)]
 
 
-@pytest.mark.parametrize("short", [False, True], ids=["as generated", "folded"])
 @pytest.mark.parametrize("size", [300, 5000])
-def test_pieces_give_the_same_bits(short, size, tmp_path):
+def test_pieces_give_the_same_bits(size, tmp_path):
     dae = cosim.load("bicycle/independent")
     symbols = [dae.t, dae.x, dae.z, dae.u, dae.p]
     f = ca.Function("f", symbols, [dae.ode, dae.outputs], {"cse": True})
     rng = np.random.default_rng(5)
     arguments = [rng.uniform(0.2, 1.0, f.size_in(i)) for i in range(f.n_in())]
-    code = folded(generated(f)) if short else generated(f)
+    code = generated(f)
     divided = in_pieces(code, longest=1000, piece=size)
     assert len(re.findall(r"part \d+ of", divided)) > 3
     whole, parts = (

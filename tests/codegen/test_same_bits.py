@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 from helpers.instructions import fused, needs_objdump
+from helpers.samples import sampled
 
 import casadi_models
 import cosim
@@ -60,10 +61,10 @@ def compiled_for(processor, code, options, folder):
     return compiling.compile_library([source], library, options=options)
 
 
-@pytest.mark.parametrize("name", casadi_models.CATALOG)
+@pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 def test_no_library_of_a_formulation_has_a_fused_instruction(name, tmp_path):
     for code, options in compiler_calls(name):
-        # Long code is compiled without the optimisations that could fuse: one processor will do
+        # Long code is compiled without the optimizations that could fuse: one processor will do
         for processor in PROCESSORS[-1:] if "-O3" in options else PROCESSORS[:1]:
             assert fused(compiled_for(processor, code, options, tmp_path)) == {}
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import fmpy
 import numpy as np
 import pytest
+from helpers.samples import sampled
 
 import casadi_models
 from cosim.fmi.archive import DESCRIPTION, unpacked
 from cosim.fmi.check.parsed import Description, parse
 
-EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
+EVERY = pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 TIME = 0  # position of time, in every FMU of ours
 NOISE = 1e-9  # of a result: what solving linear equations lets rounding errors carry over
 STEP = 0.01  # by which a variable is moved, in nominal values

@@ -1,4 +1,4 @@
-"""Starts that follow from the start time and from inputs, on every road that calculates them."""
+"""Starts that follow from the start time and from inputs, on every backend that calculates them."""
 
 import re
 
@@ -41,7 +41,7 @@ def test_run_starts_where_its_laws_say(inputs):
 @VERSIONS
 def test_fmu_starts_where_its_laws_say(fmi, interface, fmus):
     ways = {"interface": interface, **SPAN, "inputs": {"u": "1 + t"}}
-    run = cosim.simulate_fmu(fmus[fmi], start={"v": 1.0, "k": 3.0}, **ways)
+    run = cosim.simulate_fmu(fmus[fmi], start_values={"v": 1.0, "k": 3.0}, **ways)
     assert (run["x"][0], run["w"][0]) == pytest.approx(starts(1.25, 1.0, 3.0), abs=1e-13)
 
 
@@ -71,7 +71,7 @@ def test_many_runs_start_each_with_its_own_inputs():
 
 
 def test_derivatives_by_inputs_begin_with_those_of_the_start():
-    found = cosim.sensitivity(late(), of=["x", "w"], with_respect_to=["u", "v"], **SPAN)
+    found = cosim.sensitivity(late(), outputs=["x", "w"], with_respect_to=["u", "v"], **SPAN)
     x, w = starts(0.5)
     by_u = (0.5 * 2 + x) / (3 * w**2 + 1)
     assert found["x", "u"][0] == pytest.approx(2.0, abs=1e-12)

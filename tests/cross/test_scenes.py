@@ -1,4 +1,4 @@
-"""Every shipped scene on every road, and the commands that take one."""
+"""Every shipped scene on every backend, and the commands that take one."""
 
 import csv
 import io
@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.backend import FMU_BACKENDS
 from cosim.cli.main import main
-from cosim.scene.library import shipped_scenes
-from cosim.scene.roads import FMU_ROADS, run_fmu, run_on_road, scene_dae
-from cosim.scene.scene import Settings
+from cosim.fmi.run.exported import run_file
+from cosim.model.solver import Tolerance
+from cosim.scene.scene_file import shipped_scenes
 from cosim.verify.crosscheck import crosscheck
 
 NAMES = [path.name for path in shipped_scenes()]
@@ -31,7 +32,7 @@ BOOK = [
 
 
 # Compiling the bicycle's FMUs takes seconds each
-ROADS = [
+BACKENDS = [
     pytest.param(name, marks=pytest.mark.slow)
     if name.startswith("bicycle") and name != "bicycle_roll_steer.toml"
     else name
@@ -40,14 +41,13 @@ ROADS = [
 
 
 def shortened(scene, stop_time=0.5, **settings):
-    return replace(scene, settings=replace(scene.settings, stop_time=stop_time, **settings))
+    return replace(scene, request=cosim.requested(scene.request, stop_time=stop_time, **settings))
 
 
 def accurate(scene, stop_time):
     """Return a scene with the default solver at a tight tolerance."""
-    old = scene.settings
-    settings = Settings(0.0, stop_time, old.output_interval, relative_tolerance=1e-10)
-    return replace(scene, settings=settings)
+    times = cosim.Times(0.0, stop_time, scene.request.times.interval)
+    return replace(scene, request=replace(scene.request, times=times, solver=Tolerance(1e-10)))
 
 
 def test_every_example_and_exercise_of_the_book_is_shipped():
@@ -55,13 +55,13 @@ def test_every_example_and_exercise_of_the_book_is_shipped():
 
 
 def test_at_least_twelve_scenes_want_some_outputs_only():
-    assert sum(bool(cosim.read_scene(name).outputs) for name in NAMES) >= 12
+    assert sum(bool(cosim.read_scene(name).request.outputs) for name in NAMES) >= 12
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_runs_and_draws_its_figures(name):
     scene = shortened(cosim.read_scene(name))
-    run = run_on_road(scene)
+    run = cosim.run_scene(scene)
     assert run.complete
     assert run.time[-1] == 0.5
     assert scene.title
@@ -72,42 +72,41 @@ def test_scene_runs_and_draws_its_figures(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_runs_over_its_full_span(name):
     scene = cosim.read_scene(name)
-    run = run_on_road(scene)
+    run = cosim.run_scene(scene)
     assert run.complete
-    assert run.time[-1] == scene.settings.stop_time
+    assert run.time[-1] == scene.request.times.stop
 
 
-@pytest.mark.parametrize("name", ROADS)
-def test_scene_gives_the_same_on_both_roads(name, tmp_path):
+@pytest.mark.parametrize("name", BACKENDS)
+def test_scene_gives_the_same_on_both_backends(name, tmp_path):
     scene = accurate(cosim.read_scene(name), 1.5)
-    run, dae = run_on_road(scene), scene_dae(scene)
-    path = cosim.export_fmu(dae, tmp_path / "scene.fmu")  # one for both interfaces
-    for road in FMU_ROADS:
+    run, request = cosim.run_scene(scene), scene.request.reduced()
+    path = cosim.export_fmu(request.configured(), tmp_path / "scene.fmu")  # for both interfaces
+    for backend in FMU_BACKENDS:
         # measured 7.2e-8 of the nominal value at most, through fmpy's CVODE
-        assert cosim.compare(run, run_fmu(scene, dae, path, road), bound=5e-7).agrees
+        assert cosim.compare(run, run_file(request, path, backend.interface), bound=5e-7).agrees
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in BOOK])
 def test_reduced_scene_gives_what_the_full_model_gives(name):
     scene = accurate(cosim.read_scene(name), 1.0)
-    full = replace(scene, outputs=())
-    small = scene_dae(scene)
-    assert small.operations(with_outputs=True) < scene_dae(full).operations(with_outputs=True)
-    run, whole = run_on_road(scene), run_on_road(full)
-    assert set(run.names) == set(scene.outputs)
+    full = replace(scene, request=replace(scene.request, outputs=None))
+    small = scene.request.reduced().dae
+    assert small.operations(with_outputs=True) < scene.dae.operations(with_outputs=True)
+    run, whole = cosim.run_scene(scene), cosim.run_scene(full)
+    assert set(run.names) == set(scene.request.outputs)
     assert cosim.compare(run, whole, bound=1e-7).agrees  # measured 1.4e-8 at rtol 1e-10
 
 
 def test_book_model_2_of_the_bicycle_is_model_1_up_to_its_solver():
     first, second = (cosim.read_scene(f"bicycle_model_{i}.toml") for i in (1, 2))
-    times = replace(first.settings, output_interval=0.025)
-    run = run_on_road(replace(first, settings=times))
-    again = run_on_road(second)
+    run = cosim.run_scene(first, output_interval=0.025)
+    again = cosim.run_scene(second)
     assert cosim.compare(run, again, bound=1e-4).agrees  # measured 1.9e-5, of erk at rtol 1e-5
 
 
 def test_book_model_3_of_the_bicycle_is_model_2_but_for_the_path():
-    second, third = (run_on_road(cosim.read_scene(f"bicycle_model_{i}.toml")) for i in (2, 3))
+    second, third = (cosim.run_scene(cosim.read_scene(f"bicycle_model_{i}.toml")) for i in (2, 3))
     # the same method and steps for the same motion: rounding only, measured 1.3e-11
     assert cosim.compare(second, third, bound=1e-9, without=("xP", "yP")).agrees
     path = max(np.abs(second[name] - third[name]).max() for name in ("xP", "yP"))
@@ -116,7 +115,7 @@ def test_book_model_3_of_the_bicycle_is_model_2_but_for_the_path():
 
 def test_exercises_7_3_and_7_4_are_7_2_by_other_steps_and_other_equations():
     second, third, fourth = (
-        run_on_road(cosim.read_scene(f"double_pendulum_7_{i}.toml")) for i in (2, 3, 4)
+        cosim.run_scene(cosim.read_scene(f"double_pendulum_7_{i}.toml")) for i in (2, 3, 4)
     )
     assert cosim.compare(second, fourth, bound=5e-6).agrees  # measured 3.5e-7 at rtol 1e-8
     assert cosim.compare(second, third, bound=5e-6).agrees  # measured 2.3e-7
@@ -136,7 +135,8 @@ def test_kick_moves_the_bicycle_alike_in_every_formulation():
 
 def test_crosscheck_of_a_scene_skips_formulations_that_lack_an_output():
     scene = shortened(cosim.read_scene("double_pendulum_7_2.toml"), 0.2)
-    only = replace(scene, outputs=("singularity_1",), figures=())
+    request = replace(scene.request, outputs=("singularity_1",))
+    only = cosim.Scene("only", request)
     models = {check.model for check in crosscheck([only])}
     assert models == {"double_pendulum/euler_313", "double_pendulum/euler_313_axial"}
 
@@ -180,7 +180,7 @@ def test_export_takes_a_scene(tmp_path, capsys):
     target = tmp_path / "lean.fmu"
     assert main(["export", "bicycle_roll_steer.toml", "-o", str(target)]) == 0
     again = cosim.simulate_fmu(target, stop_time=0.5, output_interval=0.01)
-    run = run_on_road(shortened(cosim.read_scene("bicycle_roll_steer.toml")))
+    run = cosim.run_scene(shortened(cosim.read_scene("bicycle_roll_steer.toml")))
     assert again.model == "bicycle_roll_steer"
     assert cosim.compare(run, again, bound=1e-5).agrees
 

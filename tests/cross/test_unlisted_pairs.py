@@ -4,12 +4,13 @@ import fmpy
 import numpy as np
 import pytest
 from helpers.fmi_cases import VERSIONS
+from helpers.samples import sampled
 
 import casadi_models
 from cosim.fmi.archive import DESCRIPTION, unpacked
 from cosim.fmi.check.parsed import Description, parse
 
-EVERY = pytest.mark.parametrize("name", casadi_models.CATALOG)
+EVERY = pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 ROUNDING = 1e-9  # of a derivative in nominal values; measured 0
 # Listed, but no influence found: terms that cancel, factors that are 0. Measured 0 to 5 %, 16 % for
 # the crank shaft, which turns at a constant rate.

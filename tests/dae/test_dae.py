@@ -73,7 +73,7 @@ def test_unknowns_in_any_order_of_equations_are_accepted():
 
 
 @pytest.mark.parametrize("place", ["derivative", "equation", "output"])
-def test_symbol_that_nobody_declared_is_refused_by_name_and_place(place):
+def test_undeclared_symbol_is_rejected_with_its_name_and_place(place):
     model, x, *_ = oscillator()
     stranger = SX.sym("x")  # the same name, but another symbol
     if place == "derivative":

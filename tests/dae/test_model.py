@@ -148,8 +148,8 @@ def test_display_unit_of_another_kind_is_refused(model):
         model.state("x", "m", 0.0, "stretch", display_unit="kg")
     with pytest.raises(ValueError, match="spring: 'm' cannot be converted to 'kg'"):
         Model("spring", display={"m": "kg"})
-    with pytest.raises(ValueError, match="spring: unit 'metre' is unknown"):
-        Model("spring", display={"metre": "in"})
+    with pytest.raises(ValueError, match="spring: unit 'meter' is unknown"):
+        Model("spring", display={"meter": "in"})
 
 
 @pytest.mark.parametrize("meaning", ["", " ", None, 3])

@@ -1,4 +1,4 @@
-"""Faults of the machine that a shell or a mount makes: little stack, little time, noexec, full."""
+"""Faults of the machine: a small stack, a time limit, folders mounted noexec, a full disk."""
 
 import os
 import subprocess
@@ -39,19 +39,19 @@ def mounted(tmp_path):
     "words",
     [
         "simulate bicycle -q --solver dop853 --relative-tolerance 1e-12 --stop-time 1e6"
-        " --output-interval 100",
-        "simulate {own}:loop",
+        " --output-interval 100 --timeout 3",
+        "simulate {own}:loop --timeout 3",
     ],
 )
-def test_limit_of_processor_time_is_a_sentence(tmp_path, words):
+def test_time_limit_ends_a_run_and_code_of_the_user(tmp_path, words):
     own = tmp_path / "own.py"
     own.write_text("def loop():\n    while True: pass\n")
     assert shell(f"{CALL} simulate bicycle -q --solver dop853 --stop-time 1").returncode == 0
-    done = shell(f"ulimit -t 3; exec {CALL} {words.format(own=own)} > {os.devnull}")
+    done = shell(f"exec {CALL} {words.format(own=own)}")
     assert done.returncode == 1
-    assert done.stderr.splitlines() == [
-        "cosim: the limit of processor time (ulimit -t) is reached; raise it, or ask for less"
-    ]
+    assert bool(done.stdout) == ("bicycle" in words)  # what was computed
+    last = done.stderr.splitlines()[-1]
+    assert last == "cosim simulate did not end within 3 s and was stopped"
 
 
 def test_small_stack_is_enough():

@@ -61,8 +61,16 @@ def test_killed_command_leaves_the_old_file_or_the_new_one(tmp_path, monkeypatch
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     words = [
-        ["simulate", "crank_shaft", "--interpreted", "-o", "run.csv", "--stop-time"],
-        ["plot", "crank_shaft", "--interpreted", "-o", "run.png", "--stop-time"],
+        [
+            "simulate",
+            "crank_shaft",
+            "--backend",
+            "native-interpreted",
+            "-o",
+            "run.csv",
+            "--stop-time",
+        ],
+        ["plot", "crank_shaft", "--backend", "native-interpreted", "-o", "run.png", "--stop-time"],
         ["export", "crank_shaft", "-o", "crank.fmu", "-q", "--outputs"],
     ]
     ends = [("1", "2"), ("1", "2"), ("phi", "omega")]

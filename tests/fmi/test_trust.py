@@ -107,13 +107,13 @@ def test_what_is_no_fmu_cannot_be_trusted(own_cache, tmp_path):
 
 
 def test_crosscheck_says_whose_word_a_reference_is(own_cache, tmp_path, capsys, monkeypatch):
-    from cosim.verify.reference_result import export_with_proof
+    from cosim.verify.reference_result import export_with_reference
 
-    path = export_with_proof(decay("proven"), tmp_path / "proven.fmu")
+    path = export_with_reference(decay("proven"), tmp_path / "proven.fmu")
     assert main(["crosscheck", str(path)]) == 0
-    assert "maker's own word" not in capsys.readouterr().err
+    assert "maker's own result" not in capsys.readouterr().err
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "elsewhere"))  # another machine
     assert main(["crosscheck", str(path)]) == 0
     told = capsys.readouterr()
-    assert "maker's own word: the file runs here as it did there, which does not" in told.err
+    assert "own result: it shows that the file runs here as it did there, not that" in told.err
     assert "reference by cosim-rigid" in told.out

@@ -1,4 +1,4 @@
-"""The FMU of ball.c, and what its ball does by the laws of free fall."""
+"""The FMU of ball.c, and the exact motion of its ball (free fall)."""
 
 import inspect
 import math

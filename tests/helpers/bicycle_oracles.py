@@ -1,4 +1,4 @@
-"""The bicycle from places and rotation matrices alone, and its published numbers.
+"""The bicycle from positions and rotation matrices alone, and its published numbers.
 
 Nothing here comes from the model's files: the steering axis passes through the ground at w + c,
 every body is carried along by rotation matrices, rates come from differentiating places.

@@ -1,4 +1,4 @@
-"""A `Dae` as numbers, without a solver of the product: for tests that judge equations."""
+"""A `Dae` as numbers, without a solver of the product, for tests of equations."""
 
 import casadi as ca
 import numpy as np

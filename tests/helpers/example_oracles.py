@@ -1,4 +1,4 @@
-"""What the examples must end with: published numbers, closed forms, equations derived apart."""
+"""Final values of the examples: published numbers, closed forms, independent equations."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Tests that hold of both versions of FMI, or of both interfaces."""
+"""Parameters for tests of both FMI versions or both interfaces."""
 
 import pytest
 

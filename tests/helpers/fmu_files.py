@@ -1,4 +1,4 @@
-"""FMUs with something wrong in them, for tests: a sound one, entry by entry rewritten."""
+"""Faulty FMUs for tests: copies of a correct one with rewritten entries."""
 
 import zipfile
 from collections.abc import Callable, Mapping

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
-from helpers import toy
+from helpers import event_models, toy
 
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
 SOLVERS = RUNTIME.parent / "solvers"
@@ -107,15 +107,20 @@ def program(
 def fuzzers(new_folder: Callable[[str], Path]) -> Callable[..., Path]:
     """Return what builds a program of random calls on the toy, once for a solver and flags.
 
-    "step rank" is the solver "step" of a toy with a watch. That of FMI 2 lets memory run out, and
-    counts it. What both versions compile, they share.
+    "step rank" is the solver "step" of a toy with a watch; "dop853 events" and "rosenbrock events"
+    are solvers of a model with every kind of event. That of FMI 2 lets memory run out, and counts
+    it. What both versions compile, they share.
     """
 
     @cache
     def folder(solver: str, *flags: str) -> Path:
         made = new_folder("fuzz")
-        kind, _, watched = solver.partition(" ")
-        options = {"rank": bool(watched), "most_steps": FUZZED_STEPS}
+        kind, _, more = solver.partition(" ")
+        if more == "events":
+            dae = event_models.everything(slides=kind == "dop853")
+            event_models.write(made, dae, kind, fmi=3, most_trials=20 * FUZZED_STEPS)
+            return made
+        options = {"rank": more == "rank", "most_steps": FUZZED_STEPS}
         toy.write(made, toy.toy(), toy.TABLE, kind, **options)
         return made
 

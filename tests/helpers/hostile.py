@@ -11,7 +11,7 @@ from helpers.fmu_files import rewritten
 from helpers.small_models import decay
 
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import source_files, zipped
+from cosim.fmi.export.package import FmuOptions, source_files, zipped
 from cosim.fmi.platforms import targets
 
 FAULT = "resources/fault.txt"
@@ -28,7 +28,7 @@ _CHOOSE = "choose_fault(fmuResourceLocation); if (fault(__func__)) return NULL;"
 
 def hostile_binary(folder: Path) -> Path:
     """Build the FMU that can misbehave; without a fault in it, it does not."""
-    files = source_files(decay(), "hostile", 1e-9, 2)
+    files = source_files(decay(), FmuOptions(identifier="hostile"))
     for name, content in files.items():
         if re.fullmatch(r"sources/fmi2(_\w+)?\.c", name):
             text = _FUNCTION.sub(

@@ -1,4 +1,4 @@
-"""What a compiled library asks of a processor, as the disassembler tells it."""
+"""The processor instructions of a compiled library, read by a disassembler."""
 
 import re
 import shutil

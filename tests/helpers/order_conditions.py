@@ -1,4 +1,4 @@
-"""Rooted trees and what order conditions ask of them (Hairer, Norsett, Wanner, II.2)."""
+"""Rooted trees and their order conditions (Hairer, Norsett, Wanner, II.2)."""
 
 from fractions import Fraction
 from functools import cache

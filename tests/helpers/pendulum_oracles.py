@@ -39,8 +39,8 @@ def lagrange(length: float, m: float, diameter: float, g: float) -> Oracle:
 def pinocchio(length: float, m: float, diameter: float, g: float) -> Oracle:
     """Articulated-body algorithm of the package pinocchio, two spherical joints."""
     pin = pytest.importorskip("pinocchio", reason="needs `pip install pin`")
-    centre, below = -length / 2 * UP, pin.SE3(np.eye(3), -length * UP)
-    link = pin.Inertia(m, centre, np.diag(_moments(length, m, diameter)))
+    center, below = -length / 2 * UP, pin.SE3(np.eye(3), -length * UP)
+    link = pin.Inertia(m, center, np.diag(_moments(length, m, diameter)))
     model = pin.Model()
     model.gravity.linear = -g * UP
     first = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "O")
@@ -127,10 +127,10 @@ def _lagrange_functions() -> list[Callable[..., list[list[float]]]]:
         R = sp.rot_axis1(-a) * sp.rot_axis2(-b) * sp.rot_axis3(-c)
         spin = R.T * sum((R.diff(angles[k + i]) * rates[k + i] for i in range(3)), sp.zeros(3))
         omega = sp.Matrix([spin[2, 1], spin[0, 2], spin[1, 0]]).applyfunc(sp.trigsimp)
-        centre = joint - R[:, 2] * length / 2
-        velocity = centre.jacobian(angles) * rates
+        center = joint - R[:, 2] * length / 2
+        velocity = center.jacobian(angles) * rates
         kinetic += (m * velocity.dot(velocity) + omega.dot(moments * omega)) / 2
-        potential += m * g * centre[2]
+        potential += m * g * center[2]
         joint -= R[:, 2] * length
         omegas.append(omega)
     momenta = sp.Matrix([kinetic.diff(v) for v in rates])

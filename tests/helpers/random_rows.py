@@ -14,7 +14,7 @@ from pathlib import Path
 
 from helpers.fault_rows import ANY, WRONG, Prepare, Row
 
-from cosim.scene.library import shipped_scenes
+from cosim.scene.scene_file import shipped_scenes
 
 _BAD_NUMBERS = ("nan", "inf", "-inf", "1e999", "abc", "", "1,5", "0x1p3", "1 2", "--", "\u0661e")
 _NUMBERS = ("--stop-time", "--start-time", "--output-interval", "--relative-tolerance")
@@ -165,7 +165,7 @@ def _scene(draw: random.Random, _: bytes) -> Row:
     content = _odd_text(draw, text).encode()
     if draw.random() < 0.2:
         content = _damaged(draw, content)
-    words = ("simulate", "s.toml", "--stop-time", "0.01", "--interpreted")
+    words = ("simulate", "s.toml", "--stop-time", "0.01", "--backend", "native-interpreted")
     return Row("damaged scene", words, ANY, "", _written("s.toml", content), output=True)
 
 
@@ -173,7 +173,9 @@ def _series(draw: random.Random, _: bytes) -> Row:
     text = "time,T2\n" + "".join(f"{0.1 * k},{k % 3}\n" for k in range(30))
     prepare = _written("u.csv", _damaged(draw, text.encode()))
     words = ("simulate", "bar_on_frame", "--input-file", "u.csv", "--stop-time", "0.01")
-    return Row("damaged series", (*words, "--interpreted"), ANY, "", prepare, output=True)
+    return Row(
+        "damaged series", (*words, "--backend", "native-interpreted"), ANY, "", prepare, output=True
+    )
 
 
 def _misbehaving(draw: random.Random, _: bytes) -> Row:

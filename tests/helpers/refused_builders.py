@@ -1,4 +1,4 @@
-"""DaeBuilder models that are refused, with the reason that is told."""
+"""DaeBuilder models that are rejected, with the reported reason."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""The pair that the clients couple: a bicycle at 3.5 m/s, where it falls, and its rider."""
+"""The system that the clients couple: a bicycle at 3.5 m/s, which falls, and its rider."""
 
 from pathlib import Path
 from typing import NamedTuple

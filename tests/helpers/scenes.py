@@ -19,9 +19,9 @@ def spinning(rate: float, *, drawn: bool = True, limit: float | None = None) -> 
     if drawn:
         turn = about(3, angle)
         model.body("disk", ca.vertcat(0, 0, 1), turn)
-        model.shape("disk", "cylinder", ca.vertcat(radius, 0.1), body="disk", colour="#D55E00")
+        model.shape("disk", "cylinder", ca.vertcat(radius, 0.1), body="disk", color="#D55E00")
         model.shape("mark", "sphere", 0.1, body="disk", at=ca.vertcat(radius, 0, 0))
-        model.shape("post", "box", (0.1, 0.1, 1), at=(0, 0, 0.5), colour="#9A9A9A")
+        model.shape("post", "box", (0.1, 0.1, 1), at=(0, 0, 0.5), color="#9A9A9A")
         rim = ca.vertcat(0, 0, 1) + turn @ ca.vertcat(radius, 0, 0)
         model.arrow("pull", rim, turn @ ca.vertcat(-radius * speed**2, 0, 0), "on the rim")
         model.arrow("twist", SX.zeros(3), ca.vertcat(0, 0, speed), "of the drive", unit="N.m")

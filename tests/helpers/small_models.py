@@ -1,4 +1,4 @@
-"""Models small enough to export in a blink."""
+"""Models that are exported in less than a second."""
 
 from casadi_models.dae import Dae, Model
 

@@ -243,11 +243,13 @@ def _start_functions(m: Equations) -> list[ca.Function]:
 
 
 def _step_function(m: Equations, most_steps: int) -> ca.Function:
-    """Integrate over s in [0, 1]; q = (t, h, tolerance, u, du, p)."""
-    nu, s, q = m.u.numel(), SX.sym("s"), SX.sym("q", 3 + 2 * m.u.numel() + m.p.numel())
-    t, h, u, du, p = q[0], q[1], q[3 : 3 + nu], q[3 + nu : 3 + 2 * nu], q[3 + 2 * nu :]
+    """Integrate over s in [0, 1]; q = (t, h, tolerance, u0, u1, u2, u3, p)."""
+    nu, s, q = m.u.numel(), SX.sym("s"), SX.sym("q", 3 + 4 * m.u.numel() + m.p.numel())
+    t, h, p = q[0], q[1], q[3 + 4 * nu :]
+    u0, u1, u2, u3 = (q[3 + k * nu : 3 + (k + 1) * nu] for k in range(4))
+    u = u0 + s * (u1 + s * (u2 + s * u3))
     ode, alg = ca.substitute(
-        [m.ode, m.alg], [m.t, m.u, m.p], [t + s * h, u + s * du, p]
+        [m.ode, m.alg], [m.t, m.u, m.p], [t + s * h, u, p]
     )  # fmt: skip
     problem = {"t": s, "x": m.x, "z": m.z, "p": q, "ode": h * ode, "alg": alg}
     method = "rosenbrock" if m.z.numel() else "erk"

@@ -1,7 +1,5 @@
 """Drift control: constraints that are kept through their derivatives only, and what it does."""
 
-from dataclasses import replace
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,10 +7,10 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from cosim.cli.main import main
-from cosim.codegen.runge_kutta.projection import projection_step
+from cosim.codegen.initialization import projection_step
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.drift_control import DRIFT_CONTROLS, controllable
-from cosim.scene.scene import Scene, Settings
+from cosim.integrate.preparation import controllable
+from cosim.model.request import DriftControl
 from cosim.study.tradeoff.configuration import Selection
 from cosim.study.tradeoff.study import tradeoff
 
@@ -38,6 +36,7 @@ def circle(nominal=1.0, radius=1.0):
     return model.freeze()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FREE_BODIES)
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8])
 def test_projection_ends_every_output_on_the_constraints(name, rtol):
@@ -84,7 +83,7 @@ def test_gap_closes_with_the_rate_that_is_chosen(rate, reduced):
 
 @pytest.mark.parametrize("rate", [-1.0, np.nan, np.inf])
 def test_closing_rate_that_cannot_be_is_refused(rate):
-    with pytest.raises(ValueError, match=r"gap: closing rate .* give 0 or more"):
+    with pytest.raises(ValueError, match=r"gap: Baumgarte stabilization rate .* give 0 or more"):
         gap().closing_at(rate)
 
 
@@ -148,9 +147,13 @@ def test_part_of_an_invariant_is_none():
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("crank_shaft/multipliers", {"drift_control": "baumgarte"}, "has no closing rate"),
-        ("crank_shaft/driven", {"drift_control": "projection"}, "nothing can be projected"),
-        (FREE_BODIES[0], {"drift_control": "projection", "solver": "idas"}, "idas does not proj"),
+        (
+            "crank_shaft/multipliers",
+            {"drift_control": "baumgarte"},
+            "has no Baumgarte stabilization rate",
+        ),
+        ("crank_shaft/driven", {"drift_control": "projection"}, "nothing to project"),
+        (FREE_BODIES[0], {"drift_control": "projection", "solver": "idas"}, "idas cannot project"),
         (FREE_BODIES[0], {"drift_control": "projection", "compiled": False}, "compiled"),
         (FREE_BODIES[0], {"drift_control": "none", "accuracy": 1e-4}, "accuracy chooses"),
     ],
@@ -181,14 +184,13 @@ def test_command_line_projects(tmp_path):
 
 
 def test_tradeoff_measures_what_model_and_solver_can_have():
-    selection = Selection(("idas", "dop853"), (1e-6,), (), ("native",), DRIFT_CONTROLS)
-    scene = Scene("bike", cosim.load("bicycle/multipliers"), outputs=("phi",))
-    scene = replace(scene, settings=Settings(stop_time=0.5))
-    study = tradeoff(scene, selection=selection, every_formulation=False, repeats=1)
+    selection = Selection(("idas", "dop853"), (1e-6,), (), ("native",), tuple(DriftControl))
+    request = cosim.requested("bicycle/multipliers", outputs=["phi"], stop_time=0.5)
+    study = tradeoff(request, selection=selection, every_formulation=False, repeats=1)
     full = [m.configuration for m in study.measurements if not m.configuration.reduced]
     assert {(c.solver, c.drift_control) for c in full} == {
         *(("idas", control) for control in ("none", "baumgarte")),
-        *(("dop853", control) for control in DRIFT_CONTROLS),
+        *(("dop853", control) for control in tuple(DriftControl)),
     }
     assert all(m.error < 1e-4 for m in study.measurements)
     assert ("bicycle/multipliers projection, idas", "do not project their steps") in [
@@ -200,7 +202,7 @@ def test_tradeoff_measures_what_model_and_solver_can_have():
 
 def test_explicit_form_without_constraints_has_nothing_to_measure():
     dae = cosim.load("crank_shaft/driven")
-    assert [name for name in DRIFT_CONTROLS if controllable(dae, name)] == ["none"]
+    assert [name for name in tuple(DriftControl) if controllable(dae, name)] == ["none"]
 
 
 def test_invariant_of_too_many_rows_is_refused():

@@ -31,8 +31,7 @@ def test_every_solver_brings_the_bar_up_with_the_same_torque(solver, compiled):
 
 
 def test_optimum_is_one():
-    """No other torque in its neighbourhood that ends there is cheaper: its slope is that of the
-    constraints alone, by differences of runs that use no derivative."""
+    """The gradient of the cost is a combination of the constraints' gradients (differences)."""
     torque, _ = best()
     dae = cosim.load("bar_on_frame/reduced")
     run = cosim.integrator(

@@ -21,10 +21,10 @@ from scipy.integrate import solve_ivp
 
 import cosim
 from casadi_models.dae import Model
+from cosim.api import simulate
 from cosim.codegen.compiler import MissingTool
 from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
 from cosim.integrate.integrator import start_vectors
-from cosim.integrate.simulate import simulate
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.inputs import InputSeries
 
@@ -45,7 +45,7 @@ def test_run_that_begins_later_keeps_its_time(solver, compiled):
         stop_time=2.35,
         output_interval=0.1,
         step_size=0.01 if not SOLVERS[solver].adaptive else None,
-        start={"x": x[0], "v": v[0]},
+        start_values={"x": x[0], "v": v[0]},
         compiled=compiled,
     )
     assert run.time.tolist() == pytest.approx([*np.arange(1.3, 2.31, 0.1), 2.35])
@@ -96,10 +96,10 @@ def test_system_without_states_is_evaluated_at_every_time():
 @EVERY_WAY
 def test_constant_input_and_parameter_act_in_every_solver(solver, compiled):
     known = oscillator()
-    run = simulate(known.dae, solver=solver, start={"push": 2.0}, compiled=compiled)
+    run = simulate(known.dae, solver=solver, start_values={"push": 2.0}, compiled=compiled)
     assert error(run, known.solution, push=2.0) < 1e-5
     free = simulate(
-        known.dae, solver=solver, start={"k": 0.0, "x": 0.0, "v": 0.0}, compiled=compiled
+        known.dae, solver=solver, start_values={"k": 0.0, "x": 0.0, "v": 0.0}, compiled=compiled
     )
     np.testing.assert_allclose(free["x"], free.time - np.sin(free.time), rtol=0, atol=1e-5)
 
@@ -210,14 +210,14 @@ def test_two_runs_are_bit_equal():
         ({"solver": "rk4", "step_size": math.nan}, ParameterError),
         ({"solver": "rk4", "absolute_tolerance": 1e-9}, UsageError),
         ({"solver": "euler"}, UnknownName),
-        ({"start": {"x": math.nan}}, ParameterError),
-        ({"start": {"y": 1.0}}, UnknownName),
+        ({"start_values": {"x": math.nan}}, ParameterError),
+        ({"start_values": {"y": 1.0}}, UnknownName),
         ({"on_invalid": "crash"}, UnknownName),
     ],
     ids=str,
 )
 def test_wrong_option_is_refused_in_one_sentence_before_anything_runs(options, kind, monkeypatch):
-    monkeypatch.setattr("cosim.integrate.run.attempts.call", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("cosim.integrate.nominal.call", lambda *_: pytest.fail("it ran"))
     with pytest.raises(kind) as caught:
         simulate(oscillator().dae, compiled=False, **options)
     assert issubclass(kind, CosimError)

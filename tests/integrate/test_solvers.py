@@ -12,17 +12,16 @@ from helpers.oscillators import oscillator
 
 import cosim
 from cosim import solvers
+from cosim.api import RareKeywords
 from cosim.codegen import compiler
 from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.integrate import simulate as native
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.solver import Tolerance
-from cosim.integrate.solvers import SOLVERS, solver_class
-from cosim.model.time_grid import time_grid
-from cosim.scene.scene import Scene
+from cosim.integrate.solvers import SOLVERS, default_solver, solver_named
+from cosim.model.solver import Tolerance
+from cosim.model.times import time_grid
 from cosim.study.tradeoff.configuration import Selection
-from cosim.study.tradeoff.convergence import observed_order
+from cosim.study.tradeoff.fixed_steps import observed_order
 from cosim.verify.reference import reference
 
 GRID = time_grid(0, 1, 0.1)
@@ -44,8 +43,8 @@ def test_names_are_those_of_the_contract():
 
 
 def test_default_is_cvodes_and_idas_for_algebraic_unknowns(ode, dae):
-    assert solver_class(ode, None).name == "cvodes"
-    assert solver_class(dae, None).name == "idas"
+    assert default_solver(ode, Tolerance()).name == "cvodes"
+    assert default_solver(dae, Tolerance()).name == "idas"
 
 
 @pytest.mark.parametrize(
@@ -54,7 +53,7 @@ def test_default_is_cvodes_and_idas_for_algebraic_unknowns(ode, dae):
 )
 def test_unknown_solver_is_refused_with_near_names(ode, name, hint):
     with pytest.raises(UnknownName, match=f"cosim has no solver '{name}'; .*{hint}"):
-        solver_class(ode, name)
+        solver_named(ode, name)
 
 
 @pytest.mark.parametrize("name", [n for n, m in SOLVERS.items() if not m.solves_dae])
@@ -163,7 +162,9 @@ def test_adaptive_value_has_no_step_size_and_no_value_changes():
 
 
 def test_numbers_beside_a_value_are_refused(ode):
-    with pytest.raises(UsageError, match=r"relative_tolerance given beside Erk.*into Erk\("):
+    with pytest.raises(
+        UsageError, match=r"relative_tolerance cannot be combined with the solver Erk.*into Erk\("
+    ):
         cosim.simulate(ode, solver=solvers.Erk(), relative_tolerance=1e-6)
 
 
@@ -216,10 +217,11 @@ def test_solver_is_added_by_a_class_and_a_line_in_the_table(monkeypatch):
         cosim.simulate(cosim.load("crank_shaft/multipliers"), solver="heun")
     with pytest.raises(UnknownName, match="did you mean heun"):
         cosim.simulate(dae, solver="hoin")
-    measured = Selection(solvers=("heun",), roads=("compiled",)).configurations(dae, None, 1, 0.1)
+    request = cosim.requested(dae, stop_time=1.0, output_interval=0.1)
+    measured = Selection(solvers=("heun",), backends=("native",)).configurations(request, None)
     assert {each.solver for each in measured} == {"heun"}
-    scene = Scene("oscillator", known.dae)
-    found = observed_order(scene, reference(scene), "heun")
+    request = cosim.requested(known.dae)
+    found = observed_order(request, reference(request), "heun")
     assert found.expected == 3
     assert found.observed == pytest.approx(3, abs=0.15)
 
@@ -227,30 +229,24 @@ def test_solver_is_added_by_a_class_and_a_line_in_the_table(monkeypatch):
 # -- what a call takes ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("call", [cosim.simulate, native.simulate])
-def test_simulate_has_at_most_twelve_parameters_each_of_them_documented(call):
-    names = list(inspect.signature(call).parameters)
-    assert len(names) <= 12
+def test_simulate_has_few_parameters_each_of_them_documented():
+    names = list(inspect.signature(cosim.simulate).parameters)
+    assert len(names) <= 11  # with **options
     for name in names:
-        assert f"        {name}: " in call.__doc__
-    more = native.Shorthand.__optional_keys__
-    assert all(f"`{name}`" in call.__doc__ for name in more)
-
-
-def test_start_is_another_name_of_start_values(ode):
-    short = {"stop_time": 0.1, "compiled": False}
-    one, two = (
-        cosim.simulate(ode, **{n: {"omega": 3.0}}, **short) for n in ("start", "start_values")
-    )
-    assert one["omega"][0] == two["omega"][0] == 3.0
-    with pytest.raises(UsageError, match="two names of one thing"):
-        cosim.simulate(ode, start={"omega": 3.0}, start_values={"omega": 3.0})
+        assert f"        {name}: " in cosim.simulate.__doc__
+    assert all(f"`{name}`" in cosim.simulate.__doc__ for name in RareKeywords.__optional_keys__)
 
 
 def test_unknown_keyword_is_refused_as_python_does(ode):
-    for call in (cosim.simulate, native.simulate):
+    for call in (cosim.simulate, cosim.requested):
         with pytest.raises(TypeError, match=r"simulate\(\) got an unexpected keyword .*'tol'"):
             call(ode, tol=1e-6)
+
+
+@pytest.mark.parametrize("number", ["relative_tolerance", "absolute_tolerance"])
+def test_tolerance_of_fixed_steps_is_rejected(ode, number):
+    with pytest.raises(UsageError, match=f"rk4 has no error control; leave {number} out"):
+        cosim.simulate(ode, solver="rk4", **{number: 1e-6})
 
 
 def test_stats_are_attributes_and_a_mapping(ode):

@@ -48,9 +48,9 @@ def by_kane(links, q, u, torques, gravity):
         velocities.append(link.rotation.T @ (velocity + ca.cross(omega, link.place)))
         omegas.append(link.rotation.T @ omega + link.axis * u[i])
         turns.append(turn @ link.rotation)
-        centre = velocities[i] + ca.cross(omegas[i], link.centre)
-        terms += kane.body(link.mass, link.inertia, centre, omegas[i])
-        loads.append(kane.Load(centre, link.mass * turns[i].T @ gravity))
+        center = velocities[i] + ca.cross(omegas[i], link.center)
+        terms += kane.body(link.mass, link.inertia, center, omegas[i])
+        loads.append(kane.Load(center, link.mass * turns[i].T @ gravity))
         loads.append(kane.Load(u[i], torques[i]))
     system = kane.System(q=q, q_dot=u, free=u, inertias=tuple(terms), loads=tuple(loads))
     return kane.accelerations(system).free

@@ -290,7 +290,7 @@ def test_accelerations_do_not_depend_on_the_frame_of_the_momenta(frame):
 
 def test_gyrostat_is_body_and_rotor_as_two_bodies():
     m_body, m_rotor, axial, across = 2.0, 0.7, 0.05, 0.03
-    axis, centre = np.array([0.6, 0.0, 0.8]), np.array([0.3, -0.2, 0.1])  # rotor, in body axes
+    axis, center = np.array([0.6, 0.0, 0.8]), np.array([0.3, -0.2, 0.1])  # rotor, in body axes
     own = np.array([[0.5, 0.02, -0.03], [0.02, 0.6, 0.01], [-0.03, 0.01, 0.4]])
     rotor = across * np.eye(3) + (axial - across) * np.outer(axis, axis)
     velocity, omega, spin = SX.sym("velocity", 3), SX.sym("omega", 3), SX.sym("spin")
@@ -299,7 +299,7 @@ def test_gyrostat_is_body_and_rotor_as_two_bodies():
     parts = {"q": SX(0, 1), "q_dot": SX(0, 1), "free": ca.vertcat(velocity, omega, spin)}
 
     mass = m_body + m_rotor
-    to_body, to_rotor = -m_rotor / mass * centre, m_body / mass * centre  # from the common centre
+    to_body, to_rotor = -m_rotor / mass * center, m_body / mass * center  # from the common center
     locked = own + rotor
     for m, r in ((m_body, to_body), (m_rotor, to_rotor)):
         locked = locked + m * (r @ r * np.eye(3) - np.outer(r, r))

@@ -49,7 +49,7 @@ def components(of, frame):
 
 
 # -- a disk that rolls on a plane (SymPy's classic): heading, lean, spin --------------------------
-# Speeds in the axes that lean but do not spin: angular velocity, then velocity of the centre,
+# Speeds in the axes that lean but do not spin: angular velocity, then velocity of the center,
 # which depends on it.
 
 DISK = {"m": 1.7, "r": 0.4, "moments": (1.7 * 0.4**2 / 4, 1.7 * 0.4**2 / 2, 1.7 * 0.4**2 / 4)}
@@ -64,8 +64,8 @@ def rolling_disk_by_sympy():
     omega, velocity = vector(u[:3], lean), vector(u[3:], lean)
     kinematics = components(disk.ang_vel_in(world) - omega, lean)
     disk.set_ang_vel(world, omega)
-    centre = Point("C")
-    centre.set_vel(world, velocity)
+    center = Point("C")
+    center.set_vel(world, velocity)
     method = KanesMethod(
         world,
         q_ind=q,
@@ -75,8 +75,8 @@ def rolling_disk_by_sympy():
         velocity_constraints=components(velocity + cross(omega, -DISK["r"] * lean.z), lean),
     )
     tensor = inertia(lean, *DISK["moments"])
-    body = RigidBody("disk", centre, disk, DISK["m"], (tensor, centre))
-    return accelerations_by_sympy(method, [body], [(centre, -DISK["m"] * G * world.z)], q, u)
+    body = RigidBody("disk", center, disk, DISK["m"], (tensor, center))
+    return accelerations_by_sympy(method, [body], [(center, -DISK["m"] * G * world.z)], q, u)
 
 
 def rolling_disk():
@@ -117,12 +117,12 @@ def double_pendulum_by_sympy():
         omega = vector(u[3 * i : 3 * i + 3], own)
         kinematics += components(rate_of_parent + own.ang_vel_in(parent) - omega, own)
         own.set_ang_vel(world, omega)
-        centre = joint.locatenew(f"G{i}", -length / 2 * own.z)
-        centre.v2pt_theory(joint, world, own)
+        center = joint.locatenew(f"G{i}", -length / 2 * own.z)
+        center.v2pt_theory(joint, world, own)
         end = joint.locatenew(f"J{i}", -length * own.z)
         end.v2pt_theory(joint, world, own)
-        bodies.append(RigidBody(f"body{i}", centre, own, m, (inertia(own, *moments), centre)))
-        loads.append((centre, -m * G * world.z))
+        bodies.append(RigidBody(f"body{i}", center, own, m, (inertia(own, *moments), center)))
+        loads.append((center, -m * G * world.z))
         parent, rate_of_parent, joint = own, omega, end
     method = KanesMethod(world, q_ind=q, u_ind=u, kd_eqs=kinematics)
     return accelerations_by_sympy(method, bodies, loads, q, u)

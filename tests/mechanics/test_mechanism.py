@@ -20,14 +20,14 @@ def bars(q, u, pivot, g):
     starts = [SX(2, 1), along[0], ca.vertcat(pivot, 0)]
     inertias, loads, potential = [], [], SX(0)
     for i, length in enumerate(LENGTHS):
-        centre = starts[i] + along[i] / 2
-        velocity = ca.jtimes(centre, q, u)
+        center = starts[i] + along[i] / 2
+        velocity = ca.jtimes(center, q, u)
         inertias += [
             kane.InertialTerm(velocity, length * velocity),
             kane.InertialTerm(u[i], length**3 / 12 * u[i]),
         ]
         loads.append(kane.Load(velocity, ca.vertcat(0, -length * g)))
-        potential += length * g * centre[1]
+        potential += length * g * center[1]
     return inertias, loads, potential, {"closure": along[0] + along[1] - starts[2] - along[2]}
 
 

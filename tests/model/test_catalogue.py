@@ -220,7 +220,19 @@ def test_builder_runs_wherever_a_model_name_does(written, tmp_path, monkeypatch,
     """)
     assert main(["info", "mine.py:build"]) == 0
     assert re.search(r"^x +m +m +1 +place$", capsys.readouterr().out, re.MULTILINE)
-    assert main(["simulate", "mine.py:build", "--interpreted", "--output-interval", "1"]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                "mine.py:build",
+                "--backend",
+                "native-interpreted",
+                "--output-interval",
+                "1",
+            ]
+        )
+        == 0
+    )
     end = float(capsys.readouterr().out.splitlines()[-1].partition(",")[2])
     np.testing.assert_allclose(end, np.exp(-1), rtol=1e-6)  # run at 1e-8; measured 4e-8
     assert main(["export", "mine.py:build", "-q"]) == 0

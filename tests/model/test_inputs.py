@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.codegen import compiler
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.driving import driven
 from cosim.model.inputs import InputSeries, read_inputs
@@ -77,7 +78,7 @@ def test_series_of_some_inputs_only():
 def test_torque_over_time_moves_a_free_bar_as_its_integrals_say(bar, solver):
     rtol = 1e-10
     run = cosim.simulate(
-        bar, stop_time=1, inputs=SERIES, start=FREE, solver=solver, relative_tolerance=rtol
+        bar, stop_time=1, inputs=SERIES, start_values=FREE, solver=solver, relative_tolerance=rtol
     )
     angle, rate = free_bar(run.time)
     # measured 0.3 to 3 rtol, erk (which crosses the corners by trial) 82 and 139
@@ -88,7 +89,7 @@ def test_torque_over_time_moves_a_free_bar_as_its_integrals_say(bar, solver):
 @pytest.mark.parametrize("solver", ["rk4", "ode8"])
 def test_fixed_steps_that_end_at_the_samples_are_exact(bar, solver):
     corners = InputSeries(("T2",), [0.0, 0.2, 0.21, 0.5], [[0.0], [0.0], [0.05], [-0.05]])
-    run = cosim.simulate(bar, stop_time=1, inputs=corners, start=FREE, solver=solver)
+    run = cosim.simulate(bar, stop_time=1, inputs=corners, start_values=FREE, solver=solver)
     angle, rate = free_bar(run.time, corners)
     np.testing.assert_allclose(run["theta"], angle, rtol=0, atol=1e-14)  # measured 6e-17
     np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=1e-14)  # measured 1.1e-16
@@ -112,7 +113,7 @@ def test_fmu_under_a_torque_over_time_does_the_same(bar, tmp_path, fmi, interfac
         stop_time=1,
         output_interval=0.01,
         inputs=SERIES,
-        start=FREE,
+        start_values=FREE,
         relative_tolerance=1e-10,
     )
     angle, rate = free_bar(run.time)
@@ -131,7 +132,7 @@ def test_short_pulse_on_a_body_at_rest_is_not_stepped_over(bar, tmp_path, interf
         stop_time=40,
         output_interval=4,
         inputs=pulse,
-        start=FREE,
+        start_values=FREE,
         relative_tolerance=1e-8,
     )
     rate = free_bar(run.time, pulse)[1]
@@ -151,20 +152,25 @@ def test_inputs_held_within_steps_leave_an_error_of_second_order(bar, tmp_path):
             stop_time=1,
             output_interval=interval,
             inputs=smooth,
-            start=FREE,
+            start_values=FREE,
         )
         errors.append(np.abs(run["theta"] - free_bar(run.time, smooth)[0]).max())
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.01)
 
 
-def test_outputs_that_feel_an_input_at_once_follow_it_on_both_roads(bar, tmp_path):
+def test_outputs_that_feel_an_input_at_once_follow_it_on_both_backends(bar, tmp_path):
     path = cosim.export_fmu(bar, tmp_path / "bar.fmu")
-    run = cosim.simulate(bar, stop_time=1, inputs=SERIES, start=FREE)
+    run = cosim.simulate(bar, stop_time=1, inputs=SERIES, start_values=FREE)
     torque = SERIES.at(run.time)[0]
     np.testing.assert_allclose(run["t2_G_F"], torque, rtol=0, atol=1e-15)
     for interface in ("ModelExchange", "CoSimulation"):
         again = cosim.simulate_fmu(
-            path, interface=interface, stop_time=1, output_interval=0.01, inputs=SERIES, start=FREE
+            path,
+            interface=interface,
+            stop_time=1,
+            output_interval=0.01,
+            inputs=SERIES,
+            start_values=FREE,
         )
         np.testing.assert_allclose(again["t2_G_F"], torque, rtol=0, atol=1e-12)
 
@@ -287,3 +293,48 @@ def test_jump_that_misses_an_output_time_by_rounding_is_moved_there():
     moved = series.with_jumps_at(grid)
     assert moved.jumps.tolist() == [grid[3], 0.45]
     assert grid[3] != 0.3
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.25, 1.0), (0.0, 0.5), (0.0, 1.0)])
+def test_run_beyond_the_samples_is_reported(bicycle, first, last):
+    part = InputSeries(("steer_torque",), [first, last], [[0.0], [1.0]])
+    whole = InputSeries(("roll_torque",), [0.0, 1.0], [[0.0], [1.0]])
+    for inputs in (part, {"steer_torque": part, "roll_torque": whole}):
+        note = cosim.simulate(bicycle, inputs=inputs, stop_time=1.0).stats.get("note", "")
+        expected = f"steer_torque has samples from {first:g} to {last:g} s, and is constant"
+        assert note.startswith(expected) == (last - first < 1)
+        assert "roll_torque" not in note
+
+
+def test_another_constant_of_a_formula_compiles_nothing(bicycle, monkeypatch):
+    def steered(gain, **options):
+        inputs = {"steer_torque": ("gain*phi_dot + offset", {"gain": gain, "offset": 0.5})}
+        return cosim.simulate(bicycle, inputs=inputs, stop_time=0.5, **options)
+
+    first = steered(2.0, compiled=True)
+    monkeypatch.setattr(compiler, "compile_library", lambda *_, **__: pytest.fail("compiled"))
+    second = steered(3.0, compiled=True)
+    assert second.numbers["gain"] == 3.0
+    assert abs(second.final["phi"] - first.final["phi"]) > 1e-4
+    written = {"steer_torque": "3.0*phi_dot + 0.5"}
+    plain = cosim.simulate(bicycle, inputs=written, stop_time=0.5, compiled=False)
+    np.testing.assert_allclose(second["phi"], plain["phi"], rtol=0, atol=1e-9)  # measured 1e-16
+
+
+@pytest.mark.parametrize(
+    ("inputs", "error", "text"),
+    [
+        (
+            {"steer_torque": ("k*phi", {"k": 1.0, "phi": 2.0})},
+            UsageError,
+            "'phi' cannot name a constant",
+        ),
+        ({"steer_torque": ("k*phi", {"k 1": 1.0})}, UsageError, "'k 1' cannot name a constant"),
+        ({"steer_torque": ("k*phi", {"other": 1.0})}, UnknownName, "no name 'k'"),
+        ({"steer_torque": ("k*phi", {"k": "much"})}, ParameterError, "k .* is not a real number"),
+        ({"steer_torque": ("k", {"k": 1}), "roll_torque": ("k", {"k": 2})}, UsageError, "two"),
+    ],
+)
+def test_wrong_constants_of_a_formula_are_rejected(bicycle, inputs, error, text):
+    with pytest.raises(error, match=text):
+        cosim.simulate(bicycle, inputs=inputs, stop_time=0.1)

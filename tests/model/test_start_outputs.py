@@ -70,15 +70,24 @@ def test_speed_beside_the_wheel_s_rate_is_refused(call):
 def test_option_overrides_what_a_scene_says_of_the_same_start(tmp_path, capsys):
     scene = tmp_path / "fast.toml"
     scene.write_text('model = "bicycle"\n[start]\nspeed = "20 km/h"\n[run]\nstop_time = 0.0\n')
-    line = ["simulate", str(scene), "--interpreted", "--outputs", "speed", "--at", "0"]
+    line = [
+        "simulate",
+        str(scene),
+        "--backend",
+        "native-interpreted",
+        "--outputs",
+        "speed",
+        "--at",
+        "0",
+    ]
     for more, expected in (([], 20 / 3.6), (["-p", "thetaR_dot=-10"], 3.0)):
         assert main([*line, *more]) == 0
         assert float(capsys.readouterr().out.split()[-1]) == pytest.approx(expected, rel=1e-9)
 
 
 def test_exported_model_starts_with_the_wheel_s_rate_that_the_speed_gives(tmp_path):
-    scene = cosim.Scene("fast", cosim.load("bicycle"), values={"speed": 6.0})
-    starts = {v.name: v.start for v in scene.configured().states}
+    scene = cosim.Scene("fast", cosim.requested("bicycle", start_values={"speed": 6.0}))
+    starts = {v.name: v.start for v in scene.request.configured().states}
     assert starts["thetaR_dot"] == pytest.approx(-6.0 / RADIUS, rel=1e-14)
 
 
@@ -86,7 +95,7 @@ def test_sensitivity_starts_where_the_run_starts():
     dae = cosim.load("bicycle")
     by = {"with_respect_to": ["g"], "check": False, "stop_time": 0.1, "solver": "erk"}
     both = [
-        cosim.sensitivity(dae, of=["phi"], start_values=values, **by).values
+        cosim.sensitivity(dae, outputs=["phi"], start_values=values, **by).values
         for values in ({"speed": 3.0}, {"thetaR_dot": -3.0 / RADIUS})
     ]
     np.testing.assert_allclose(*both, rtol=1e-9)
@@ -122,4 +131,4 @@ def test_model_refuses_an_output_for_a_calculated_start():
 def test_other_outputs_stay_results():
     with pytest.raises(cosim.errors.UnknownName, match="'fz_P' is a result"):
         start("bicycle", fz_P=1.0)
-    assert "speed may be given, for thetaR_dot" in str(cosim.info("bicycle"))
+    assert "speed may be set instead of thetaR_dot" in str(cosim.info("bicycle"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import ParameterError
-from cosim.model.time_grid import checked_grid, time_grid
+from cosim.model.times import checked_grid, time_grid
 
 
 def test_whole_number_of_intervals_ends_at_the_stop_time():

@@ -123,7 +123,7 @@ def test_two_body_algebra_is_regular_though_the_bar_has_no_axial_inertia(two_bod
 
 def test_bearings_bear_the_pin_loads_and_the_inertia_of_column_and_arm_at_every_sample(two_body):
     run = two_body.run(10.0, rtol=1e-8)
-    # The column's centre rests on the axis; the arm's centre circles at half the arm's length
+    # The column's center rests on the axis; the arm's center circles at half the arm's length
     arm_1, arm_2 = (-ARM_MASS * ARM / 2 * rate for rate in (1.0, run["Omega"] ** 2))
     sum_1 = run["f1_A_F"] + run["f1_B_F"] - run["f1_G_F"] - arm_1
     sum_2 = run["f2_A_F"] + run["f2_B_F"] - run["f2_G_F"] - arm_2
@@ -196,7 +196,7 @@ def test_jacobi_integral_drifts_no_more_than_the_tolerance_allows(reduced, rtol)
 def test_upright_bar_leaves_its_equilibrium_as_cosh(bar):
     offset, rtol = 1e-6, 1e-12
     run = bar.run(1.0, rtol=rtol, theta=np.pi / 2 - offset, theta_dot=0.0, **UNDRIVEN)
-    grown = offset * np.cosh(2 * np.pi * run["time"])  # of the linearised equation, to offset^3
+    grown = offset * np.cosh(2 * np.pi * run["time"])  # of the linearized equation, to offset^3
     # errors grow as the offset does; measured 4 and 8 rtol / offset
     np.testing.assert_allclose(np.pi / 2 - run["theta"], grown, rtol=50 * rtol / offset)
 

@@ -171,7 +171,7 @@ def test_rolling_keeps_the_front_wheel_on_the_ground(bike):
 
 def test_bicycle_at_rest_stands_on_its_weight(bike):
     found = at(bike, dict.fromkeys(("phi_dot", "thetaR_dot"), 0.0))
-    masses = {"mA": 0.0, "mB": 0.3, "mC": 0.9, "mD": 1.02}  # mass centres forward of P, m
+    masses = {"mA": 0.0, "mB": 0.3, "mC": 0.9, "mD": 1.02}  # mass centers forward of P, m
     weight = 9.81 * np.array([BENCHMARK[name] for name in masses])
     front = weight @ list(masses.values()) / 1.02
     expected = [0, 0, front - weight.sum(), 0, 0, -front]

@@ -60,14 +60,14 @@ def lagrange():
     joint = in_world * sp.Matrix([0, REACH, -DROP])
     for theta in thetas:
         rotation = in_world * sp.rot_ccw_axis1(theta)
-        centre = joint - rotation * sp.Matrix([0, 0, LENGTH / 2])
+        center = joint - rotation * sp.Matrix([0, 0, LENGTH / 2])
         joint = joint - rotation * sp.Matrix([0, 0, LENGTH])
         spin = rotation.T * rotation.diff(t)  # skew matrix of the angular velocity in the bar
         omega = sp.Matrix([spin[2, 1], spin[0, 2], spin[1, 0]])
-        velocity = centre.diff(t)
+        velocity = center.diff(t)
         kinetic += MASS * velocity.dot(velocity) / 2 + omega.dot(inertia * omega) / 2
-        potential += MASS * G * centre[2]
-        forces.append(in_world.T * MASS * (centre.diff(t, 2) + sp.Matrix([0, 0, G])))
+        potential += MASS * G * center[2]
+        forces.append(in_world.T * MASS * (center.diff(t, 2) + sp.Matrix([0, 0, G])))
     theta1, theta2 = thetas
     potential += K1 * theta1**2 / 2 + K2 * (theta2 - theta1) ** 2 / 2
     relative = theta2.diff(t) - theta1.diff(t)
@@ -131,6 +131,7 @@ def test_spring_torques_are_hookes_with_damping(disk):
     assert at["spring_torque_2"] == pytest.approx(K2 * 0.5 - C2 * 3.0, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_drive_less_dampers_is_the_rate_of_energy_at_random_states(disk):
     rng = np.random.default_rng(3)
     for _ in range(200):

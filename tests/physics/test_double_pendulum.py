@@ -86,13 +86,13 @@ def end_accelerations(at, rates, length=LENGTH):
 
 
 def joint_forces(a_A, a_tip, m=MASS, g=G):
-    """Return Newton's forces at O and at A; the mass centres are midway."""
+    """Return Newton's forces at O and at A; the mass centers are midway."""
     at_A = m * ((a_A + a_tip) / 2 + g * UP)
     return np.concatenate([at_A + m * (a_A / 2 + g * UP), at_A])
 
 
 def joint_gaps(at, length=LENGTH):
-    """Return the gaps at O and A of free bodies, places of the mass centres being states."""
+    """Return the gaps at O and A of free bodies, places of the mass centers being states."""
     r1, r2 = (column(at, [f"{axis}_G{i}" for axis in "xyz"]) for i in "12")
     s1, s2 = (-length / 2 * rotation(at, i) @ UP for i in "12")
     return np.concatenate([r1 - s1, r2 - s2 - r1 - s1])
@@ -142,6 +142,7 @@ def test_start_is_the_3_1_3_turn_of_links_along_minus_z(pendulum):
     np.testing.assert_allclose(column(at, PLACES), places, rtol=0, atol=1e-14)  # measured 3e-16
 
 
+@pytest.mark.slow
 def test_formulations_agree_in_accelerations_and_joint_forces_at_random_states(formulations):
     rng = np.random.default_rng(3)
     for _ in range(1000):
@@ -168,10 +169,10 @@ def test_free_bodies_accelerate_as_the_chain_does(formulations):
         values = started(equations, **random_start(rng))
         at = equations(**values)
         a_A, a_tip = end_accelerations(at, equations.rates(**values))
-        centres = [column(at, [f"v{axis}_G{i}_dot" for axis in "xyz"]) for i in "12"]
+        centers = [column(at, [f"v{axis}_G{i}_dot" for axis in "xyz"]) for i in "12"]
         expected = [a_A / 2, (a_A + a_tip) / 2]
         scale = max(1.0, np.abs(expected).max())
-        np.testing.assert_allclose(centres, expected, rtol=0, atol=1e-12 * scale)  # measured 2e-15
+        np.testing.assert_allclose(centers, expected, rtol=0, atol=1e-12 * scale)  # measured 2e-15
 
 
 @pytest.mark.parametrize("source", [oracles.lagrange, oracles.pinocchio, oracles.mujoco])
@@ -232,6 +233,7 @@ def test_conical_motion_is_steady(pendulum):
         np.testing.assert_allclose(ends, toward_axis, rtol=0, atol=1e-14 * scale)  # 5e-16
 
 
+@pytest.mark.slow
 def test_invariants_hold_to_the_tolerance_over_the_default_run(default_runs):
     for run in default_runs.values():
         for name in ("energy", "angular_momentum_z", "w1_z", "w2_z"):
@@ -316,7 +318,7 @@ def test_passing_the_singularity_ends_accurate_or_refused(formulations, solver, 
             stop_time=3,
             output_interval=0.015,
             solver=solver,
-            start=start,
+            start_values=start,
             compiled=False,
         )
     except SolverError:  # only rosenbrock at 1e-12 and 0
@@ -337,11 +339,12 @@ def test_singular_start_is_refused_by_name_and_the_quaternions_take_it(
     formulations, formulation, start
 ):
     with pytest.raises(InitialConditionError, match=r"3-1-3 angles.*quaternion formulation"):
-        cosim.simulate(formulations[formulation].dae, start=start)
+        cosim.simulate(formulations[formulation].dae, start_values=start)
     at = formulations["quaternion"](**started(formulations["quaternion"], **start))
     assert np.isfinite(list(at.values())).all()
 
 
+@pytest.mark.slow
 def test_vanishing_diameter_and_fast_spin_stay_regular(pendulum):
     thin = started(pendulum, diameter=1e-6)
     rates = pendulum.rates(**thin)

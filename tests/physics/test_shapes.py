@@ -5,9 +5,9 @@ import pytest
 
 import casadi_models
 import cosim
-from cosim.present.playback.meshes import mesh_of
+from cosim.drawing.meshes import mesh_of
+from cosim.drawing.rotation import to_matrices
 from cosim.present.playback.playback import playback
-from cosim.present.playback.turning import to_matrices
 
 
 def shown(name, **options):
@@ -47,8 +47,8 @@ def test_bicycle_stands_upright_with_its_wheels_on_the_ground_and_n3_down(name):
 
 @pytest.mark.parametrize("name", formulations("bicycle"))
 def test_bicycle_leans_to_the_right_for_positive_roll(name):
-    run, played = shown(name, start={"phi": 0.3, "phi_dot": 0.0}, stop_time=0.01)
-    head = next(prop for prop in played.props if prop.name == "head of the rider")
+    run, played = shown(name, start_values={"phi": 0.3, "phi_dot": 0.0}, stop_time=0.01)
+    head = next(solid for solid in played.solids if solid.name == "head of the rider")
     at = place(played, "rear frame", 0) + turn(played, "rear frame")[0] @ head.at
     height = -at[2]
     assert run["phi"][0] == 0.3
@@ -57,7 +57,7 @@ def test_bicycle_leans_to_the_right_for_positive_roll(name):
 
 
 def test_bicycle_steers_to_the_right_for_positive_steer():
-    _, played = shown("bicycle", start={"delta": 0.3, "phi_dot": 0.0}, stop_time=0.01)
+    _, played = shown("bicycle", start_values={"delta": 0.3, "phi_dot": 0.0}, stop_time=0.01)
     axle = turn(played, "front wheel")[0][:, 1]  # to the right of the wheel
     heading = np.cross(axle, played.world.up)
     assert heading @ np.array([0, 1, 0]) * np.sign(heading[0]) > 0.2
@@ -95,7 +95,7 @@ def test_tip_of_the_pendulum_is_where_the_run_says(name):
         np.testing.assert_allclose(drawn, wanted, rtol=0, atol=1e-6)  # measured up to 4e-9
     path = next(path for path in played.paths if path.name == "path of the tip")
     np.testing.assert_allclose(path.points, wanted, rtol=0, atol=1e-6)
-    rod = next(prop for prop in played.props if (prop.name, prop.body) == ("rod", 2))
+    rod = next(solid for solid in played.solids if (solid.name, solid.body) == ("rod", 2))
     assert mesh_of(rod).vertices[:, 2].min() == pytest.approx(-0.5)
 
 
@@ -122,7 +122,7 @@ def test_long_axis_of_the_bar_has_the_books_direction(name):
 
 
 def test_shapes_follow_parameters():
-    run, played = shown("double_pendulum", start={"length": 0.8}, stop_time=0.1)
+    run, played = shown("double_pendulum", start_values={"length": 0.8}, stop_time=0.1)
     wanted = np.column_stack([run[f"{axis}_tip"] for axis in "xyz"])
     np.testing.assert_allclose(played.paths[1].points, wanted, atol=1e-9)
-    assert {prop.size[1] for prop in played.props if prop.name == "rod"} == {0.8}
+    assert {solid.size[1] for solid in played.solids if solid.name == "rod"} == {0.8}

@@ -10,11 +10,10 @@ from helpers.scenes import spinning
 from PIL import Image
 
 import cosim
+from cosim.drawing.camera import View, camera_for, scale_of
 from cosim.present.playback.animate import animate
 from cosim.present.playback.html import html
 from cosim.present.playback.playback import playback
-from cosim.present.playback.render import Camera
-from cosim.present.scale import scale_of, view_from
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 SIZE = 900, 700
@@ -72,8 +71,7 @@ def test_a_known_point_is_where_the_run_says(angle, tmp_path):
     shot, log = picture(page, tmp_path, 3000)
     assert not problems(log)
 
-    scale = scale_of([played], None)
-    camera = Camera.at(*view_from(played.world, "iso", scale), np.array([0.0, 0.0, 1.0]))
+    camera = camera_for(played.world, View.ISO, scale_of([played], None))
     mark = np.array([0.5 * np.cos(angle), 0.5 * np.sin(angle), 1.0])
     local = (mark - camera.eye) @ camera.axes.T
     rows, columns = shot.shape[:2]
@@ -99,6 +97,6 @@ def test_every_system_moves_in_the_browser(model, tmp_path):
     second, more = picture(page, tmp_path, 4500)
     assert not problems(log + more)
     for shot in (first, second):
-        coloured = (np.ptp(shot, axis=2) > 60)[150:, 150:-150]
-        assert coloured.sum() > 300  # not blank
+        colored = (np.ptp(shot, axis=2) > 60)[150:, 150:-150]
+        assert colored.sum() > 300  # not blank
     assert (np.abs(first - second).max(axis=2) > 40)[150:-60].sum() > 100  # not the same

@@ -9,12 +9,11 @@ import pytest
 from matplotlib.figure import Figure
 
 import cosim
+from cosim.api import execute
 from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
-from cosim.present.figures import draw_figures
-from cosim.present.overlay import shared_specs
-from cosim.present.picture_files import save
-from cosim.scene.roads import run_on_road
+from cosim.plotting import save
+from cosim.present.figures import draw_figures, draw_overlay, shared_specs
 from cosim.scene.scene import FigureSpec
 from cosim.scene.variants import variant
 from cosim.trajectory import Column, Trajectory
@@ -97,7 +96,7 @@ def test_difference_of_two_paths_is_drawn_over_time_for_both_coordinates(path_ru
 
 
 def test_runs_with_other_output_times_are_refused():
-    with pytest.raises(UsageError, match="other output times"):
+    with pytest.raises(UsageError, match="different output times"):
         draw_figures([FigureSpec("F", (("a",),))], made_up(a=[0, 1]), made_up(a=[0, 1, 2]))
 
 
@@ -126,7 +125,7 @@ def test_small_motion_is_no_constant():
     assert high - low < 1e-6
 
 
-def test_run_that_failed_is_labelled():
+def test_run_that_failed_is_labeled():
     run = made_up(a=[0, 1])
     failed = Trajectory(run.model, run.time, run.columns, run.values, {}, "stopped after 2 s: why")
     (figure,) = draw_figures([FigureSpec("F", (("a",),))], failed)
@@ -141,7 +140,7 @@ def test_overview_draws_every_variable_with_its_unit():
 
 def test_book_draws_nineteen_figures_of_the_bicycle():
     scene = cosim.read_scene("bicycle_model_1.toml")
-    run = run_on_road(scene)
+    run = cosim.run_scene(scene)
     figures = draw_figures(scene.figures, run)
     assert len(figures) == 19
     yaw = curves(figures[0].axes[0])[0]
@@ -154,12 +153,12 @@ def test_book_draws_nineteen_figures_of_the_bicycle():
 
 def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
     scene = cosim.read_scene("crank_shaft.toml")
-    force, torque, _ = draw_figures(scene.figures, run_on_road(scene))
+    force, torque, _ = draw_figures(scene.figures, cosim.run_scene(scene))
     assert curves(force.axes[0])[0][0] == pytest.approx(-6.4994, abs=5e-5)
     assert curves(force.axes[1])[0][0] == pytest.approx(0.025998, abs=5e-7)
     assert curves(torque.axes[0])[0][0] == pytest.approx(0.086659, abs=5e-7)
     scene = cosim.read_scene("bar_on_frame.toml")
-    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, run_on_road(scene))}
+    figures = {f.get_suptitle(): f for f in draw_figures(scene.figures, cosim.run_scene(scene))}
     force = figures["Force Components on the Bar (expressed in F)"]
     np.testing.assert_allclose(curves(force.axes[0])[0], -0.2, rtol=0, atol=1e-12)
     torque = figures["Torque Components Acting on Bar (expressed in F)"]
@@ -168,8 +167,9 @@ def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
 
 def test_compared_formulations_differ_by_no_more_than_their_tolerance():
     scene = cosim.read_scene("bar_theta.toml")
-    other, road = variant(scene, "two_body")
-    (figure,) = draw_figures(scene.figures, run_on_road(scene), run_on_road(other, road))
+    other, backend = variant(scene.request, "two_body")
+    second = execute(other.reduced(), backend)
+    (figure,) = draw_figures(scene.figures, cosim.run_scene(scene), second)
     gap = np.abs(curves(figure.axes[1])[0]).max() * DEGREE
     assert 0 < gap < 2e-6  # measured 2.2e-7 rad at rtol 1e-8
 
@@ -250,10 +250,12 @@ def test_plot_with_other_outputs_draws_these_instead_of_the_scenes_figures(tmp_p
     assert list(tmp_path.iterdir()) == [target]
 
 
-@pytest.mark.parametrize("road", ["fmu", "fmu-me", "fmu-cs", "erk", "multipliers"])
-def test_plot_compares_with_any_road(tmp_path, road):
+@pytest.mark.parametrize(
+    "backend", ["native-interpreted", "fmu-me", "fmu-cs", "erk", "multipliers"]
+)
+def test_plot_compares_with_any_backend(tmp_path, backend):
     target = tmp_path / "crank.png"
-    options = ["--compare", road, "--output-file", str(target), "-q"]
+    options = ["--compare", backend, "--output-file", str(target), "-q"]
     assert main(["plot", "crank_torque.toml", *options]) == 0
     assert target.exists()
 
@@ -264,14 +266,14 @@ def test_plot_compares_plain_models(tmp_path):
     assert main(["plot", "crank_shaft", *options]) == 0
 
 
-def test_unknown_road_is_exit_code_3(tmp_path, capsys):
+def test_unknown_backend_is_exit_code_3(tmp_path, capsys):
     options = ["--compare", "multiplier", "--output-file", str(tmp_path / "x.png")]
     assert main(["plot", "crank_torque.toml", *options]) == 3
     assert "did you mean multipliers" in capsys.readouterr().err
 
 
 def test_unknown_ending_is_told_before_anything_is_computed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("cosim.cli.running.run_scene", None)
+    monkeypatch.setattr("cosim.cli.runs.run_scene", None)
     target = tmp_path / "x.bmp"
     assert main(["plot", "bicycle_model_1.toml", "--output-file", str(target)]) == 3
     assert "no picture format 'bmp'" in capsys.readouterr().err
@@ -284,7 +286,7 @@ def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
     def fail(*_arguments, **_options):
         raise SolverError("it stopped", partial)
 
-    monkeypatch.setattr("cosim.cli.running.run_scene", fail)
+    monkeypatch.setattr("cosim.cli.runs.run_scene", fail)
     target = tmp_path / "x.png"
     assert main(["plot", "crank_shaft", "--output-file", str(target)]) == 1
     assert target.exists()
@@ -293,14 +295,14 @@ def test_failed_run_is_drawn_as_far_as_it_went(tmp_path, capsys, monkeypatch):
 
 def test_window_needs_no_file(monkeypatch):
     shown = []
-    monkeypatch.setattr("cosim.present.picture_files.show", shown.extend)
-    monkeypatch.setattr("cosim.present.picture_files.require_screen", lambda: None)
+    monkeypatch.setattr("cosim.cli.verbs.plot.show", shown.extend)
+    monkeypatch.setattr("cosim.cli.verbs.plot.require_screen", lambda: None)
     assert main(["plot", "crank_torque.toml"]) == 0
     assert [isinstance(figure, Figure) for figure in shown] == [True]
 
 
 def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
-    monkeypatch.setattr("cosim.cli.running.run_scene", None)
+    monkeypatch.setattr("cosim.cli.runs.run_scene", None)
     assert main(["plot", "crank_torque.toml"]) == 2
     assert "there is no screen" in capsys.readouterr().err
 
@@ -311,3 +313,20 @@ def test_drawing_needs_no_screen(tmp_path):
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize("header", ["phi", "phi [rad]", "phi [deg]"])
+@pytest.mark.parametrize("first", [True, False], ids=["file first", "model first"])
+def test_file_next_to_a_model_is_drawn_in_the_units_of_the_label(path_run, tmp_path, header, first):
+    values = path_run["phi"] / (DEGREE if "deg" in header else 1)
+    lines = [f"{t:.17g},{v:.17g}" for t, v in zip(path_run.time, values, strict=True)]
+    (tmp_path / "phi.csv").write_text("\n".join([f"time,{header}", *lines]))
+    runs = [Trajectory.read_csv(tmp_path / "phi.csv"), path_run]
+    specs, _ = shared_specs((), runs)
+    (figure,) = draw_overlay(specs, runs if first else runs[::-1])
+    (axis,) = figure.axes
+    unit = "rad" if first and "rad" in header else "deg"
+    assert axis.get_ylabel() == f"phi [{unit}]"
+    for curve in curves(axis):
+        own = path_run["phi"] / (DEGREE if unit == "deg" else 1)
+        np.testing.assert_allclose(curve, own, rtol=1e-12)

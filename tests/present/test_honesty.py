@@ -11,8 +11,7 @@ from matplotlib.collections import PolyCollection
 import cosim
 from cosim.cli.main import main
 from cosim.cli.verbs.plot import overview
-from cosim.present.figures import draw_figures
-from cosim.present.overlay import draw_overlay, run_labels, shared_specs
+from cosim.present.figures import draw_figures, draw_overlay, run_labels, shared_specs
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Trajectory
 
@@ -130,7 +129,7 @@ def test_labels_do_not_overlap(other):
         assert not one.overlaps(two)
 
 
-def test_runs_are_told_apart_without_colour(invalid):
+def test_runs_are_told_apart_without_color(invalid):
     others = [cosim.simulate(spinning(r), stop_time=1.0, compiled=False) for r in (1.0, 2.0, 3.0)]
     figure = draw_overlay([FigureSpec("Angle", (("angle",),))], others)[0]
     assert (

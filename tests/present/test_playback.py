@@ -6,47 +6,7 @@ from helpers.scenes import spinning
 
 import cosim
 from cosim.errors import UsageError
-from cosim.present.playback import turning
 from cosim.present.playback.playback import frame_times, playback
-
-
-def rotations(n=500):
-    generator = np.random.default_rng(1)
-    q = generator.normal(size=(n, 4))
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
-
-
-def test_matrices_and_quaternions_are_each_others_inverse():
-    q = rotations()
-    again = turning.to_quaternions(turning.to_matrices(q))
-    np.testing.assert_allclose(np.abs((q * again).sum(axis=1)), 1, atol=1e-14)
-
-
-def test_half_turns_are_quaternions_too():
-    for axis in range(3):
-        matrix = 2.0 * np.outer(np.eye(3)[axis], np.eye(3)[axis]) - np.eye(3)
-        np.testing.assert_allclose(
-            turning.to_matrices(turning.to_quaternions(matrix[None]))[0], matrix, atol=1e-15
-        )
-
-
-def test_signs_of_quaternions_do_not_jump():
-    angle = np.linspace(0, 6 * np.pi, 200)
-    half = np.zeros((200, 4))
-    half[:, 0], half[:, 3] = np.cos(angle / 2), np.sin(angle / 2)
-    jumping = half * np.where(np.arange(200) % 3, 1, -1)[:, None]
-    steady = turning.continuous(jumping)
-    assert ((steady[1:] * steady[:-1]).sum(axis=1) > 0.9).all()
-
-
-@pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (1, 2, 3), (0, -1, 0), (0, 0, 0)])
-def test_third_axis_is_turned_onto_a_direction(direction):
-    matrix = turning.onto(np.array(direction, dtype=float))
-    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
-    assert np.linalg.det(matrix) == pytest.approx(1)
-    if any(direction):
-        wanted = np.array(direction) / np.linalg.norm(direction)
-        np.testing.assert_allclose(matrix[:, 2], wanted, atol=1e-14)
 
 
 @pytest.mark.parametrize("rate", [1.0, 20.0, 90.0, 80 * np.pi, 400.0])
@@ -69,14 +29,14 @@ def test_frames_are_output_times_where_these_suffice():
     assert np.diff(frames).max() <= 1 / 30
 
 
-def test_too_many_frames_are_refused():
+def test_too_many_frames_are_rejected():
     with pytest.raises(UsageError, match="more than 6000"):
         frame_times(np.linspace(0, 1000, 100_001), 1.0, 30.0)
 
 
-def test_run_without_what_its_bodies_need_is_refused_with_the_names():
+def test_run_without_what_its_bodies_need_is_rejected_with_the_names():
     run = cosim.simulate(cosim.load("bicycle"), stop_time=0.1, outputs=["phi", "delta"])
-    with pytest.raises(UsageError, match=r"xP, psi, yP.* did not record"):
+    with pytest.raises(UsageError, match=r"did not record xP, psi, yP.*place the bodies"):
         playback(run, run.drawing)
 
 
@@ -88,13 +48,13 @@ def test_loads_that_were_not_recorded_are_left_out_and_named():
     assert played.notes == ("force at Q is not drawn: the run did not record fx_Q, fy_Q, fz_Q",)
 
 
-def test_model_without_shapes_is_refused():
+def test_model_without_shapes_is_rejected():
     run = cosim.simulate(spinning(1.0, drawn=False), stop_time=0.1, compiled=False)
     with pytest.raises(UsageError, match=r"declares no shapes; add some with model\.shape"):
         playback(run, run.drawing)
 
 
-def test_times_outside_the_run_are_refused():
+def test_times_outside_the_run_are_rejected():
     run = cosim.simulate(spinning(1.0), stop_time=1.0, compiled=False)
     with pytest.raises(UsageError, match=r"3 s lies outside the run, 0 \.\.\. 1 s"):
         playback(run, run.drawing, times=[0.5, 3.0])
@@ -109,7 +69,7 @@ def test_labels_are_in_display_units():
 
 
 def test_run_outside_its_model_says_since_when_and_why():
-    run = cosim.simulate(cosim.load("bicycle"), start={"phi_dot": 2.5}, stop_time=1.0)
+    run = cosim.simulate(cosim.load("bicycle"), start_values={"phi_dot": 2.5}, stop_time=1.0)
     played = playback(run, run.drawing)
     first = np.flatnonzero(run["fz_P"] >= 0)[0]
     assert played.invalid_from == run.time[first]

@@ -66,7 +66,7 @@ def test_report_is_well_formed(page):
 @pytest.mark.parametrize("name", ["crank_shaft.toml", "bar_on_frame.toml", "bicycle_model_1.toml"])
 def test_printed_numbers_are_met_as_far_as_they_were_printed(name):
     scene = cosim.read_scene(name)
-    scene = replace(scene, outputs=(), figures=())
+    scene = cosim.Scene(scene.name, replace(scene.request, outputs=None), scene.title)
     rows = list(printed_rows(scene, cosim.run_scene(scene)))
     assert len(rows) >= 3
     assert [row["variable"] for row in rows if row["differs"] != "no"] == []
@@ -74,7 +74,8 @@ def test_printed_numbers_are_met_as_far_as_they_were_printed(name):
 
 def test_printed_numbers_are_left_out_where_values_were_changed():
     scene = cosim.read_scene("crank_shaft.toml")
-    changed = replace(scene, values={**scene.values, "alpha": 11.0})
+    request = replace(scene.request, values={**scene.request.values, "alpha": 11.0})
+    changed = replace(scene, request=request)
     assert not list(printed_rows(changed, cosim.run_scene(changed)))
 
 
@@ -89,7 +90,9 @@ def test_printed_number_that_is_not_met_is_marked():
 def test_invalid_run_is_called_so_at_the_top():
     dae = spinning(4.0, limit=2.0)
     run = cosim.simulate(dae, stop_time=1.0, compiled=False)
-    page = report(ReportContents(cosim.Scene("x", dae), dae, run, None, [], "cosim report x"))
+    page = report(
+        ReportContents(cosim.Scene("x", cosim.requested(dae)), dae, run, None, [], "cosim report x")
+    )
     head = page[: page.index("<h2>")]
     assert "From 0.5 s on this run is outside its model" in head
     assert "shaded: INVALID" in page
@@ -98,4 +101,4 @@ def test_invalid_run_is_called_so_at_the_top():
 def test_report_of_something_else_is_refused(capsys):
     assert main(["report", "bicycle", "-o", "x.pdf"]) == 3
     assert main(["report", "x.fmu", "-o", "x.html"]) == 2
-    assert "an FMU is shown by: cosim plot" in capsys.readouterr().err
+    assert "plot an FMU with: cosim plot" in capsys.readouterr().err

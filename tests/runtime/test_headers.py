@@ -13,6 +13,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 MASTER = SOLVERS.parent / "master"
 FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir(), *MASTER.iterdir()]
 SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
+SIZES["RELATIONS"] = 1
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
 
@@ -49,7 +50,7 @@ def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
     ("header", "missing"),
     [
         ("dop853.h", "NX"), ("fixed.h", "NX"), ("problem.h", "NC"), ("lanes.h", "LANES"),
-        ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"),
+        ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"), ("crossings.h", "RELATIONS"),
     ],
 )  # fmt: skip
 def test_a_forgotten_size_is_an_error_and_no_default(header, missing):

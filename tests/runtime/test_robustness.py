@@ -16,18 +16,34 @@ def fuzzer(tmp_path_factory):
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("version", [2, 3])
 def test_random_calls_do_no_harm(fuzzer, solver, version):
-    check(fuzzer(solver, version, *SANITIZED), seed=1, calls=100_000)
+    check(fuzzer(solver, version, *SANITIZED), seed=1, calls=20_000)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize(
+    ("solver", "version"),
+    [("dop853", 2), *(pytest.param(s, v, marks=pytest.mark.slow)
+                      for s, v in [("step", 2), ("step", 3), ("dop853", 3)])],
+)  # fmt: skip
 def test_random_calls_do_no_harm_to_a_model_that_watches_its_constraints(fuzzer, solver, version):
     check(fuzzer(f"{solver} rank", version, *SANITIZED), seed=1, calls=30_000)
 
 
+@pytest.mark.parametrize("version", [2, 3])
+def test_random_calls_do_no_harm_to_a_model_with_events(fuzzer, version):
+    check(fuzzer("dop853 events", version, *SANITIZED), seed=1, calls=20_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("solver", ["dop853 events", "rosenbrock events"])
+@pytest.mark.parametrize("version", [2, 3])
+def test_many_random_calls_do_no_harm_to_a_model_with_events(fuzzer, solver, version, seed):
+    check(fuzzer(solver, version, *SANITIZED), seed, calls=200_000)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("version", [2, 3])
 def test_many_random_calls_do_no_harm(fuzzer, solver, version, seed):
     # a million reach every line of the runtime that four million do; more: -m nightly

@@ -10,7 +10,7 @@ from helpers import harness
 from helpers.harness import DISCARD, OK, RUNTIME, SOLVERS, run
 
 from casadi_models.dae import Model
-from cosim.fmi.export.package import source_files
+from cosim.fmi.export.package import FmuOptions, source_files
 
 SINES = 100  # in a right-hand side
 # of it; measured 57,000, 540,000 and 184,000; with 20,000, 10,000 and 4000 steps in any model's
@@ -39,7 +39,7 @@ def counted(request, tmp_path_factory):
     if harness.compiler() is None:
         pytest.skip("needs a C compiler")
     folder = tmp_path_factory.mktemp(request.param)
-    files = source_files(shaken(), "shaken", 1e-8, 2, request.param)
+    files = source_files(shaken(), FmuOptions(tolerance=1e-8, solver=request.param))
     files = {Path(n).name: c for n, c in files.items() if n.startswith("sources/")}
     for name, content in {**files, "counter.c": COUNTER.encode()}.items():
         (folder / name).write_bytes(content)

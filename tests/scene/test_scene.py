@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.api import execute
 from cosim.errors import (
     InitialConditionError,
     ParameterError,
     UnknownName,
     UsageError,
 )
-from cosim.scene.library import shipped_scenes
-from cosim.scene.roads import run_on_road, scene_dae
-from cosim.scene.scene import Scene, Settings
-from cosim.scene.scene_file import find_scene, read_scene
+from cosim.model.solver import Tolerance
+from cosim.scene.scene_file import find_scene, read_scene, shipped_scenes
 from cosim.scene.variants import in_formulation, variant, with_solver
 
 GOOD = """\
@@ -61,7 +60,7 @@ def write(tmp_path):
 
 
 def test_everything_in_a_scene_reaches_the_run(write):
-    run = run_on_road(read_scene(write(GOOD)))
+    run = cosim.run_scene(read_scene(write(GOOD)))
     same = cosim.simulate(
         cosim.load("bar_on_frame/reduced"),
         stop_time=2,
@@ -69,7 +68,7 @@ def test_everything_in_a_scene_reaches_the_run(write):
         solver="erk",
         relative_tolerance=1e-9,
         absolute_tolerance=1e-11,
-        start={"b": 0.04 * 1.3558179483314004, "length": 0.5, "theta": pi / 6, "T2": 0.01},
+        start_values={"b": 0.04 * 1.3558179483314004, "length": 0.5, "theta": pi / 6, "T2": 0.01},
     )
     assert run.names == ("theta", "M_phi")
     assert run.stats["solver"] == "erk"
@@ -79,21 +78,22 @@ def test_everything_in_a_scene_reaches_the_run(write):
         np.testing.assert_allclose(run[name], same[name], rtol=0, atol=20e-9)
 
 
-@pytest.mark.parametrize("road", ["fmu-me", "fmu-cs"])
-def test_everything_in_a_scene_reaches_the_fmu(write, road):
+@pytest.mark.parametrize("backend", ["fmu-me", "fmu-cs"])
+def test_everything_in_a_scene_reaches_the_fmu(write, backend):
     scene = read_scene(write(GOOD))
-    run, again = run_on_road(scene), run_on_road(scene, road)
+    run, again = cosim.run_scene(scene), cosim.run_scene(scene, backend)
     assert again.names == run.names
     assert cosim.compare(run, again, bound=1e-6).agrees  # measured 3e-8 ME at rtol 1e-9
 
 
 def test_scene_without_outputs_runs_the_full_model(write):
-    run = run_on_road(read_scene(write('model = "crank_shaft"\n[run]\nstop_time = 0.1\n')))
+    run = cosim.run_scene(read_scene(write('model = "crank_shaft"\n[run]\nstop_time = 0.1\n')))
     assert set(run.names) == set(cosim.load("crank_shaft").observed)
 
 
 def test_outputs_of_a_scene_reduce_its_model(write):
-    dae = scene_dae(read_scene(write('model = "bar_on_frame"\noutputs = ["theta"]\n')))
+    scene = read_scene(write('model = "bar_on_frame"\noutputs = ["theta"]\n'))
+    dae = scene.request.reduced().dae
     assert {v.name for v in dae.states} == {"theta", "theta_dot", "Omega"}
     assert any(line.startswith("states: 4 -> 3") for line in dae.report)
 
@@ -101,7 +101,9 @@ def test_outputs_of_a_scene_reduce_its_model(write):
 def test_values_of_a_scene_are_the_starts_of_its_fmu(write, tmp_path):
     from fmpy import read_model_description
 
-    path = cosim.export_fmu(scene_dae(read_scene(write(GOOD))), tmp_path / "bar.fmu")
+    path = cosim.export_fmu(
+        read_scene(write(GOOD)).request.reduced().configured(), tmp_path / "bar.fmu"
+    )
     description = read_model_description(str(path))
     starts = {v.name: v.start for v in description.modelVariables}
     assert float(starts["length"]) == 0.5
@@ -113,22 +115,22 @@ def test_values_of_a_scene_are_the_starts_of_its_fmu(write, tmp_path):
 
 def test_model_itself_is_left_as_it_was(write):
     scene = read_scene(write(GOOD))
-    scene.configured()
+    scene.request.configured()
     assert scene.dae.variable("length").start == 0.3048
     assert scene.dae.experiment.stop_time == 10
 
 
 def test_byte_order_mark_crlf_comments_and_inline_tables_are_read(write):
     text = '\ufeff# bar\r\nmodel = "bar_on_frame" # first\r\nstart = {theta = "1 rad"}\r\n'
-    assert read_scene(write(text)).values == {"theta": 1.0}
+    assert read_scene(write(text)).request.values == {"theta": 1.0}
 
 
 def test_dotted_keys_are_read(write):
     scene = read_scene(write('model = "crank_shaft"\nrun.stop_time = 1.5\n'))
-    assert scene.settings == Settings(stop_time=1.5)
+    assert scene.request.times == cosim.Times(stop=1.5)
 
 
-def test_user_model_is_looked_up_beside_its_scene(write):
+def test_user_model_is_found_in_the_folder_of_its_scene(write):
     write(
         "from casadi_models.dae import Model\n"
         "def build():\n"
@@ -138,22 +140,22 @@ def test_user_model_is_looked_up_beside_its_scene(write):
         "    return model.freeze()\n",
         "mine.py",
     )
-    run = run_on_road(read_scene(write('model = "mine.py:build"\n')))
+    run = cosim.run_scene(read_scene(write('model = "mine.py:build"\n')))
     assert run["x"][-1] == pytest.approx(np.exp(-1), rel=1e-7)
 
 
-def test_input_series_is_looked_up_beside_its_scene(write):
+def test_input_series_is_found_in_the_folder_of_its_scene(write):
     write("time,steer_torque\n0,0\n1,1\n", "kick.csv")
     text = 'model = "bicycle"\n[inputs]\nfile = "kick.csv"\nroll_torque = 2\n'
     scene = read_scene(write(text))
-    assert scene.inputs.names == ("steer_torque",)
-    assert scene.values == {"roll_torque": 2.0}
+    assert scene.request.inputs.names == ("steer_torque",)
+    assert scene.request.values == {"roll_torque": 2.0}
 
 
 def test_series_of_an_input_that_a_reduction_drops_does_no_harm(write):
     write("time,steer_torque\n0,0\n1,1\n", "kick.csv")
     text = 'model = "bicycle"\noutputs = ["zP"]\n[inputs]\nfile = "kick.csv"\n'
-    run = run_on_road(read_scene(write(text + "[run]\nstop_time = 0.1\n")))
+    run = cosim.run_scene(read_scene(write(text + "[run]\nstop_time = 0.1\n")))
     assert np.abs(run["zP"]).max() == 0
 
 
@@ -212,7 +214,8 @@ def test_missing_file_in_a_folder_is_named(tmp_path):
         pytest.param('["M_phi"]]', '["M_ph"]]', UnknownName,
                      r"line 24: .* no output 'M_ph'", id="variable of a figure"),
         pytest.param('["M_phi"]]', '["phi"]]', UsageError,
-                     r"line 24: 'phi' is drawn but not computed; add it to outputs", id="not kept"),
+                     r"line 24: 'phi' is drawn but not computed; add it to outputs",
+                     id="not computed"),
         pytest.param('[["theta"], ["M_phi"]]', '[["theta", "M_phi"]]', UsageError,
                      r"1 panels|line 25: 2 labels for 1 panels", id="labels"),
         pytest.param('[["theta"], ["M_phi"]]\nlabels = ["angle", "torque"]',
@@ -274,7 +277,7 @@ def test_missing_file_in_a_folder_is_named(tmp_path):
                      r"line \d+: .* does not fit; write a table \[inputs\]", id="number as table"),
     ],
 )  # fmt: skip
-def test_bad_scene_is_refused_with_file_and_line(write, old, new, error, message):
+def test_invalid_scene_is_rejected_with_file_and_line(write, old, new, error, message):
     assert GOOD.count(old) >= 1
     text = GOOD.replace(old, new, 1)
     if new == "inputs":  # a key of the file itself has to stand before its tables
@@ -285,30 +288,30 @@ def test_bad_scene_is_refused_with_file_and_line(write, old, new, error, message
     assert str(caught.value).startswith(str(path))
 
 
-def test_bytes_that_are_no_text_are_refused(write):
+def test_bytes_that_are_not_text_are_rejected(write):
     with pytest.raises(UsageError, match=r"scene\.toml is not a UTF-8 text"):
         read_scene(write(b"title = '\xff'"))
 
 
-def test_calculated_start_is_refused_with_what_may_be_set(write):
+def test_calculated_start_is_rejected_with_the_names_that_can_be_set(write):
     text = 'model = "bicycle"\n[start]\ntheta = 0.1\n'
     with pytest.raises(InitialConditionError, match=r"line 3: .*theta is calculated.*phi, delta"):
         read_scene(write(text))
 
 
-def test_state_whose_start_is_a_parameter_is_answered_with_the_parameters(write):
+def test_state_whose_start_is_a_parameter_is_rejected_with_the_parameters(write):
     text = 'model = "double_pendulum"\n[start]\nq1_w = 0.0\n'
     with pytest.raises(InitialConditionError, match=r"line 3: .*q1_w is calculated.*psi1_0"):
         read_scene(write(text))
 
 
-def test_inertia_that_no_body_has_is_refused(write):
+def test_inertia_that_no_body_has_is_rejected(write):
     text = 'model = "bicycle"\n[parameters]\nIBxx = 30.0\n'
     with pytest.raises(ParameterError, match=r"scene\.toml: .* principal moments"):
         read_scene(write(text))
 
 
-def test_input_that_is_constant_and_a_series_is_refused(write):
+def test_input_that_is_constant_and_a_series_is_rejected(write):
     write("time,T2\n0,0\n1,1\n", "torque.csv")
     text = GOOD.replace("T2 = 0.01", 'T2 = 0.01\nfile = "torque.csv"')
     with pytest.raises(UsageError, match=r"line 13: T2 is also a column of torque\.csv"):
@@ -333,58 +336,56 @@ def test_line_after_a_list_of_several_lines_is_named(write):
         read_scene(write(text + "equl = true\n"))
 
 
-def test_scene_made_in_python_refuses_what_a_file_may_not_say():
+def test_scene_from_python_rejects_what_a_file_must_not_contain():
     with pytest.raises(UnknownName, match="no state, parameter or input 'lenght'"):
-        Scene("bar", cosim.load("bar_on_frame"), values={"lenght": 1.0})
+        cosim.requested("bar_on_frame", start_values={"lenght": 1.0})
 
 
-def test_other_formulation_takes_over_values_and_drops_a_solver_it_cannot_use(write):
-    scene = in_formulation(read_scene(write(GOOD)), "bar_on_frame/two_body")
-    assert scene.settings.solver is None
-    assert run_on_road(scene).stats["solver"] == "idas"
-    assert scene.configured().variable("length").start == 0.5
+def test_other_formulation_retains_values_and_drops_an_unusable_solver(write):
+    request = in_formulation(read_scene(write(GOOD)).request, "bar_on_frame/two_body")
+    assert request.solver == Tolerance(1e-9, 1e-11)
+    assert execute(request.reduced()).stats["solver"] == "idas"
+    assert request.configured().variable("length").start == 0.5
 
 
 def test_other_formulation_without_an_output_names_one_that_has_it():
     dae = cosim.load("double_pendulum/euler_313")
-    scene = Scene("pendulum", dae, outputs=("singularity_1",))
+    request = cosim.requested(dae, outputs=["singularity_1"])
     with pytest.raises(UnknownName, match=r"quaternion does not compute 'singularity_1'"):
-        in_formulation(scene, "double_pendulum/quaternion")
+        in_formulation(request, "double_pendulum/quaternion")
 
 
-def test_other_formulation_without_a_start_value_says_so():
+def test_other_formulation_without_a_start_value_is_rejected():
     dae = cosim.load("bar_on_frame/two_body")
-    scene = Scene("bar", dae, values={"frame_v1": 0.0})
-    with pytest.raises(UnknownName, match=r"reduced cannot be given 'frame_v1'"):
-        in_formulation(scene, "bar_on_frame/reduced")
+    request = cosim.requested(dae, start_values={"frame_v1": 0.0})
+    with pytest.raises(UnknownName, match=r"reduced has no settable value 'frame_v1'"):
+        in_formulation(request, "bar_on_frame/reduced")
 
 
-def test_variant_is_a_road_a_solver_or_a_formulation(write):
-    scene = read_scene(write(GOOD))
-    assert variant(scene, "fmu-me") == (scene, "fmu-me")
-    assert variant(scene, "rk4")[0].settings.solver == "rk4"
-    assert variant(scene, "two_body")[0].dae.full_name == "bar_on_frame/two_body"
-    with pytest.raises(UnknownName, match=r"no road 'twobody'; did you mean two_body"):
-        variant(scene, "twobody")
+def test_variant_is_a_backend_a_solver_or_a_formulation(write):
+    request = read_scene(write(GOOD)).request
+    assert variant(request, "fmu-me") == (request, "fmu-me")
+    assert variant(request, "rk4")[0].solver.name == "rk4"
+    assert variant(request, "two_body")[0].dae.full_name == "bar_on_frame/two_body"
+    with pytest.raises(UnknownName, match=r"'twobody'; did you mean two_body"):
+        variant(request, "twobody")
 
 
-def test_tolerances_do_not_outlive_the_adaptive_solver():
-    scene = with_solver(read_scene("bicycle_model_1.toml"), "ode8")
-    assert scene.settings.relative_tolerance is None
-    assert scene.settings.absolute_tolerance is None
+def test_tolerances_are_dropped_with_the_adaptive_solver():
+    request = with_solver(read_scene("bicycle_model_1.toml").request, "ode8")
+    assert request.tolerance is None
 
 
-def test_step_size_does_not_outlive_the_fixed_step_solver():
-    dae = cosim.load("crank_shaft")
-    scene = Scene("crank", dae, settings=Settings(solver="ode8", step_size=0.1))
-    assert with_solver(scene, "rk4").settings.step_size == 0.1
-    assert with_solver(scene, "erk").settings.step_size is None
+def test_step_size_is_dropped_with_the_fixed_step_solver():
+    request = cosim.requested("crank_shaft", solver="ode8", step_size=0.1)
+    assert with_solver(request, "rk4").solver.step_size == 0.1
+    assert with_solver(request, "erk").solver.relative_tolerance == 1e-8
 
 
 @pytest.mark.parametrize(
     ("page", "begin"), [("scenes.md", ""), ("figures.md", 'model = "bicycle"\n')]
 )
-def test_scene_in_the_documentation_is_one(write, page, begin):
+def test_scene_in_the_documentation_is_valid(write, page, begin):
     text = (Path(__file__).parents[2] / "docs" / page).read_text(encoding="utf-8")
     block = text.partition("```toml\n")[2].partition("```")[0]
     assert read_scene(write(begin + block)).figures

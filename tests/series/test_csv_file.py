@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cosim.series import csv_file
-from cosim.series.column import Column
 from cosim.series.csv_file import repr_17, write_csv
+from cosim.series.samples import Column
 from cosim.trajectory import Trajectory
 
 

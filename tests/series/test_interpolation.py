@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.series.interpolation import resample
+from cosim.series.samples import resample
 
 
 def test_polynomial_of_degree_5_is_met_exactly_and_samples_are_kept():

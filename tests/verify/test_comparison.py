@@ -32,7 +32,7 @@ def test_largest_difference_comes_first():
     assert result.worst is result.differences[0]
 
 
-def test_only_common_variables_count_and_those_left_out_do_not():
+def test_only_common_variables_are_compared_without_those_left_out():
     first, second = run(x=[0, 0, 0], y=[0, 0, 0]), run(y=[0, 0, 0], x=[9, 9, 9], w=[1, 1, 1])
     assert {d.name for d in compare(first, second).differences} == {"x", "y"}
     assert compare(first, second, without=["x"]).agrees
@@ -57,16 +57,16 @@ def test_what_is_not_finite_agrees_with_nothing_and_comes_first(bad, both):
     ("second", "reason"),
     [
         (run(y=[0, 0, 0]), "no variable in common"),
-        (run(time=(0, 1), x=[0, 0]), "has 3 output times, m has 2; run both with one"),
-        (run(time=(0, 1, 2.1), x=[0, 0, 0]), "other output times from the 2th on"),
+        (run(time=(0, 1), x=[0, 0]), "m has 3, m has 2; run both with the same"),
+        (run(time=(0, 1, 2.1), x=[0, 0, 0]), "different output times from index 2 on"),
     ],
 )
-def test_runs_that_cannot_be_compared_are_refused(second, reason):
+def test_runs_that_cannot_be_compared_are_rejected(second, reason):
     with pytest.raises(UsageError, match=reason):
         compare(run(x=[0, 0, 0]), second, resample=False)
 
 
-def test_runs_without_output_times_are_refused():
+def test_runs_without_output_times_are_rejected():
     empty = run(time=(), x=[])
     with pytest.raises(UsageError, match="m has no output times; there is nothing to compare"):
         compare(empty, empty)
@@ -96,30 +96,30 @@ def sampled(n, law=np.sin, start=0.0, stop=2.0, **more):
     return replace(run(time=time, x=law(time)), **more)
 
 
-def test_other_output_times_are_interpolated_and_the_comparison_says_so():
+def test_other_output_times_are_interpolated_with_a_note():
     result = compare(sampled(21), sampled(32))
     assert result.agrees
     assert "compared at 21 times of the first run, 0 ... 2 s" in str(result)
-    assert "the second one is interpolated, with an estimated error of" in result.note
+    assert "the second run is interpolated, with an estimated error of" in result.note
     off = compare(sampled(21), sampled(32, lambda t: np.sin(t) + 1e-3))
     assert off.worst.scaled == pytest.approx(1e-4, rel=1e-3)  # nominal 10
 
 
-def test_other_output_times_are_computed_again_where_that_can_be_done():
+def test_other_output_times_are_computed_again_if_possible():
     second = sampled(3)
     again = replace(second, again=lambda t: run(time=t, x=np.sin(t)))
     assert not compare(sampled(21), second).agrees
     result = compare(sampled(21), again)
     assert result.worst.scaled == 0
-    assert result.note.endswith("the second one is computed again there")
+    assert result.note.endswith("the second run is computed again there")
 
 
-def test_only_the_common_span_is_compared_and_that_is_told():
+def test_only_the_common_span_is_compared_with_a_note():
     result = compare(sampled(21, stop=2.0), sampled(101, start=0.5, stop=9.5))
     assert "compared at 16 times of the first run, 0.5 ... 2 s" in result.note
 
 
-def test_runs_without_a_common_time_are_refused():
+def test_runs_without_a_common_time_are_rejected():
     with pytest.raises(UsageError, match="no time in common: they run from 0 to 2 s and from 3"):
         compare(sampled(21), sampled(21, start=3, stop=5))
 

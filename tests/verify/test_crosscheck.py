@@ -1,4 +1,4 @@
-"""The crosscheck: every road of every formulation, a verdict for each, whatever fails."""
+"""The crosscheck: every backend of every formulation, a verdict for each, whatever fails."""
 
 import json
 from dataclasses import replace
@@ -11,17 +11,17 @@ from cosim.cli.arguments import named_scene
 from cosim.cli.main import main
 from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
 from cosim.verify import crosscheck as crosschecks
-from cosim.verify.check import Check
+from cosim.verify.comparison import Check
 from cosim.verify.crosscheck import crosscheck
 
 SHORT = {"stop_time": 0.1, "output_interval": 0.05}
 
 
 def verdicts(checks: list[Check]) -> list[tuple[str, str, str, str]]:
-    return [(c.model.partition("/")[2], c.road, c.against, c.verdict) for c in checks]
+    return [(c.model.partition("/")[2], c.backend, c.against, c.verdict) for c in checks]
 
 
-def test_every_formulation_takes_every_road():
+def test_every_formulation_takes_every_backend():
     assert verdicts(list(crosscheck(["crank_shaft"], **SHORT))) == [
         ("driven", "fmu-me", "cvodes", "ok"),
         ("driven", "fmu-cs", "cvodes", "ok"),
@@ -31,7 +31,7 @@ def test_every_formulation_takes_every_road():
     ]
 
 
-def test_check_tells_what_is_worst_and_what_the_run_took():
+def test_check_shows_the_largest_difference_and_the_cost_of_the_run():
     row = next(crosscheck("crank_shaft/driven", **SHORT)).row()
     assert row["model"] == "crank_shaft/driven"
     assert row["worst"] in cosim.load("crank_shaft/driven").observed
@@ -41,14 +41,14 @@ def test_check_tells_what_is_worst_and_what_the_run_took():
     assert row["wall_time"] > 0
 
 
-def test_checks_are_kept_and_show_their_table():
+def test_checks_are_stored_and_shown_as_a_table():
     checks = crosscheck("crank_shaft/driven", **SHORT)
     first = next(checks)
-    assert [check.road for check in checks] == ["fmu-me", "fmu-cs"]
+    assert [check.backend for check in checks] == ["fmu-me", "fmu-cs"]
     assert next(iter(checks)) is first  # computed once
-    assert next(checks).road == "fmu-cs"
+    assert next(checks).backend == "fmu-cs"
     shown = repr(checks).splitlines()
-    assert shown[0].split()[:3] == ["model", "road", "against"]
+    assert shown[0].split()[:3] == ["model", "backend", "against"]
     assert len(shown) == 3
     assert "<td>fmu-cs</td>" in checks._repr_html_()
     assert checks.agree
@@ -56,13 +56,13 @@ def test_checks_are_kept_and_show_their_table():
 
 def shifted(monkeypatch, shift):
     """Let every FMU's run be wrong by a constant."""
-    original = crosschecks.run_fmu
+    original = crosschecks.run_file
 
-    def run_fmu(scene, dae, path: Path, road):
-        run = original(scene, dae, path, road)
+    def run_file(request, path: Path, interface):
+        run = original(request, path, interface)
         return replace(run, values=run.values + shift)
 
-    monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
+    monkeypatch.setattr(crosschecks, "run_file", run_file)
 
 
 def test_difference_beyond_the_bound_is_a_verdict_of_its_own(monkeypatch):
@@ -73,7 +73,7 @@ def test_difference_beyond_the_bound_is_a_verdict_of_its_own(monkeypatch):
     assert all(check.against == "dop853 at 3e-14" for check in checks)
 
 
-def test_smallest_difference_that_the_reference_resolves_is_told():
+def test_smallest_difference_that_the_reference_resolves_is_reported():
     checks = list(crosscheck(["crank_shaft/driven"], bound=1e-16, **SHORT))
     assert "DIFFERS" in {check.verdict for check in checks}
 
@@ -93,35 +93,37 @@ def test_difference_that_no_reference_resolves_is_not_held_against_the_fmu(monke
 
 
 def test_fmu_nearer_to_the_truth_than_the_plain_run_is_right(monkeypatch):
-    original = crosschecks.run_on_road
+    original = crosschecks.execute
 
-    def run_on_road(scene):
-        run = original(scene)
+    def execute(request):
+        run = original(request)
         return replace(run, values=run.values + 1e-3)
 
-    monkeypatch.setattr(crosschecks, "run_on_road", run_on_road)
+    monkeypatch.setattr(crosschecks, "execute", execute)
     checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
     assert [(c.verdict, c.against) for c in checks] == 2 * [("ok", "dop853 at 3e-14")]
 
 
+@pytest.mark.slow
 def test_tolerance_of_a_sensitive_motion_is_found(monkeypatch):
-    original = crosschecks.run_fmu
+    original = crosschecks.run_file
 
-    def run_fmu(scene, dae, path: Path, road):
-        run = original(scene, dae, path, road)
-        return replace(run, values=run.values + 3e4 * scene.settings.relative_tolerance)
+    def run_file(request, path: Path, interface):
+        run = original(request, path, interface)
+        return replace(run, values=run.values + 3e4 * request.tolerance.relative)
 
-    monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
+    monkeypatch.setattr(crosschecks, "run_file", run_file)
     checks = list(crosscheck(["crank_shaft/driven"], **SHORT))
     assert {(c.verdict, c.note) for c in checks} == {("ok", "at relative tolerance 1e-11")}
     checks = list(crosscheck(["crank_shaft/driven"], relative_tolerance=1e-10, **SHORT))
-    assert {c.verdict for c in checks} == {"DIFFERS"}  # what is asked for is what is judged
+    assert {c.verdict for c in checks} == {"DIFFERS"}  # at the requested tolerance
 
 
+@pytest.mark.slow
 def test_forms_of_one_file_are_compared(tmp_path):
     (tmp_path / "twin.py").write_text(TWIN)
     names = [f"{tmp_path / 'twin.py'}:{form}" for form in ("slow", "shifted", "other")]
-    checks = [c for c in crosscheck(names, **SHORT) if c.road.native]
+    checks = [c for c in crosscheck(names, **SHORT) if c.backend.native]
     assert [(c.model, c.against, c.verdict) for c in checks] == [
         ("twin/shifted", "twin/slow", "ok")
     ]
@@ -150,14 +152,14 @@ def other():
 @pytest.fixture
 def failing_fmus(monkeypatch):
     """Let every FMU fail in co-simulation."""
-    original = crosschecks.run_fmu
+    original = crosschecks.run_file
 
-    def run_fmu(scene, dae, path: Path, road):
-        if road == "fmu-cs":
+    def run_file(request, path: Path, interface):
+        if interface == "CoSimulation":
             raise FmuError("the step came no further")
-        return original(scene, dae, path, road)
+        return original(request, path, interface)
 
-    monkeypatch.setattr(crosschecks, "run_fmu", run_fmu)
+    monkeypatch.setattr(crosschecks, "run_file", run_file)
 
 
 @pytest.mark.usefixtures("failing_fmus")
@@ -168,28 +170,29 @@ def test_run_that_fails_does_not_end_the_others():
     assert checks[1].row()["worst"] is None
 
 
-def test_model_that_fails_on_our_road_is_a_failed_check(monkeypatch):
-    original = crosschecks.run_on_road
+def test_model_that_fails_on_our_backend_is_a_failed_check(monkeypatch):
+    original = crosschecks.execute
 
-    def run_on_road(scene):
-        if scene.dae.formulation == "driven":
+    def execute(request):
+        if request.dae.formulation == "driven":
             raise SolverError("CV_TOO_MUCH_WORK")
-        return original(scene)
+        return original(request)
 
-    monkeypatch.setattr(crosschecks, "run_on_road", run_on_road)
+    monkeypatch.setattr(crosschecks, "execute", execute)
     checks = list(crosscheck(["crank_shaft"], **SHORT))
-    assert [(c.road, c.verdict) for c in checks] == [
+    assert [(c.backend, c.verdict) for c in checks] == [
         ("native", "FAILED"),
         ("fmu-me", "ok"),
         ("fmu-cs", "ok"),
     ]
 
 
+@pytest.mark.slow
 def test_name_with_a_meaning_of_its_own_is_not_compared_between_formulations():
     scene = named_scene("double_pendulum_7_2.toml")
     checks = list(crosscheck([scene], **SHORT))
     assert {check.verdict for check in checks} == {"ok"}
-    axial = next(c for c in checks if c.model.endswith("_axial") and c.road.native)
+    axial = next(c for c in checks if c.model.endswith("_axial") and c.backend.native)
     angles = [f"{name}{link}" for name in ("psi", "theta", "phi") for link in (1, 2)]
     assert {*axial.left_out} == {*angles, "singularity_1", "singularity_2"}
     assert "points along -" in axial.left_out["psi1"]
@@ -204,13 +207,13 @@ def test_bound_must_be_a_positive_number(bound):
         next(crosscheck(["crank_shaft"], bound=bound))
 
 
-def test_unknown_model_is_told():
+def test_unknown_model_is_rejected():
     with pytest.raises(UnknownName, match="did you mean crank_shaft"):
         next(crosscheck(["crank_shift"]))
 
 
-def test_unknown_model_is_told_before_the_first_one_runs(monkeypatch):
-    monkeypatch.setattr("cosim.verify.crosscheck.run_on_road", lambda *_: pytest.fail("it ran"))
+def test_unknown_model_is_rejected_before_the_first_one_runs(monkeypatch):
+    monkeypatch.setattr("cosim.verify.crosscheck.execute", lambda *_: pytest.fail("it ran"))
     with pytest.raises(UnknownName, match="did you mean bicycle"):
         next(crosscheck(["crank_shaft", "bicycle/multipliers", "bicylce"]))
 
@@ -243,7 +246,7 @@ def test_command_returns_4_for_an_fmu_that_differs_and_says_what_to_try(capsys, 
 
 
 @pytest.mark.usefixtures("failing_fmus")
-def test_command_returns_1_where_a_run_failed(capsys):
+def test_command_returns_1_if_a_run_failed(capsys):
     assert command() == 1
     printed = capsys.readouterr()
     assert "FAILED" in printed.out

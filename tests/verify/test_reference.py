@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+import cosim
 from casadi_models.dae import Dae, Model
 from cosim.errors import SolverError
 from cosim.model import catalogue
-from cosim.scene.scene import Scene, Settings
 from cosim.verify import reference as references
 from cosim.verify.reference import reference, reference_key
 
@@ -36,6 +36,7 @@ def own_cache(monkeypatch, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.0, 0.2, 1.9])
 def test_closed_form_of_an_oscillator_lies_within_the_estimated_error(damping):
     found = reference(oscillator(damping))
@@ -59,72 +60,76 @@ def test_two_different_methods_make_a_reference():
     assert found.method.split()[0] != found.check.split()[0]
 
 
+@pytest.mark.slow
 def test_error_of_one_method_shows_in_the_estimate(own_cache, monkeypatch):
     """With two methods only, one of them off by 1e-6 of the nominal value."""
-    original = references.Way.run
+    original = references.execute
 
-    def spoiled(way, scene, dae):
-        run = original(way, scene, dae)
-        if way.solver == "erk":
+    def spoiled(request):
+        run = original(request)
+        if request.solver.name == "erk":
             values = run.values.copy()
             values[50, 0] += 1e-6
             return references.replace(run, values=values)
         return run
 
-    monkeypatch.setattr(references, "WAYS", references.WAYS[:2])
-    monkeypatch.setattr(references.Way, "run", spoiled)
+    monkeypatch.setattr(references, "METHODS", references.METHODS[:2])
+    monkeypatch.setattr(references, "execute", spoiled)
     assert reference(oscillator()).error() == pytest.approx(1e-6, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_methods_that_agree_outvote_one_that_does_not(own_cache, monkeypatch):
-    original = references.Way.run
+    original = references.execute
 
-    def spoiled(way, scene, dae):
-        run = original(way, scene, dae)
-        wrong = way.solver == "erk"
+    def spoiled(request):
+        run = original(request)
+        wrong = request.solver.name == "erk"
         return references.replace(run, values=run.values * (1 + 1e-3 * wrong))
 
-    monkeypatch.setattr(references.Way, "run", spoiled)
+    monkeypatch.setattr(references, "execute", spoiled)
     found = reference(oscillator())
     assert "erk" not in found.method + found.check
     assert found.error() < 1e-11
 
 
+@pytest.mark.slow
 def test_second_call_gives_the_same_numbers_without_a_run(own_cache, monkeypatch):
     first = reference(oscillator())
 
     def forbidden(*_):
         raise AssertionError("it was computed again")
 
-    monkeypatch.setattr(references.Way, "run", forbidden)
+    monkeypatch.setattr(references, "execute", forbidden)
     second = reference(oscillator())
     assert second.run.columns == first.run.columns
     assert second.run.values.tobytes() == first.run.values.tobytes()
     assert (second.method, second.check, second.errors) == (first.method, first.check, first.errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"", b"no archive", None])
 def test_damaged_file_in_the_cache_is_computed_anew(own_cache, damage):
     first = reference(oscillator())
     (file,) = (own_cache / "references").iterdir()
     file.write_bytes(file.read_bytes()[:-200] if damage is None else damage)
-    with pytest.warns(RuntimeWarning, match="was damaged; it is made again"):
+    with pytest.warns(RuntimeWarning, match="was corrupt and has been rebuilt"):
         second = reference(oscillator())
     assert second.run.values.tobytes() == first.run.values.tobytes()
 
 
-def test_key_tells_apart_what_changes_the_trajectory():
-    scene = Scene("s", oscillator())
-    longer = Scene("s", scene.dae, settings=Settings(stop_time=11.0))
-    finer = Scene("s", scene.dae, settings=Settings(output_interval=0.05))
-    moved = Scene("s", scene.dae, values={"x": 1.5})
-    damped = Scene("s", scene.dae, values={"b": 0.3})
-    stiffer = Scene("s", oscillator(0.3))
-    later = Scene("s", scene.dae, settings=Settings(start_time=1.0))
+def test_key_depends_on_everything_that_changes_the_trajectory():
+    scene = cosim.requested(oscillator())
+    longer = cosim.requested(scene.dae, stop_time=11.0)
+    finer = cosim.requested(scene.dae, output_interval=0.05)
+    moved = cosim.requested(scene.dae, start_values={"x": 1.5})
+    damped = cosim.requested(scene.dae, start_values={"b": 0.3})
+    stiffer = cosim.requested(oscillator(0.3))
+    later = cosim.requested(scene.dae, start_time=1.0)
     scenes = (scene, longer, finer, moved, damped, later)
     assert len({reference_key(s) for s in scenes}) == len(scenes)
     assert reference_key(stiffer) == reference_key(damped)
-    assert reference_key(Scene("another name", oscillator())) == reference_key(scene)
+    assert reference_key(cosim.requested(oscillator())) == reference_key(scene)
 
 
 def test_formulations_of_one_model_have_one_reference():

@@ -1,4 +1,4 @@
-"""From the words on the command line to a `Scene`: a model or a scene, and what overrides it."""
+"""Arguments of a command line as values; a wrong one raises a `CosimError` that names it."""
 
 import argparse
 from collections.abc import Iterable, Iterator
@@ -6,77 +6,84 @@ from dataclasses import replace
 from typing import Any
 
 from casadi_models.dae import Dae
+from cosim.backend import Backend
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.integrate.keywords import requested
 from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
+from cosim.model.request import RunRequest
+from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
-from cosim.scene.goals import GOALS, OVERRULED
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
-from cosim.scene.variants import with_solver, without_goal
+from cosim.scene.variants import with_solver
 
-_RUN_SETTINGS = (
-    "start_time",
-    "stop_time",
-    "output_interval",
-    "relative_tolerance",
-    "absolute_tolerance",
-    "step_size",
-    "accuracy",
-)
+TIMES = ("start_time", "stop_time", "output_interval")
+_NUMBERS = ("step_size", *LIMITS)
+_POLICY = ("on_invalid", "drift_control", "stop_when")
 
 
 def scene_from(args: argparse.Namespace) -> Scene:
-    """Return the scene that a command line asks for; its options override the scene's file.
-
-    Raises:
-        CosimError: The model, the scene or an option is wrong; see `read_scene` and `load`.
-    """
-    scene = _driven_scene(args, named_scene(args.model))
-    given = {key: getattr(args, key, None) for key in _RUN_SETTINGS}
-    changes = {key: value for key, value in given.items() if value is not None}
-    if getattr(args, "budget", None) is not None:
-        changes["budget"] = 1e-3 * args.budget
-    if changes.keys() & set(GOALS):
-        overruled: dict[str, Any] = dict.fromkeys((*OVERRULED, *GOALS))
-        scene = replace(scene, settings=replace(scene.settings, **overruled))
-    elif changes.keys() & set(OVERRULED):
-        scene = without_goal(scene)
-    if getattr(args, "solver", None) is not None:
-        scene = with_solver(scene, args.solver)
-    scene = replace(scene, settings=replace(scene.settings, **changes))
+    """Return the scene of a command line, whose options override the file of the scene."""
+    scene = named_scene(args.model)
+    request = _with_inputs(args, scene.request)
+    goal = options_in(args, "accuracy", "budget")
+    if goal["budget"] is not None:
+        goal["budget"] *= 1e-3
+    solver = getattr(args, "solver", None)
+    has_goal = any(value is not None for value in goal.values())
+    if solver is not None and not has_goal:
+        request = with_solver(request, solver)
+    keywords = options_in(args, *TIMES, *_NUMBERS, *_POLICY) | goal
+    if getattr(args, "at", None) is not None and runs_natively(args):
+        keywords |= {"output_times": sorted(times_in("--at", args.at)), "stop_time": None}
     if args.outputs is not None:
-        scene = replace(scene, outputs=names_in(args.outputs), figures=())
-    numbers = start_numbers(args, scene.dae) if "values" in args else {}
-    varying = {variable.name for variable in scene.dae.inputs} - numbers.keys()
-    inputs = scene.inputs and scene.inputs.only(varying)
-    return replace(scene, values=overriding(scene.dae, scene.values, numbers), inputs=inputs)
+        keywords["outputs"] = names_in(args.outputs)
+        scene = replace(scene, figures=())
+    request = requested(request, **keywords, solver=solver if has_goal else None)
+    return replace(scene, request=_with_values(args, request))
 
 
-def _driven_scene(args: argparse.Namespace, scene: Scene) -> Scene:
-    """Return a scene with the formulas and time series that a command line gives for inputs."""
+def options_in(args: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Return the values of options by name; None where the verb has no such option."""
+    return {name: getattr(args, name, None) for name in names}
+
+
+def runs_natively(args: argparse.Namespace) -> bool:
+    """Return whether the backend of a command line needs no FMU."""
+    return Backend.named(getattr(args, "backend", None) or Backend.NATIVE).native
+
+
+def _with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
+    """Return a request with the values of a command line, which end time series of the same."""
+    numbers = start_numbers(args, request.dae) if "values" in args else {}
+    if not numbers:
+        return request
+    varying = {variable.name for variable in request.dae.inputs} - numbers.keys()
+    values = overriding(request.dae, request.values, numbers)
+    return replace(request, values=values, inputs=request.inputs and request.inputs.only(varying))
+
+
+def _with_inputs(args: argparse.Namespace, request: RunRequest) -> RunRequest:
+    """Return a request whose inputs have the formulas and time series of a command line."""
     if laws := _laws(args):
         names = {name for name, _ in laws}
-        dae = with_laws(scene.dae, tuple(laws))
+        dae = with_laws(request.dae, tuple(laws))
         left = {variable.name for variable in dae.inputs}
-        values = {name: value for name, value in scene.values.items() if name not in names}
-        inputs = scene.inputs and scene.inputs.only(left)
-        scene = replace(scene, dae=dae, values=values, inputs=inputs)
+        values = {name: value for name, value in request.values.items() if name not in names}
+        inputs = request.inputs and request.inputs.only(left)
+        request = replace(request, dae=dae, values=values, inputs=inputs)
     if (path := getattr(args, "input_file", None)) is not None:
-        series = read_inputs(path, scene.dae)
-        values = {n: v for n, v in scene.values.items() if n not in series.names}
-        scene = replace(scene, inputs=series, values=values)
-    return scene
+        series = read_inputs(path, request.dae)
+        values = {n: v for n, v in request.values.items() if n not in series.names}
+        request = replace(request, inputs=series, values=values)
+    return request
 
 
 def inputs_in(args: argparse.Namespace) -> dict[str, Any]:
-    """Return what a command line says of an FMU's inputs: formulas of time, and time series.
-
-    Raises:
-        UsageError: One is not written like that, or is given twice.
-    """
+    """Return the inputs of an FMU by name: formulas of time, and time series."""
     inputs: dict[str, Any] = dict(_laws(args))
     if args.input_file is not None:
         series = read_inputs(args.input_file)
@@ -91,11 +98,7 @@ def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
 
 
 def assigned(option: str, items: Iterable[str], form: str) -> Iterator[tuple[str, str]]:
-    """Yield name and text of what an option was given as NAME=TEXT.
-
-    Raises:
-        UsageError: Something is not written like that.
-    """
+    """Yield the names and texts of an option whose values are written as NAME=TEXT."""
     for item in items:
         name, equals, text = (part.strip() for part in item.partition("="))
         if not equals:
@@ -104,11 +107,7 @@ def assigned(option: str, items: Iterable[str], form: str) -> Iterator[tuple[str
 
 
 def times_in(option: str, text: str) -> list[float]:
-    """Return the times of a list with commas, s; each may have a unit.
-
-    Raises:
-        ParameterError: One is no time.
-    """
+    """Return the times of a list with commas, s; each may have a unit."""
     return [quantity(option, word, "s") for word in text.split(",")]
 
 
@@ -123,11 +122,7 @@ def numbers_in(option: str, text: str) -> tuple[float, ...]:
 
 
 def number_in(option: str, text: str) -> float:
-    """Read a number of an option.
-
-    Raises:
-        ParameterError: It is none.
-    """
+    """Return the number of an option."""
     try:
         return float(text)
     except ValueError:
@@ -136,22 +131,22 @@ def number_in(option: str, text: str) -> float:
 
 def named_scene(name: str) -> Scene:
     """Return the scene of a file `NAME.toml`, or a model as a scene without settings."""
-    return read_scene(name) if name.endswith(".toml") else Scene(name, load(name))
+    return read_scene(name) if name.endswith(".toml") else Scene(name, RunRequest(load(name)))
 
 
-def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
-    """Read `-p NAME=VALUE[UNIT]` and `--start-values NAME VALUE ...`; no units without a model.
-
-    Raises:
-        UsageError, ParameterError: Something is not written like that, or is given twice.
-        UnknownName: The model has no such variable.
-    """
+def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:
+    """Return names and texts of `-p` and `--start-values`."""
     words = args.start_values
     if len(words) % 2:
         raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
     pairs = zip(words[::2], words[1::2], strict=True)
+    return [*pairs, *assigned("-p", args.values, "VALUE[UNIT]")]
+
+
+def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
+    """Return the values of `-p` and `--start-values` by name; they need a model to have units."""
     numbers: dict[str, float] = {}
-    for name, text in (*pairs, *assigned("-p", args.values, "VALUE[UNIT]")):
+    for name, text in start_texts(args):
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
         numbers[name] = value_in(name, text, None if dae is None else _unit_of_name(dae, name))
@@ -159,11 +154,7 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
 
 
 def value_in(name: str, text: str, unit: str | None) -> float:
-    """Read the number of a variable, in SI units; in its own where nobody knows its unit.
-
-    Raises:
-        ParameterError: It is none, or its unit does not fit.
-    """
+    """Return the number of a variable in SI units, or in its own unit if that is not known."""
     if unit is not None:
         return quantity(name, text, unit)
     try:

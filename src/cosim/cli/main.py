@@ -1,143 +1,249 @@
-"""The command line: arguments to library calls to text.
+"""The command line: its parser, and `main`, which runs a verb and returns the exit code."""
 
-Only `argparse` is imported before the arguments are understood; CasADi and the others follow
-with the verb that needs them.
-"""
+from __future__ import annotations
 
 import argparse
+import errno
 import io
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from importlib import import_module
 from typing import Any
 
-from cosim.cli.options import Parser, did_you_mean
-from cosim.cli.parser import command_line
-from cosim.cli.streams import NO_ROOM, flushed, mend_streams
+from cosim.cli.options import Parser, add_options, did_you_mean
+from cosim.cli.verbs import ALIASES, VERBS
 from cosim.errors import CosimError
-from cosim.host.processes import ending_orphans
-from cosim.host.processor_time import OutOfTime, limited_time
+from cosim.files import reject_unwritable
 from cosim.host.progress import shown_on_terminal
-from cosim.text.escaping import sentence, visible
+from cosim.host.signals import time_limit
+from cosim.text import sentence, visible
+
+_OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_DESCRIPTION = "Simulate rigid-body systems natively or as FMUs, and compare the results."
+_EXAMPLES = """examples:
+  cosim info
+  cosim simulate crank_shaft --stop-time 1 -o crank.csv
+  cosim plot bicycle_model_1.toml -o bicycle.pdf
+  cosim export bicycle/multipliers -o bicycle.fmu
+
+exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ,
+            5 a tool is missing, 130 interrupted"""
+
+
+class CommandLine(Parser):
+    """The parser of `cosim`; it replaces an alias by the words that it stands for."""
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parse a command line."""
+        words = [*(sys.argv[1:] if args is None else args)]
+        if words and words[0] in ALIASES:
+            options_first = len(words) > 1 and words[1].startswith("-")
+            words[:1] = ALIASES[words[0]][:1] if options_first else ALIASES[words[0]]
+        return super().parse_known_args(words, namespace)
+
+
+def command_line() -> CommandLine:
+    """Return the parser of all verbs."""
+    parser = CommandLine(
+        prog="cosim",
+        usage="cosim VERB ...",
+        description=f"{_DESCRIPTION}\n\n{_verb_table()}",
+        epilog=_EXAMPLES,
+    )
+    add = parser.output.add_argument
+    add("-h", "--help", action="help", help="print this help, or that of a verb, and exit")
+    add("--version", action=PrintVersion, help="print the version and exit")
+    add(
+        "--print-completion",
+        action=PrintCompletion,
+        metavar="SHELL",
+        help="print a script for bash, zsh, fish, tcsh or powershell that completes verbs and "
+        "options, and exit",
+    )
+    subparsers = parser.add_subparsers(
+        dest="verb",
+        metavar="VERB",
+        required=True,
+        parser_class=Parser,
+        help=argparse.SUPPRESS,
+        prog="cosim",
+    )
+    for name, verb in VERBS.items():
+        examples = "\n".join(f"  {line}" for line in verb.examples)
+        own = subparsers.add_parser(
+            name, help=verb.summary, description=verb.summary, epilog=f"examples:\n{examples}"
+        )
+        add_options(own, verb)
+        own.usage = own.short_usage()
+    return parser
+
+
+def _verb_table() -> str:
+    lines, section = [], ""
+    for name, verb in VERBS.items():
+        if verb.section != section:
+            section = verb.section
+            lines += ["", f"{section}:"]
+        lines.append(f"  {name:12} {verb.summary}")
+    lines.append("\nalso: list (the same as info), scene NAME (prints a shipped scene)")
+    return "\n".join(lines).lstrip()
+
+
+class PrintVersion(argparse.Action):
+    """An option that prints the version; it is looked up only then."""
+
+    def __init__(self, option_strings: list[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print the version and exit."""
+        from importlib.metadata import version
+
+        print(f"cosim {version('cosim-rigid')}")
+        parser.exit()
+
+
+class PrintCompletion(argparse.Action):
+    """An option that prints the completion script of a shell, which shtab writes."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, _: argparse.Namespace, shell: Any, *_more: Any
+    ) -> None:
+        """Print the script and exit."""
+        import shtab
+
+        if shell not in shtab.SUPPORTED_SHELLS:
+            near = did_you_mean(shell, shtab.SUPPORTED_SHELLS)
+            names = near or f"; give one of {', '.join(shtab.SUPPORTED_SHELLS)}"
+            parser.exit(3, f"cosim: no shell '{shell}'{names}\n")
+        whole = command_line()
+        for action in (a for p in (whole, *whole.verbs().values()) for a in p._actions):
+            if isinstance(action, argparse._SubParsersAction):
+                action.help = "what to do"  # hidden actions are not completed
+            elif action.nargs != 0:
+                action.complete = shtab.FILE  # type: ignore[attr-defined]
+        print(shtab.complete(whole, shell))
+        parser.exit()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cosim VERB ...`; return the exit code."""
-    if arguments is not None:
-        return _run_verb(_parsed_command(arguments))
-    mend_streams()
-    with limited_time() as told:
-        code = _command(sys.argv[1:])
-    if told:
-        os._exit(flushed(_out_of_time(told[0])))  # native code may run on
-    return flushed(code)
+    """Run `cosim VERB ...`; return the exit code.
 
-
-def _command(words: Sequence[str]) -> int:
-    """Run a command line, in a process of its own where a user's program belongs to it."""
+    Args:
+        arguments: The words after `cosim`. Those of this process when None: then everything that
+            foreign FMUs have started ends with the command.
+    """
     try:
-        args = _parsed_command(words)
-        from cosim.cli.supervised import names_own_code, supervised  # a help needs none of it
-
-        if (own := next(filter(names_own_code, _named_words(args)), None)) is not None:
-            what = f"cosim {args.verb}: {own}"
-            return supervised(words, what, getattr(args, "timeout", None))
-        foreign = any(word.endswith(".fmu") for word in _named_words(args))
-        with ending_orphans() if foreign else nullcontext():
-            return _run_verb(args)
-    except SystemExit as ended:  # of argparse
-        return ended.code if isinstance(ended.code, int) else 2
-    except KeyboardInterrupt as error:
-        return _interrupted(error)
+        try:
+            return _run_words(sys.argv[1:] if arguments is None else arguments, arguments is None)
+        finally:
+            print(end="", flush=True)  # errors of standard output are raised here
+    except BrokenPipeError:  # the reader of the results has ended, as in `cosim info | head`
+        _discard_output()
+        return 0
+    except OSError as error:
+        _discard_output()
+        print(f"cannot write the results: {error.strerror}", file=sys.stderr)
+        return 1
 
 
-def run_words(words: Sequence[str]) -> int:
-    """Run a command line in a process that is supervised; return its exit code."""
-    mend_streams()
-    with limited_time() as told:
-        code = _run_verb(_parsed_command(words))
-    return flushed(_out_of_time(told[0]) if told else code)
+def _run_words(words: Sequence[str], own_process: bool) -> int:
+    args = _parsed(words)
+    foreign = any(word.endswith(".fmu") for word in _words(args))
+    if not foreign or not own_process:
+        return _run_verb(args, foreign=foreign)
+    from cosim.host.child import ending_orphans
+
+    with ending_orphans():
+        return _run_verb(args, foreign=True)
 
 
-def _out_of_time(told: str) -> int:
-    print(f"cosim: {told}", file=sys.stderr)
-    return 1
+def _parsed(words: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line, with the options of the verb that it names."""
+    parser = command_line()
+    args, unknown = parser.parse_known_args(words)
+    if unknown:  # argparse itself would name the help of all verbs
+        word = unknown[0].partition("=")[0]
+        near = did_you_mean(word, parser.verbs()[args.verb].options())
+        message = f"cosim {args.verb}: cannot take '{unknown[0]}'{near}"
+        Parser().exit(2, f"{message}; see: cosim {args.verb} --help\n")
+    return args
 
 
-def _named_words(args: argparse.Namespace) -> Iterator[str]:
-    """Yield what a command line names: models above all."""
-    for value in vars(args).values():
-        yield from (w for w in (value if isinstance(value, list) else [value]) if type(w) is str)
+def _words(args: argparse.Namespace) -> Iterable[str]:
+    """Yield what a command line names, but not the file that it writes."""
+    for name, value in vars(args).items():
+        if name != "output_file":
+            words = value if isinstance(value, list) else [value]
+            yield from (word for word in words if type(word) is str)
 
 
-def _run_verb(args: argparse.Namespace) -> int:
-    """Run a verb; return its exit code, every error told in a sentence."""
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a name that a terminal cannot show ends no run
+def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:
+    """Run a verb within its time limit, which FMU files have for each run; return its exit code."""
+    seconds = None if foreign else getattr(args, "timeout", None)
+    code = None
+    with suppress(KeyboardInterrupt), time_limit(seconds) as limit:
+        code = _reported(args)
+    if limit.reached and code != 0:  # it may end in the same moment
+        limited = f"did not end within {seconds:g} s and was stopped"
+        print(f"cosim {args.verb} {limited}", file=sys.stderr)
+        return 1
+    if code is None:
+        print("interrupted", file=sys.stderr)
+        return 130
+    return code
+
+
+def _reported(args: argparse.Namespace) -> int:
+    """Run a verb; return its exit code, every error reported in one line."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # an encoding may lack letters of a name
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), shown_on_terminal(args.quiet):
             if not args.debug:
                 warnings.showwarning = _warn
-            _refuse_unwritable(args)
-            with shown_on_terminal(args.quiet):
-                code: int = args.run(args)
-        sys.stdout.flush()
+            _reject_unwritable(args)
+            code: int = import_module(f"cosim.cli.verbs.{args.verb}").run(args)
         return code
     except CosimError as error:
         if args.debug:
             raise
-        told = visible(str(error), lines=True)
-        print(f"{type(error).__name__}: {told}", file=sys.stderr)
+        print(f"{type(error).__name__}: {visible(str(error), lines=True)}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt as error:
-        return _interrupted(error)
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
-        if args.debug:
+        if args.debug or (isinstance(error, OSError) and _is_of_output(error)):
             raise
-        if isinstance(error, OSError) and error.errno in NO_ROOM and error.filename is None:
-            print(f"cannot write the results: {error.strerror}", file=sys.stderr)
-            return 1
-        told = sentence(f"{type(error).__name__}: {error}")
-        print(f"cosim {args.verb} failed with {told}; show where with: --debug", file=sys.stderr)
+        cause = sentence(f"{type(error).__name__}: {error}")
+        print(f"cosim {args.verb} failed with {cause}; show where with: --debug", file=sys.stderr)
         return 1
 
 
-def _interrupted(error: KeyboardInterrupt) -> int:
-    if not isinstance(error, OutOfTime):  # which is told in the end
-        print("interrupted", file=sys.stderr)
-    return 130
+def _is_of_output(error: OSError) -> bool:
+    return error.errno in _OUTPUT_ERRORS and error.filename is None
 
 
-def _parsed_command(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = command_line()
-    args, unknown = parser.parse_known_args(arguments)
-    if unknown:  # argparse itself would point to the help of all verbs
-        word = unknown[0].partition("=")[0]
-        near = did_you_mean(word, parser.verbs()[args.verb].options())
-        told = f"cosim {args.verb}: cannot take '{unknown[0]}'{near}"
-        Parser().exit(2, f"{told}; see: cosim {args.verb} --help\n")
-    return args
+def _discard_output() -> None:
+    """Let Python flush standard output to nowhere when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _refuse_unwritable(args: argparse.Namespace) -> None:
-    """Refuse files that cannot be written before anything is computed for them."""
-    from cosim.files import refuse_unwritable
-
+def _reject_unwritable(args: argparse.Namespace) -> None:
+    """Reject files that cannot be written before anything is computed."""
     figure = getattr(args, "figure", None)
     for target in (getattr(args, "output_file", None), figure):
         if target is not None:
-            refuse_unwritable(target)
+            reject_unwritable(target)
     if figure is not None:
-        from cosim.present.picture_files import picture_format
+        from cosim.plotting import picture_format
 
         picture_format(figure)
 
 
 def _warn(message: Warning | str, *_where: Any, **_more: Any) -> None:
-    """Print a warning for a user: what it says, without a line of our code."""
+    """Print the text of a warning without a line of code."""
     print(f"warning: {message}", file=sys.stderr)

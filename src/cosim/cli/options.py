@@ -1,21 +1,37 @@
-"""Options that several verbs share. Only `argparse` is needed to understand a command line."""
+"""Parsers of verbs. Only `argparse` is needed to understand a command line."""
 
 from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
-from typing import NoReturn
+from math import inf
+from pathlib import Path
+from typing import Any, NoReturn
+
+from cosim.cli.verbs import Verb
 
 _CHOICE = re.compile(r"invalid choice: '?([^' ]*)'? ")
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line that names the help to read."""
+    """A parser with a group of options for each topic; its errors are one line.
+
+    Attributes:
+        what, times, solver, output: What to run, the times, the solver and the output.
+    """
+
+    def __init__(self, **keywords: Any) -> None:
+        form = argparse.RawDescriptionHelpFormatter
+        super().__init__(add_help=False, formatter_class=form, **keywords)
+        self.what = self.add_argument_group("what to run")
+        self.times = self.add_argument_group("times")
+        self.solver = self.add_argument_group("solver")
+        self.output = self.add_argument_group("output")
 
     def error(self, message: str) -> NoReturn:
-        """Exit with 2 and say what to read."""
+        """Exit with 2 and name the help to read."""
         if (wrong := _CHOICE.search(message)) and self._subparsers is not None:
             message += did_you_mean(wrong[1], self.verbs())
         self.exit(2, f"{self.prog}: {message}; see: {self.prog} --help\n")
@@ -24,6 +40,14 @@ class Parser(argparse.ArgumentParser):
         """Return the parsers of all verbs, by name."""
         groups = (a for a in self._actions if isinstance(a, argparse._SubParsersAction))
         return next((dict(group.choices) for group in groups), {})
+
+    def short_usage(self) -> str:
+        """Return the usage without the single options."""
+        words = []
+        for action in self._get_positional_actions():
+            name = f"{action.metavar} ..." if action.nargs in ("*", "+") else str(action.metavar)
+            words.append(f"[{name}]" if action.nargs in ("*", "?") else name)
+        return " ".join([self.prog, *words, "[OPTION ...]"])
 
     def options(self) -> list[str]:
         """Return the names of all options."""
@@ -37,7 +61,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def seconds(text: str) -> float:
-    """Read a time: a number of seconds, or one with a unit, as 5s, 200ms, 2min."""
+    """Read a time: a number of seconds, or a number with a unit, as 5s, 200ms, 2min."""
     try:
         return float(text)
     except ValueError:
@@ -52,147 +76,49 @@ def seconds(text: str) -> float:
         raise argparse.ArgumentTypeError(f"invalid float value: '{text}'; {hint}") from None
 
 
-def common() -> Parser:
-    """Return the options of every verb."""
-    parser = Parser(add_help=False)
-    parser.add_argument("--json", action="store_true", help="results as JSON")
-    parser.add_argument("-q", "--quiet", action="store_true", help="no progress")
-    parser.add_argument("-v", "--verbose", action="store_true", help="say what a run took")
-    parser.add_argument("--debug", action="store_true", help="show where an error arose")
-    return parser
+def _time_limit(text: str) -> float:
+    limit = seconds(text)
+    if not 0 < limit < inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a positive, finite time in seconds")
+    return limit
 
 
-def add_run(parser: Parser) -> None:
-    """Let a verb run something."""
-    parser.add_argument(
-        "--stop-time", type=seconds, metavar="S", help="s; the model's own by default"
-    )
-    parser.add_argument("--output-interval", type=seconds, metavar="S", help="s; 0.01 by default")
-    parser.add_argument("--relative-tolerance", type=float, metavar="R", help="error per step")
+TYPES: dict[str, Callable[[str], Any]] = {
+    "float": float,
+    "int": int,
+    "seconds": seconds,
+    "time_limit": _time_limit,
+}
 
 
-def add_numbers(parser: Parser) -> None:
-    """Let a verb set a model's numbers."""
-    parser.add_argument(
-        "--start-values", nargs="+", default=[], metavar="NAME VALUE", help="in SI units"
-    )
-    parser.add_argument(
-        "-p",
-        dest="values",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE[UNIT]",
-        help="parameter, start value or constant input",
-    )
+def _file_name(endings: Sequence[str]) -> Callable[[str], str]:
+    """Return the type of an option for the name of a file that has one of the endings, or none."""
+
+    def checked(name: str) -> str:
+        ending = Path(name).suffix.lower()
+        if ending and ending not in endings:
+            raise argparse.ArgumentTypeError(f"{name}: give a name with {' or '.join(endings)}")
+        return name
+
+    return checked
 
 
-def add_values(parser: Parser) -> None:
-    """Let a verb set a model's numbers and choose its outputs."""
-    add_outputs(parser)
-    add_numbers(parser)
-
-
-def add_outputs(parser: Parser) -> None:
-    """Let a verb choose what it computes, and from when on."""
-    parser.add_argument("--start-time", type=seconds, metavar="S", help="s; 0 by default")
-    parser.add_argument("--outputs", metavar="A,B", help="what to compute; everything by default")
-
-
-def add_single_run(parser: Parser) -> None:
-    """Let a verb make one run as `cosim simulate` does, of foreign code, too."""
-    add_run(parser)
-    add_values(parser)
-    add_solver(parser)
-    add_timeout(parser)
-    add_trust(parser)
-
-
-def add_solver(parser: Parser) -> None:
-    """Let a verb choose how one run is integrated."""
-    add_accuracy(parser)
-    parser.add_argument(
-        "--budget", type=float, metavar="MS", help="time of the solver, ms; the best run within it"
-    )
-    parser.add_argument(
-        "--solver",
-        metavar="NAME",
-        help="cvodes (default of an ODE), cvodes_adams (ode113), idas (default of a DAE), "
-        "erk (ode45), rosenbrock, dop853, rk4 (ode4), ode8; ode15s is the default",
-    )
-    parser.add_argument(
-        "--stop-when", metavar="CONDITION", help='end the run there, e.g. "abs(phi) > 45deg"'
-    )
-    parser.add_argument(
-        "--input",
-        dest="laws",
-        action="append",
-        default=[],
-        metavar="NAME=FORMULA",
-        help='of time t, states and parameters, e.g. "steer_torque=2*sin(3*t)"',
-    )
-    parser.add_argument("--input-file", metavar="CSV", help="time series of inputs: time,NAME,...")
-    add_error_control(parser)
-    parser.add_argument(
-        "--interface-type", metavar="KIND", help="of an FMU: ModelExchange or CoSimulation"
-    )
-    parser.add_argument("--interpreted", action="store_true", help="do not compile the equations")
-    parser.add_argument(
-        "--drift-control",
-        metavar="KIND",
-        help="of constraints: none, baumgarte, or projection after every step; the model's own",
-    )
-
-
-def add_error_control(parser: Parser) -> None:
-    """Let a verb choose how accurate runs are, and what happens where they leave their model."""
-    parser.add_argument(
-        "--absolute-tolerance", type=float, metavar="A", help="error per step in nominal values"
-    )
-    parser.add_argument("--step-size", type=seconds, metavar="S", help="s; of rk4 and ode8")
-    parser.add_argument(
-        "--on-invalid",
-        metavar="ACTION",
-        help="where a run leaves the model's limits: warn (the default), stop or ignore",
-    )
-
-
-def add_accuracy(parser: Parser) -> None:
-    """Let a verb ask for an error instead of a solver and a tolerance."""
-    parser.add_argument(
-        "--accuracy",
-        type=float,
-        metavar="X",
-        help="global error of the outputs in nominal values; chooses solver and tolerance",
-    )
-
-
-def add_timeout(parser: Parser) -> None:
-    """Let a verb end the run of an FMU file or of a user's own code."""
-    parser.add_argument(
-        "--timeout", type=seconds, metavar="S", help="for a run of an FMU or a PATH.py, s; no limit"
-    )
-
-
-def add_trust(parser: Parser) -> None:
-    """Let a verb run the code of foreign FMUs."""
-    parser.add_argument(
-        "--trust", action="store_true", help="run this FMU's code, now and in future"
-    )
-
-
-def add_figure(parser: Parser, text: str = "PNG, SVG or PDF") -> None:
-    """Let a verb draw its result."""
-    parser.add_argument("--figure", metavar="FILE", help=text)
-
-
-def add_output_file(parser: Parser, metavar: str, text: str, *, required: bool = False) -> None:
-    """Let a verb write its result to a file."""
-    parser.add_argument("-o", "--output-file", required=required, metavar=metavar, help=text)
-
-
-def add_picture(parser: Parser, size: str) -> None:
-    """Let a verb choose how large its pictures are."""
-    parser.add_argument(
-        "--size", default=size, metavar="WxH", help=f"inches; {size or 'by what is drawn'}"
-    )
-    parser.add_argument("--dpi", type=int, default=120, metavar="N", help="dots per inch; 120")
+def add_options(parser: Parser, verb: Verb) -> None:
+    """Add the options of a verb and `--help`."""
+    exclusive: argparse._MutuallyExclusiveGroup | None = None
+    for name, fields in verb.options.items():
+        keywords = dict(fields)
+        group = getattr(parser, keywords.pop("topic"))
+        flags = keywords.pop("flags", [f"--{name.replace('_', '-')}"])
+        if keywords.pop("positional", False):
+            flags = [name]
+        else:
+            keywords["dest"] = name
+        if "type" in keywords:
+            keywords["type"] = TYPES[keywords["type"]]
+        if "endings" in keywords:
+            keywords["type"] = _file_name(keywords.pop("endings"))
+        if name in verb.exclusive:
+            group = exclusive = exclusive or group.add_mutually_exclusive_group()
+        group.add_argument(*flags, **keywords)
+    parser.output.add_argument("-h", "--help", action="help", help="print this help and exit")

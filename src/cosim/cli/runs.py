@@ -1,22 +1,136 @@
-"""The runs that a command line asks for."""
+"""The runs of a command line: complete, failed or interrupted."""
 
 import argparse
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
-from cosim.api import run_scene
-from cosim.cli.arguments import names_in, number_in
-from cosim.cli.running import run_or_partial, scene_or_none
-from cosim.errors import ParameterError, UsageError
-from cosim.integrate.run.outputs import all_columns
+from cosim.api import execute, run_scene
+from cosim.backend import Backend
+from cosim.cli.arguments import (
+    TIMES,
+    inputs_in,
+    names_in,
+    number_in,
+    options_in,
+    scene_from,
+    start_numbers,
+    start_texts,
+)
+from cosim.coupling.files import coupling_report, is_system, read_system, simulate_file
+from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
+from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.trust import is_made_here, require_trust
+from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
-from cosim.scene.roads import Road
+from cosim.model.request import RunRequest
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
+from cosim.study.accuracy.choice import report
 from cosim.trajectory import Trajectory
+
+_OF_MODELS = (
+    *("backend", "solver", "absolute_tolerance", "step_size", "on_invalid", "drift_control"),
+    *("max_step", "stop_when", "accuracy", "budget"),
+)
+_OF_FMUS = ("interface_type", "master")
+_OF_SYSTEMS = ("method", "macro_step")
+
+
+def scene_or_none(args: argparse.Namespace) -> Scene | None:
+    """Return the scene of a command line; None for an FMU file and for a co-simulation."""
+    if args.model.endswith(".fmu") or _is_co_simulation(args):
+        return None
+    if any(options_in(args, *_OF_SYSTEMS).values()):
+        raise UsageError("--method and --macro-step are for coupled systems")
+    return scene_from(args)
+
+
+def _is_co_simulation(args: argparse.Namespace) -> bool:
+    """Return whether FMUs of a coupled system are to be simulated, not its parts as one model."""
+    if not is_system(args.model):
+        return False
+    asked = any(options_in(args, *_OF_SYSTEMS).values())
+    return asked or not read_system(args.model).is_model
+
+
+def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
+    """Return a run and its exit code; if the run failed, what was computed."""
+    try:
+        if scene is not None:
+            run = _scene_run(args, scene)
+        else:
+            run = _co_simulation(args) if is_system(args.model) else _fmu_run(args)
+    except (SolverError, Interrupted) as error:
+        if not isinstance(error.partial, Trajectory) or not len(error.partial):
+            raise
+        if isinstance(error, Interrupted):
+            print(error, file=sys.stderr)
+            return error.partial, 130
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return error.partial, error.exit_code
+    for text in run.stats.get("invalid", ()):
+        print(f"warning: {run.model}: {text}", file=sys.stderr)
+    if "note" in run.stats and not args.quiet:
+        print(f"note: {run.model}: {run.stats['note']}", file=sys.stderr)
+    if "macro_steps" in run.stats and not args.quiet:
+        print(coupling_report(run), file=sys.stderr)
+    elif "error_estimate" in run.stats and not args.quiet:
+        print(report(run), file=sys.stderr)
+    return run, 0
+
+
+def _scene_run(args: argparse.Namespace, scene: Scene) -> Trajectory:
+    """Run a model or a scene."""
+    for option in _OF_FMUS:
+        if getattr(args, option, None) is not None:
+            name = option.replace("_", "-")
+            raise UsageError(f"--{name} is for FMU files; a model has --backend and --solver")
+    return run_scene(scene, args.backend or Backend.NATIVE)
+
+
+def _fmu_run(args: argparse.Namespace) -> Trajectory:
+    """Run an FMU file in a process of its own."""
+    for option in _OF_MODELS:
+        if getattr(args, option) is not None:
+            raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
+    settings = options_in(args, "timeout", *TIMES, "relative_tolerance")
+    if getattr(args, "master", None) is not None:
+        settings["master"] = args.master
+    settings["start_values"] = start_numbers(args, None)
+    require_trust(args.model, trusted=args.trust)
+    return simulate_apart(
+        args.model,
+        interface=args.interface_type,
+        inputs=inputs_in(args),
+        outputs=None if args.outputs is None else names_in(args.outputs),
+        **settings,
+    )
+
+
+def _co_simulation(args: argparse.Namespace) -> Trajectory:
+    """Run a coupled system by co-simulation; in a process of its own if it has foreign FMUs."""
+    for option in _OF_MODELS:
+        if getattr(args, option) is not None and option != "accuracy":
+            raise UsageError(
+                f"--{option.replace('_', '-')} is for models; a co-simulation has --method, "
+                "--accuracy and --macro-step"
+            )
+    if inputs_in(args):
+        raise UsageError("--input is for models; drive an input of a system by a part of its own")
+    names = (*TIMES, "relative_tolerance", "accuracy", *_OF_SYSTEMS)
+    options = {name: value for name, value in options_in(args, *names).items() if value is not None}
+    options["start_values"] = dict(start_texts(args))
+    options["outputs"] = None if args.outputs is None else names_in(args.outputs)
+    system = read_system(args.model)
+    for file in system.fmus:
+        require_trust(file, trusted=args.trust)
+    if all(is_made_here(file) for file in system.fmus):
+        return system.simulate(**options)
+    return simulate_apart(args.model, timeout=args.timeout, function=simulate_file, **options)
 
 
 def runs_of(
@@ -24,15 +138,10 @@ def runs_of(
 ) -> tuple[list[Trajectory], list[Scene | None], int]:
     """Run every source of a command line with every value of its lists, `-p NAME=A,B`.
 
-    Args:
-        args: `sources` are models, scenes, FMUs and results; of each, `compare` names more roads.
-        everything: Whether scenes compute all outputs, whatever they want.
+    `everything` computes all outputs, also those that a scene does not name.
 
     Returns:
-        The runs; the scene of each, None for an FMU or a result; and the exit code.
-
-    Raises:
-        CosimError: A source or an option is wrong, or a run left nothing to show.
+        The runs; the scene of each, None for an FMU file or a result; and the exit code.
     """
     runs: list[Trajectory] = []
     scenes: list[Scene | None] = []
@@ -45,25 +154,22 @@ def runs_of(
         for one in _single(args, source):
             scene = scene_or_none(one)
             if everything and scene is not None:
-                scene = replace(scene, outputs=(), figures=())
-            seconds = [second_of(scene, name) for name in names_in(one.compare or "") if name]
+                scene = Scene(scene.name, replace(scene.request, outputs=None), scene.title)
+            names = (name for name in names_in(one.compare or "") if name)
+            others = [_variant_of(scene, name, one.backend) for name in names]
             run, code = run_or_partial(one, scene)
             stats = {**run.stats, "variation": one.variation}
             runs.append(replace(run, stats=stats) if one.variation else run)
             scenes.append(scene)
-            for other in seconds:
-                runs.append(run_scene(*other, compiled=False if args.interpreted else None))
-                scenes.append(other[0])
+            for other, backend in others:
+                runs.append(execute(other.reduced(), backend))
+                scenes.append(scene)
             worst = max(worst, code)
     return runs, scenes, worst
 
 
 def read_result(path: str, model: str | None) -> Trajectory:
-    """Read a result from a CSV file; a model tells units and meanings.
-
-    Raises:
-        UsageError: It cannot be read.
-    """
+    """Read a result from a CSV file; a model gives units and meanings."""
     if model is None:
         return Trajectory.read_csv(path)
     dae = load(model)
@@ -85,16 +191,16 @@ def _single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespac
         yield argparse.Namespace(**{**vars(args), **changes})
 
 
-def second_of(scene: Scene | None, name: str) -> tuple[Scene, Road]:
-    """Return scene and road of a run that `--compare` asks for.
+def _variant_of(scene: Scene | None, name: str, first: str | None) -> tuple[RunRequest, Backend]:
+    """Return request and backend of a run that `--compare` names.
 
-    Raises:
-        UsageError: The first one is that of an FMU.
-        UnknownName: There is no such road, solver or formulation.
+    Solvers and formulations take over the backend of the first run.
     """
     if scene is None:
-        raise UsageError("--compare is for models and scenes; an FMU has one road only")
-    return variant(scene, name)
+        raise UsageError("--compare is for models and scenes; an FMU has one backend only")
+    other, backend = variant(scene.request, name)
+    takes_over = first is not None and backend is Backend.NATIVE and name != backend
+    return other, Backend.named(first) if takes_over else backend
 
 
 def size_of(args: argparse.Namespace) -> tuple[float, float]:

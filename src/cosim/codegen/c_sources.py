@@ -1,4 +1,4 @@
-"""Where the files are that come with the package, and where it may keep its own."""
+"""C sources and license texts of the package, and the location of the cache."""
 
 import os
 import re
@@ -21,7 +21,7 @@ def runtime_sources() -> tuple[Traversable, ...]:
 
 
 def license_texts() -> tuple[Traversable, ...]:
-    """Return the licence of the C files, and what holds of generated ones, by name."""
+    """Return the license of the C files and the notice for generated files, by name."""
     return tuple(files("cosim._fmu") / name for name in ("GENERATED.txt", "LICENSE.txt"))
 
 
@@ -32,12 +32,12 @@ def solver_sources() -> tuple[Traversable, ...]:
 
 
 def solver_source(*names: str) -> str:
-    """Return headers of the explicit solvers, e.g. "dop853.h", and what they include, as one."""
+    """Return headers of the explicit solvers, e.g. "dop853.h", with their includes, as one text."""
     return _unfolded(solver_sources(), names)
 
 
 def master_source(*names: str) -> str:
-    """Return headers of the master of FMUs, e.g. "co_simulation.h", and what they include."""
+    """Return headers of the FMU master, e.g. "co_simulation.h", with their includes."""
     own = (e for e in (files("cosim._fmu") / "master").iterdir() if e.name.endswith(".h"))
     return _unfolded((*solver_sources(), *own), names)
 
@@ -46,7 +46,7 @@ def _unfolded(headers: Iterable[Traversable], names: Iterable[str]) -> str:
     texts = {e.name: e.read_text(encoding="utf-8") for e in headers}
 
     def unfolded(found: re.Match[str]) -> str:
-        text = texts.pop(found[1], "")  # once
+        text = texts.pop(found[1], "")  # each header once
         return _INCLUDE.sub(unfolded, text)
 
     return _INCLUDE.sub(unfolded, "".join(f'#include "{name}"\n' for name in names))
@@ -69,6 +69,6 @@ def cache_folder() -> Path:
             base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     except RuntimeError as error:
         raise CacheError(
-            "there is no home folder to keep compiled code in; set COSIM_CACHE to a folder"
+            "there is no home folder to store compiled code in; set COSIM_CACHE to a folder"
         ) from error
     return Path(base) / "cosim"

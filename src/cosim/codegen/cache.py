@@ -1,7 +1,7 @@
-"""The user's cache: a private folder of bounded size, whose entries are checked before their use.
+"""The user's cache: a private folder of limited size, whose entries are checked before use.
 
-An entry is a plain file that carries the SHA-256 of its content, a library in its name and all
-else in its first line. What does not match is as good as not there.
+An entry is a plain file with the SHA-256 of its content: a library has it in its name, any other
+entry in its first line. An entry that does not match is treated as missing.
 """
 
 import hashlib
@@ -16,22 +16,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
-from cosim.errors import CacheError
+from cosim.errors import CacheError, CosimError
+from cosim.files import opened_plain
 from cosim.host.temporary import remove_leftovers
 
-LARGEST_CACHE = 2 * 10**9  # unless $COSIM_CACHE_SIZE says otherwise, in bytes
+LARGEST_CACHE = 2 * 10**9  # bytes, unless $COSIM_CACHE_SIZE is set
 MOST_ENTRY = 2**30  # bytes
-_LITTLE = 1e-6  # of that; an entry no larger than this share makes no difference
-IN_USE = 600  # s; what was used within stays, as somebody may be about to load it
+_LITTLE = 1e-6  # share of the largest cache up to which a new entry does not start a cleanup
+IN_USE = 600  # s; entries used more recently stay, as another process may be about to load them
 _ENTRY_HEAD = b"cosim-cache 1 "
 _LOCK = ".lock"
-_FOLDERS = ("references", "fronts", "tradeoffs", "binaries", "made", "exports", "pictures")
-_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_FOLDERS = ("references", "candidates", "fronts", "tradeoffs", "binaries", "made", "pictures")
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What the cache holds: files and their bytes."""
+    """Content of the cache: number of files and their size in bytes."""
 
     folder: Path
     files: int
@@ -39,10 +39,10 @@ class Contents:
 
 
 def private_folder() -> Path:
-    """Return the cache folder, made where it is missing, for this user alone.
+    """Return the cache folder, which only this user can access; it is created if missing.
 
     Raises:
-        CacheError: It cannot be made, or another user could put files into it.
+        CacheError: The folder cannot be created, or another user could put files into it.
     """
     folder = cache_folder()
     try:
@@ -50,48 +50,35 @@ def private_folder() -> Path:
             for missing in reversed([p for p in (folder, *folder.parents) if not p.exists()]):
                 missing.mkdir(mode=0o700, exist_ok=True)
         if os.name != "nt":
-            _refuse_foreign(folder)
+            _reject_foreign(folder)
     except OSError as error:
         raise CacheError(
-            f"cannot keep compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
+            f"cannot store compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
         ) from error
     return folder
 
 
-def _refuse_foreign(folder: Path) -> None:
+def _reject_foreign(folder: Path) -> None:
+    """Reject a cache that other users own or can write to; close it to its group."""
     place, me = Path(os.path.realpath(folder)), os.geteuid()
-    way_out = "set COSIM_CACHE to a folder of your own, or mend its owner and permissions"
+    remedy = "set COSIM_CACHE to a folder of your own, or fix its owner and permissions"
     for each in dict.fromkeys((place, *place.parents, *folder.absolute().parents)):
         facts = each.stat()
         if facts.st_uid != me and (facts.st_uid != 0 or each == place):
-            raise CacheError(f"the cache {folder} is not used: {each} is another user's; {way_out}")
-        shared = facts.st_mode & _OTHERS
-        if shared == stat.S_IWGRP and _is_own_group(facts.st_gid):
-            shared = 0
-        if shared and (each == place or not facts.st_mode & stat.S_ISVTX):  # /tmp is safe: sticky
+            raise CacheError(f"the cache {folder} is not used: {each} is another user's; {remedy}")
+        is_open = facts.st_mode & stat.S_IWOTH
+        if is_open and (each == place or not facts.st_mode & stat.S_ISVTX):  # /tmp is safe: sticky
             raise CacheError(
-                f"the cache {folder} is not used: other users can write to {each}; {way_out}"
+                f"the cache {folder} is not used: other users can write to {each}; {remedy}"
             )
     if stat.S_IMODE(place.stat().st_mode) & 0o077:
         place.chmod(0o700)
 
 
-def _is_own_group(number: int) -> bool:
-    """Tell whether a group is its user's alone, as most Linux systems make one for everybody."""
-    import grp
-    import pwd
-
-    try:
-        group, user = grp.getgrgid(number), pwd.getpwuid(os.geteuid())
-    except KeyError:
-        return False
-    return group.gr_name == user.pw_name and set(group.gr_mem) <= {user.pw_name}
-
-
 def content_of(name: str) -> bytes | None:
-    """Return the content of an entry, by its path in the cache; None where there is none.
+    """Return the content of an entry, by its path in the cache; None if it is missing.
 
-    A damaged one is said, and gone.
+    A corrupt entry is removed with a warning.
     """
     try:
         place = private_folder() / name
@@ -107,23 +94,29 @@ def content_of(name: str) -> bytes | None:
     return content
 
 
-def keep(name: str, content: bytes) -> None:
-    """Write an entry, whole or not at all.
+def store(name: str, content: bytes) -> None:
+    """Store an entry, completely or not at all.
 
     Raises:
         CacheError: See `private_folder`.
-        OSError: It cannot be written.
+        OSError: The entry cannot be written.
     """
     place = private_folder() / name
     place.parent.mkdir(mode=0o700, exist_ok=True)
     head = _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode() + b"\n"
     _write_whole(place, head + content)
-    if len(content) > _LITTLE * most_bytes():  # looking at every entry takes longer than writing
+    if len(content) > _LITTLE * most_bytes():  # a cleanup takes longer than writing
         prune()
 
 
+def store_if_possible(name: str, content: bytes) -> None:
+    """Store an entry; without a cache, nothing happens."""
+    with suppress(OSError, CacheError):
+        store(name, content)
+
+
 def _write_whole(place: Path, content: bytes) -> None:
-    """Write a file, whole or not at all; a link of its name is not followed."""
+    """Write a file, completely or not at all; a link of the same name is not followed."""
     handle, name = tempfile.mkstemp(dir=place.parent, prefix=".new-")
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -134,58 +127,49 @@ def _write_whole(place: Path, content: bytes) -> None:
 
 
 def plain_file(place: Path) -> bytes | None:
-    """Return the bytes of a file of the cache; None where it is missing, or no plain file of ours.
+    """Return the bytes of a cache file; None if it is missing or no plain file of this user.
 
-    Neither a link nor a pipe is opened for reading. What is read counts as used.
+    Neither a link nor a pipe is opened for reading. Reading an entry marks it as used.
     """
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        handle = os.open(place, flags | getattr(os, "O_BINARY", 0))
+        with opened_plain(place, MOST_ENTRY, links=False) as stream:
+            if os.name != "nt" and os.fstat(stream.fileno()).st_uid != os.geteuid():
+                return None
+            content = stream.read()
     except (OSError, ValueError):
         return None
-    try:
-        facts = os.fstat(handle)
-        own = os.name == "nt" or facts.st_uid == os.geteuid()
-        if not own or not stat.S_ISREG(facts.st_mode) or facts.st_size > MOST_ENTRY:
-            return None
-        with os.fdopen(handle, "rb", closefd=False) as stream:
-            content = stream.read()
-    except OSError:
-        return None
-    finally:
-        os.close(handle)
     with suppress(OSError):
         os.utime(place)
     return content
 
 
 def remove_damaged(place: Path) -> None:
-    """Remove an entry and say so, once."""
+    """Remove a corrupt entry with a warning."""
     with suppress(OSError):
         place.unlink()
-    warnings.warn(f"{place} was damaged; it is made again", RuntimeWarning, stacklevel=2)
+    warnings.warn(f"{place} was corrupt and has been rebuilt", RuntimeWarning, stacklevel=2)
 
 
 @contextmanager
 def alone(folder: Path, key: str) -> Iterator[None]:
-    """Wait until no other process makes what a key stands for; 8 hexadecimal digits of it count.
+    """Wait until no other process creates the entry of a key, by its first 8 hexadecimal digits.
 
-    Where files cannot be locked, two may make the same: each whole, the later one stays.
+    Where files cannot be locked, two processes may create the same entry; the later one remains.
     """
-    with ExitStack() as held:
+    with ExitStack() as opened:
         with suppress(ImportError, OSError):
             import fcntl
 
-            file = held.enter_context((folder / _LOCK).open("ab"))
+            file = opened.enter_context((folder / _LOCK).open("ab"))
             fcntl.lockf(file, fcntl.LOCK_EX, 1, int(key[:8], 16))
         yield
 
 
 def prune(most: int | None = None) -> None:
-    """Remove the entries that were used longest ago where the cache has grown too large.
+    """Remove the least recently used entries of a cache that is too large.
 
     Args:
-        most: Bytes that may stay; $COSIM_CACHE_SIZE, else 2 GB, when None.
+        most: Size limit, bytes; $COSIM_CACHE_SIZE, else 2 GB, when None.
     """
     limit = most_bytes() if most is None else most
     folder = cache_folder()
@@ -201,7 +185,7 @@ def prune(most: int | None = None) -> None:
 
 
 def contents() -> Contents:
-    """Return what the cache holds.
+    """Return the number and size of the cache's files.
 
     Raises:
         CacheError: The user has no home folder.
@@ -212,33 +196,43 @@ def contents() -> Contents:
 
 
 def clear() -> Contents:
-    """Remove everything from the cache; return what it held.
+    """Remove everything from the cache; return its content before.
 
     Raises:
         CacheError: See `private_folder`.
     """
-    held = contents()
-    if held.folder.is_dir():
+    before = contents()
+    if before.folder.is_dir():
         private_folder()
-        remove_leftovers(held.folder)
+        remove_leftovers(before.folder)
         prune(-1)
-    return held
+    return before
 
 
 def most_bytes() -> int:
-    """Return the size that the cache may have, bytes.
+    """Return the size limit of the cache, bytes.
 
     Raises:
         CacheError: $COSIM_CACHE_SIZE is not a number.
     """
-    chosen = os.environ.get("COSIM_CACHE_SIZE", "")
+    chosen = bytes_from_environment("COSIM_CACHE_SIZE", CacheError)
+    return LARGEST_CACHE if chosen is None else chosen
+
+
+def bytes_from_environment(variable: str, problem: type[CosimError]) -> int | None:
+    """Return the number of bytes in an environment variable; None if it is not set.
+
+    Raises:
+        CosimError: It is not a number; of the type `problem`.
+    """
+    chosen = os.environ.get(variable, "")
     if chosen and not chosen.isdecimal():
-        raise CacheError(f"COSIM_CACHE_SIZE = {chosen} is not a number of bytes; unset it")
-    return int(chosen) if chosen else LARGEST_CACHE
+        raise problem(f"{variable} = {chosen} is not a number of bytes; unset it")
+    return int(chosen) if chosen else None
 
 
 def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
-    """Yield what the cache itself has made; nothing else is ever removed."""
+    """Yield the files that the cache created; no other file is ever removed."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             with suppress(OSError):

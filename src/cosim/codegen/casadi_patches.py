@@ -1,146 +1,88 @@
-"""Changes to the C code that CasADi generates for its `erk` and `rosenbrock` integrators.
+"""Patches of the C code that CasADi generates for its `erk` and `rosenbrock` integrators.
 
-Each place that is changed must occur exactly once, otherwise this CasADi generates other code.
+Each patched text must occur exactly once; otherwise this CasADi version generates other code, and
+every function here raises UsageError. casadi_patches.toml has the texts.
 """
 
 import re
-from collections.abc import Mapping
+import tomllib
+from pathlib import Path
+from string import Template
 
 import casadi as ca
 
 from cosim.codegen.c_sources import solver_source
 from cosim.errors import UsageError
 
-REPORT = 6  # numbers in a report
+REPORT = 6  # numbers that `cosim_report` writes
+_PATCHES = tomllib.loads(
+    Path(__file__).with_name("casadi_patches.toml").read_text(encoding="utf-8")
+)
 
 
 def run_time_tolerances(code: str, relative: str, absolute: str) -> str:
-    """Make the tolerances C expressions that are evaluated at every call.
-
-    Args:
-        code: What CasADi generated, with one integrator in it.
-        relative, absolute: C expressions over the function's `arg`.
-
-    Raises:
-        UsageError: This version of CasADi generates the driver in another form.
-    """
-    return _replace_each(
-        code,
-        {
-            r"p\.reltol = [^;]+;": f"p.reltol = {relative};",
-            r"p\.abstol = [^;]+;": f"p.abstol = {absolute};",
-        },
-    )
+    """Make the tolerances C expressions over `arg` that are evaluated at every call."""
+    return _patched(code, "run_time_tolerances", relative=relative, absolute=absolute)
 
 
 def smallest_step(code: str) -> str:
-    """Let a step be as small as time resolves it, not a part of the whole span.
+    """Limit the step size by the resolution of time instead of a part of the whole span."""
+    return _patched(code, "smallest_step")
 
-    Raises:
-        UsageError: See `run_time_tolerances`.
-    """
-    return _replace_each(
-        code,
-        {
-            r"p\.h_min = [^;]+;": "p.h_min = 1e-60;",
-            r"if \(d->h_next < p->h_min\)": (
-                "if (d->h_next < p->h_min || d->h_next < 2.3e-16 * fabs(d->t))"
-            ),
-        },
-    )
+
+def largest_step(code: str, largest: str) -> str:
+    """Make the largest step a C expression that is evaluated at every call; 0 is no limit."""
+    return _patched(code, "largest_step", largest=largest)
 
 
 def differential_errors(code: str) -> str:
-    """Let the errors of the differential states alone decide on steps and on the start.
+    """Base the error control on the differential states alone.
 
-    Algebraic unknowns are functions of the states and as accurate; their rounding errors, large
-    forces beside small ones, can exceed what a tight tolerance allows.
-
-    Raises:
-        UsageError: See `run_time_tolerances`.
+    Algebraic unknowns are functions of the states and equally accurate. Their rounding errors can
+    exceed a tight tolerance when large and small forces occur together.
     """
-    return _replace_each(code, {r"p\.nz_err = \d+;": "p.nz_err = 0;"})
+    return _patched(code, "differential_errors")
 
 
 def watched(code: str) -> str:
-    """Add what an integration can be watched and ended by from outside.
+    """Add functions that report on an integration and that let signals stop it.
 
-    `void cosim_report(double out[6])` tells what the thread's last run took and where it ended:
-    steps, right-hand sides, Jacobians, the driver's status (0: success), time, step size.
-    `void cosim_watch(void)` makes signals end runs at their next right-hand side, `int
-    cosim_halted(void)` tells which one did; see fmu/solvers/interrupt.h.
-
-    Raises:
-        UsageError: See `run_time_tolerances`.
+    `void cosim_report(double out[6])` writes statistics of the thread's last run: steps,
+    right-hand sides, Jacobians, the driver's status (0: success), final time, last step size.
+    After `void cosim_watch(void)`, signals stop runs at their next right-hand side, and `int
+    cosim_halted(void)` returns the signal; see fmu/solvers/interrupt.h.
     """
-    read = "d.n_steps, d.n_rhs, d.n_jac, d.status, d.t, d.h"
-    kept = f"const double seen[{REPORT}] = {{{read}}};"
-    copy = f"for (int i = 0; i < {REPORT}; ++i)"
-    code = _replace_each(
-        code,
-        {
-            r"if \(d\.status != IVP_SUCCESS\) return 1;": (
-                f"{{ {kept} {copy} cosim_seen[i] = seen[i]; }}\n"
-                "      if (d.status != IVP_SUCCESS) return 1;"
-            ),
-            r"case IVP_EVAL_RHS:\n": ("case IVP_EVAL_RHS:\n          if (halted) return 1;\n"),
-        },
-    )
-    return (
-        f"static _Thread_local double cosim_seen[{REPORT}];\n"
-        f"{solver_source('interrupt.h')}\n{code}\n"
-        "CASADI_SYMBOL_EXPORT void cosim_report(double *out) {\n"
-        f"  {copy} out[i] = cosim_seen[i];\n}}\n"
-    )
+    return f"""static _Thread_local double cosim_seen[{REPORT}];
+{solver_source("interrupt.h")}
+{_patched(code, "watched", report=REPORT)}
+CASADI_SYMBOL_EXPORT void cosim_report(double *out) {{
+  for (int i = 0; i < {REPORT}; ++i) out[i] = cosim_seen[i];
+}}
+"""
 
 
 def run_time_grid(code: str, constants: int) -> str:
-    """Let the output times come with the parameters, see fmu/solvers/casadi_driver.h.
+    """Read the output times from the parameters at run time, see fmu/solvers/casadi_driver.h.
 
     Args:
-        code: What CasADi generated with an integrator over 0, 1 whose inputs may change there.
-        constants: Number of its parameters; `arg[2]` goes on with the number of output times, of
-            those that are passed without a stop, and with the times themselves.
-
-    Raises:
-        UsageError: See `run_time_tolerances`.
+        code: C code that CasADi generated for an integrator over the grid 0, 1, whose inputs may
+            change at these times.
+        constants: Number of the integrator's parameters; `arg[2]` continues with the number of
+            output times, the number of times passed without a stop, and the times themselves.
     """
-    first, last = "(j*passed)", "((j+1)*passed)"
-    code = _replace_each(
-        code,
-        {
-            r"  /\* Initial state, parameters \*/\n": (
-                "  /* Initial state, parameters */\n"
-                f"  const casadi_real *settings = arg[2] + {constants}, *times = settings + 2;\n"
-                "  const casadi_int points = (casadi_int) settings[0];\n"
-                "  const casadi_int passed = (casadi_int) settings[1];\n"
-            ),
-            r"for \(j = 0; j < \d+; \+\+j\) \{": "for (j = 0; j*passed < points; ++j) {",
-            r"j \? casadi_c\d+\[casadi_s\d+\[j\]-1\]": f"j ? times[{first}-1]",
-            r"for \(k = casadi_s\d+\[j\]; k < casadi_s\d+\[j\+1\]; \+\+k\)": (
-                f"for (k = {first}; k < {last}; ++k)"
-            ),
-            r"casadi_c\d+\[k\], casadi_c\d+\[casadi_s\d+\[j\+1\]-1\]": (
-                f"times[k], times[{last}-1]"
-            ),
-        },
-    )
+    code = _patched(code, "run_time_grid", constants=constants)
     return f"{code}\n{solver_source('casadi_driver.h')}"
 
 
 def in_one_piece(code: str) -> str:
-    """Have driver and equations compiled as one function: a fifth less time per run of `erk`.
-
-    Raises:
-        UsageError: See `run_time_tolerances`.
-    """
-    entry = "static int casadi_f0("
-    return _replace_each(code, {re.escape(entry): f"__attribute__((flatten)) {entry}"})
+    """Compile driver and equations as one function, which saves a fifth of the time of `erk`."""
+    return _patched(code, "in_one_piece")
 
 
-def _replace_each(code: str, replacements: Mapping[str, str]) -> str:
-    for pattern, text in replacements.items():
-        code, found = re.subn(pattern, text.replace("\\", "\\\\"), code)
+def _patched(code: str, patch: str, **values: str | int) -> str:
+    for pattern, text in _PATCHES[patch].items():
+        replacement = Template(text).substitute(values)
+        code, found = re.subn(pattern, replacement.replace("\\", "\\\\"), code)
         if found != 1:
             raise UsageError(
                 f"casadi {ca.CasadiMeta.version()} generates integrators in another form "

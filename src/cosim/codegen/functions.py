@@ -1,20 +1,16 @@
-"""A DAE's equations as CasADi functions, as the solvers of road one call them."""
+"""CasADi functions of a `Dae`: equations, outputs, and their Jacobians."""
 
+from collections.abc import Sequence
 from itertools import compress
 from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from casadi import MX
+from casadi import DM, MX, SX
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.directional_jacobian import (
-    derivative_along,
-    has_long_jacobian,
-    jacobian_in_a_loop,
-)
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 
 CALL = ["t", "x", "z", "u", "p"]
 _LAWS = ["ode", "alg"]
@@ -36,29 +32,29 @@ class Series(Protocol):
         """One column per input, (m, len(names))."""
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     """Return `dae(t, x, z, u, p) -> (ode, alg)`.
 
-    Without `sensitivities` it has derivatives with respect to x and z only, which is all that an
-    integration needs: a third to a half of the code.
+    Without `sensitivities` it has derivatives with respect to x and z only, which is sufficient
+    for integration and reduces the code to between a third and a half.
     """
     known = [sensitivities, True, True, sensitivities, sensitivities]
     return _equations_function(dae, dae.p, dae.ode, dae.alg, known)
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def driven_equations(dae: Dae) -> ca.Function:
-    """Return `dae(t, x, z, u, p) -> (ode, alg)` with derivatives but for p: what time changes."""
+    """Return `dae(t, x, z, u, p) -> (ode, alg)` with all derivatives except those with p."""
     return _equations_function(dae, dae.p, dae.ode, dae.alg, [True, True, True, True, False])
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.Function]:
     """Return `dae(t, x, z, u, c) -> (ode, alg)` and `p -> c`.
 
-    c are the parameters and all that depends on nothing else: calculated once, not in every step.
-    Without `sensitivities`, `dae` has no derivatives with respect to c.
+    c contains the parameters and all expressions that depend on them alone, which are calculated
+    once instead of in every step. Without `sensitivities`, `dae` has no derivatives with c.
     """
     rows, symbols, values = ca.extract_parametric(ca.vertcat(dae.ode, dae.alg), dae.p)
     nx = dae.x.numel()
@@ -68,15 +64,15 @@ def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.
     return function, ca.Function("constants", [dae.p], [ca.vertcat(dae.p, *values)], {"cse": True})
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def is_large(dae: Dae) -> bool:
-    """Tell whether the formulas of the Jacobian are too long to be written out."""
+    """Tell whether the symbolic Jacobian of a model is too long for generated code."""
     unknowns = ca.vertcat(dae.x, dae.u, dae.z)
     return has_long_jacobian(dae.arguments, ca.vertcat(dae.ode, dae.alg), unknowns)
 
 
 def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
-    """Return the inputs at a time: those of the series, and the constants for the others."""
+    """Return the inputs at a time: from the series, or else constant."""
     if inputs is None:
         return u
     clipped = ca.fmin(ca.fmax(t, inputs.time[0]), inputs.time[-1])
@@ -89,20 +85,32 @@ def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:
 
 
 def symbols_like(dae: Dae) -> list[MX]:
-    """Return symbols for `t, x, z, u, p` of a model, of the sizes of its own."""
+    """Return symbols for `t, x, z, u, p` with the sizes of a model."""
     return [MX.sym(n, s.numel()) for n, s in zip(CALL, dae.arguments, strict=True)]
 
 
 def symbols_of(function: ca.Function) -> list[MX]:
-    """Return symbols for `t, x, z, u, p` of a function of these."""
+    """Return symbols for `t, x, z, u, p` with the sparsity of a function's inputs."""
     return [MX.sym(name, function.sparsity_in(i)) for i, name in enumerate(CALL)]
+
+
+def dense(function: ca.Function) -> ca.Function:
+    """Return a function whose code writes zeros, too, for C that reads every entry of a result."""
+    if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())):
+        return function
+    symbols = function.mx_in()
+    results = [ca.densify(result) for result in function.call(symbols)]
+    return ca.Function(function.name(), symbols, results)
 
 
 def _equations_function(
     dae: Dae, p: ca.SX, ode: ca.SX, alg: ca.SX, differentiable: list[bool]
 ) -> ca.Function:
-    """Return the equations; of an argument that is not differentiable, CasADi takes the derivatives
-    for 0 without a word: only where nobody asks for them."""
+    """Return the equations as a function.
+
+    CasADi silently uses zero for derivatives with respect to an argument that is not marked as
+    differentiable. Such an argument must not be differentiated.
+    """
     options: dict[str, Any] = {"cse": True, "is_diff_in": differentiable}
     symbols = [dae.t, dae.x, dae.z, dae.u, p]
     if not all(differentiable):
@@ -113,7 +121,7 @@ def _equations_function(
 def _jacobian_in_a_loop(
     symbols: list[ca.SX], laws: tuple[ca.SX, ca.SX], differentiable: list[bool]
 ) -> dict[str, Any]:
-    """Return the options of a function whose Jacobian would be too long to be written out."""
+    """Return options that compute a long Jacobian in a loop; none where it is short."""
     column = ca.vertcat(*laws)
     unknowns = ca.vertcat(*compress(symbols, differentiable))
     if not has_long_jacobian(symbols, column, unknowns):
@@ -145,3 +153,51 @@ def _jacobian_in_a_loop(
     )
     only = {"enable_forward": False, "enable_reverse": False}
     return {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True, **only}
+
+
+MOST_OPERATIONS = 100_000  # of a symbolic Jacobian; compiling one takes 5 kB and 50 us
+
+
+def has_long_jacobian(symbols: Sequence[SX], laws: SX, unknowns: SX) -> bool:
+    """Tell whether the symbolic Jacobian of a column of laws is too long for generated code."""
+    if not laws.numel() or not unknowns.numel():
+        return False
+    length = ca.Function("laws", list(symbols), [laws], {"cse": True}).n_instructions()
+    return bool(length * _groups(ca.jacobian_sparsity(laws, unknowns)).size2() > MOST_OPERATIONS)
+
+
+def derivative_along(name: str, symbols: Sequence[SX], laws: SX, unknowns: SX) -> ca.Function:
+    """Return `name(point, seed)`, the dense directional derivative of laws along a seed.
+
+    Args:
+        symbols: All symbols of the laws; `point` is their column.
+        laws, unknowns: Columns of expressions and of symbols; `seed` has the size of `unknowns`.
+    """
+    seed = SX.sym("seed", unknowns.numel())
+    along = ca.densify(ca.jtimes(laws, unknowns, seed))
+    return ca.Function(name, [ca.vertcat(*symbols), seed], [along], {"cse": True})
+
+
+def jacobian_in_a_loop(name: str, along: ca.Function, pattern: ca.Sparsity) -> ca.Function:
+    """Return `name(point) -> jacobian`, sparse, as a loop over directional derivatives.
+
+    Args:
+        pattern: Sparsity of the Jacobian with respect to the first unknowns of `along`.
+    """
+    groups = _groups(pattern)
+    members, of = (np.array(places, dtype=int) for places in groups.get_triplet())
+    seeds = DM.zeros(along.numel_in(1), groups.size2())
+    seeds[: groups.size1(), :] = DM(groups, 1)
+    point = MX.sym("point", along.numel_in(0))
+    every = along.map(f"{name}_every", "serial", groups.size2(), [0], [])(point, seeds)
+    group = np.empty(pattern.size2(), dtype=int)
+    group[members] = of
+    rows, columns = (np.array(places, dtype=int) for places in pattern.get_triplet())
+    # entry (i, j) of the Jacobian is entry i of the derivative along the group of column j
+    entries = ca.vec(every)[(rows + pattern.size1() * group[columns]).tolist()]
+    return ca.Function(name, [point], [MX(pattern, entries)])
+
+
+def _groups(pattern: ca.Sparsity) -> ca.Sparsity:
+    """Return groups of columns without a common row, (columns, groups)."""
+    return pattern.uni_coloring(pattern.T)

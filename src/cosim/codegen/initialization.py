@@ -1,7 +1,4 @@
-"""Start values and algebraic unknowns: the two solutions that both roads need.
-
-Both come as CasADi functions that can be called, and of which C code can be generated.
-"""
+"""Initial values, algebraic unknowns, and the projection of states onto constraints."""
 
 from typing import Any
 
@@ -10,18 +7,18 @@ from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
 from cosim.codegen.functions import CALL, symbols_like
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 
 KNOWN = ["t", "x", "u", "p"]
-DEFECT_LIMIT = 1e-9  # of an implicit start equation, as a Newton step relative to the states' size
+DEFECT_LIMIT = 1e-9  # largest remaining Newton step, relative to 1 + |unknown|
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def start_function(dae: Dae) -> ca.Function:
-    """Return `model_start(t, x, u, p) -> (x, defect)`: exact starts kept, calculated ones solved.
+    """Return `model_start(t, x, u, p) -> (x, defect)`, which solves the calculated initial values.
 
-    `defect` is the largest Newton step left in an implicit start rule; not a number where its
-    solution does not exist.
+    Exact initial values stay as they are. `defect` is the largest remaining Newton step of an
+    implicit start rule; it is NaN if there is no solution.
     """
     t, x, _, u, p = symbols_like(dae)
     rows, defect = ca.vertsplit(x), MX(0)
@@ -29,7 +26,7 @@ def start_function(dae: Dae) -> ca.Function:
         known = [t, ca.vertcat(*rows), u, p]
         if rule.implicit:
             solution, left = _solve_rule(dae, rule, f"start_{i}", known)
-            defect += left  # a sum keeps what is not a number
+            defect += left  # a sum propagates NaN
         else:
             solution = law_of_knowns(dae, f"start_{i}", rule.expression)(*known)
         for row, value in zip(rule.states, ca.vertsplit(solution), strict=True):
@@ -44,16 +41,17 @@ def law_of_knowns(dae: Dae, name: str, *expressions: SX) -> ca.Function:
 
 
 def knowns(dae: Dae) -> list[SX]:
-    """Return the symbols t, x, u, p of a model: what its algebraic unknowns follow from."""
+    """Return the symbols t, x, u, p of a model, which determine its algebraic unknowns."""
     return [dae.t, dae.x, dae.u, dae.p]
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def algebraic_function(dae: Dae) -> ca.Function:
-    """Return `model_algebraic(t, x, z, u, p) -> z`, the consistent unknowns; `z` is a guess.
+    """Return `model_algebraic(t, x, z, u, p) -> z`, the consistent algebraic unknowns.
 
-    Equations that are linear in z (every mechanical system here) are solved at once; others by
-    Newton's method from the guess. Where there is no solution, the result is not a number.
+    The argument z is an initial guess. Equations that are linear in z, as in every mechanical
+    system here, are solved directly; others by Newton's method. The result is NaN if there is no
+    solution.
     """
     if not dae.algebraics:
         return ca.Function("model_algebraic", dae.arguments, [SX(0, 1)], CALL, ["z_solved"])
@@ -72,7 +70,7 @@ def algebraic_function(dae: Dae) -> ca.Function:
 
 
 def usual_start(dae: Dae) -> tuple[ca.DM, ca.DM, list[float], list[float]]:
-    """Return x, z, u, p with which a model starts that nobody gives anything.
+    """Return x, z, u, p at the model's own initial values, inputs and parameters.
 
     Raises:
         RuntimeError: There is no solution.
@@ -99,10 +97,38 @@ def _solve_rule(dae: Dae, rule: StartRule, name: str, arguments: list[MX]) -> tu
 def _newton_root(
     name: str, unknown: SX, expression: SX, known: list[SX], guess: MX, arguments: list[MX]
 ) -> tuple[MX, MX]:
-    """Return the root of an expression, and the Newton step left before the last one."""
+    """Return the root of an expression, and the relative size of the last Newton step."""
     residual = ca.Function(name, [unknown, *known], [expression], {"cse": True})
     slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
     options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
     root = ca.rootfinder(f"{name}_root", "fast_newton", residual, options)(guess, *arguments)
     step = ca.solve(slope(root, *arguments), residual(root, *arguments), "qr")
     return root - step, ca.norm_inf(step / (1 + ca.fabs(root)))
+
+
+def projection_step(dae: Dae, constants: int) -> ca.Function:
+    """Return `project(t, x, u, c) -> (x, change)`, one Newton step for each invariant in turn.
+
+    Each step is the least-squares change of the invariant's states, scaled by its sizes; `change`
+    is the largest scaled change. An invariant is evaluated at the result of the previous step.
+
+    Args:
+        constants: Length of c, whose first elements are the parameters.
+    """
+    x, c = SX.sym("x", dae.x.numel()), SX.sym("c", constants)
+    t, u = dae.t, dae.u
+    p = c[: dae.p.numel()]
+    here, change = SX(x), SX(0)
+    for invariant in dae.invariants:
+        rows = list(invariant.states)
+        slopes = ca.jacobian(invariant.residual, dae.x[rows])
+        law = law_of_knowns(dae, "law", invariant.residual, slopes, invariant.sizes)
+        residual, slopes, sizes = law(t, here, u, p)
+        scaled = slopes @ ca.diag(sizes)
+        multiplier = ca.ldl_solve(residual, *ca.ldl(ca.triu2symm(ca.triu(scaled @ scaled.T))))
+        move = -scaled.T @ multiplier
+        here[rows] += sizes * move
+        change = ca.fmax(change, ca.norm_inf(move))
+    options = {"cse": True}
+    names = ["t", "x", "u", "c"], ["moved", "change"]
+    return ca.Function("project", [t, x, u, c], [here, change], *names, options)

@@ -1,16 +1,16 @@
-"""Long generated functions in pieces: what a compiler takes grows with their length, not faster.
+"""Division of long generated C functions, so that compile time grows in proportion to length.
 
-CasADi writes a function as one block of assignments, however long; the work that optimising
-compilers put into a block grows faster than the block. A piece takes the values that it needs from
-an array and leaves there what later pieces need. The operations and their order stay, so that
-results are the same bits.
+CasADi writes a function as one block of assignments, and the time of an optimizing compiler grows
+faster than the length of a block. Each piece reads values from an array and stores there the values
+that later pieces need. The operations and their order are unchanged, and so are all bits of the
+results.
 """
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
-LONGEST = 500_000  # characters of a function that stays whole
-MOST_BRANCHES = 1000  # within one; each argument and result that is looked at has one
+LONGEST = 500_000  # characters of a function that is not divided
+MOST_BRANCHES = 1000  # of a function that is not divided; each argument and result has one
 PIECE = 15_000  # characters, some 500 operations
 
 _ASSIGNED = re.compile(r" +(a\d+)=(.*)")
@@ -28,13 +28,7 @@ _NOT_INLINED = """#ifdef __GNUC__
 
 
 def in_pieces(code: str, longest: int = LONGEST, piece: int = PIECE) -> str:
-    """Return code of CasADi's generator with long functions in pieces; other code as it is.
-
-    Args:
-        code: The whole file.
-        longest: Characters of a function that stays whole.
-        piece: Characters of a piece.
-    """
+    """Return generated C code with long functions divided into pieces."""
     if len(code) <= longest and code.count("\n") <= MOST_BRANCHES:
         return code
     lines, result, begin = code.split("\n"), list[str](), None
@@ -58,17 +52,12 @@ def in_pieces(code: str, longest: int = LONGEST, piece: int = PIECE) -> str:
 
 
 def _is_long(body: Sequence[str], longest: int) -> bool:
-    if sum(map(len, body)) > longest:
-        return True
-    return len(body) > MOST_BRANCHES and sum(map(_has_branch, body)) > MOST_BRANCHES
-
-
-def _has_branch(line: str) -> bool:
-    return "if (res" in line or "? arg" in line
+    branches = ("if (res" in line or "? arg" in line for line in body)
+    return sum(map(len, body)) > longest or sum(branches) > MOST_BRANCHES
 
 
 def _divided(heading: str, head: str, body: Sequence[str], size: int) -> Iterator[str]:
-    """Yield the functions of the pieces, and the function that calls them up to its brace."""
+    """Yield the pieces as functions, then the function that calls them, without its last brace."""
     steps = [line for line in body if not DECLARATION.fullmatch(line) and "return 0;" not in line]
     pieces = list(_parts(steps, size))
     taken, left = _values_across(pieces)
@@ -78,7 +67,7 @@ def _divided(heading: str, head: str, body: Sequence[str], size: int) -> Iterato
     arguments = "const casadi_real** arg, casadi_real** res, casadi_real* kept"
     about = _NAME_COMMENT.fullmatch(heading)
     for n, part in enumerate(pieces):
-        lines = list(_with_kept(part, taken[n], left[n], places))
+        lines = list(_with_stored_values(part, taken[n], left[n], places))
         own = sorted({name for line in lines for name in TEMPORARY.findall(line)})
         yield f"/* {about[1] if about else begin[1]}: part {n + 1} of {len(pieces)} */"
         yield f"static int APART {begin[1]}_{n + 1}({arguments}) {{"
@@ -108,13 +97,13 @@ def _parts(steps: Sequence[str], size: int) -> Iterator[list[str]]:
         yield part
 
 
-def _with_kept(
+def _with_stored_values(
     part: Sequence[str], taken: set[str], left: set[str], places: Mapping[str, str]
 ) -> Iterator[str]:
-    """Yield the lines of a piece, values of other pieces and for them in their places.
+    """Yield the lines of a piece, with the values shared with other pieces in the array.
 
-    CasADi uses a variable for one value after the other: what crosses is the first that a piece
-    reads without having set it, and the last that it sets.
+    CasADi uses a variable for several values. A piece takes the value that it reads before it sets
+    the variable, and leaves the value that it sets last.
     """
     last = {found[1]: i for i, line in enumerate(part) if (found := _ASSIGNED.fullmatch(line))}
     outside = {name: places[name] for name in taken}
@@ -134,7 +123,7 @@ def _with_kept(
 
 
 def _values_across(pieces: Sequence[Sequence[str]]) -> tuple[list[set[str]], list[set[str]]]:
-    """Return for each piece which values it takes from earlier ones and which it leaves."""
+    """Return for each piece the values it takes from earlier pieces and those it leaves."""
     taken, sets = list[set[str]](), list[set[str]]()
     for part in pieces:
         before, here = set[str](), set[str]()

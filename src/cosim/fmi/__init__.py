@@ -1,1 +1,1 @@
-"""Road two: models as FMUs, and FMUs from anywhere."""
+"""FMU simulation: models as FMUs, and FMUs from anywhere."""

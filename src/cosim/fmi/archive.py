@@ -1,39 +1,63 @@
-"""FMU files of any origin: opened only where nothing in them reaches outside its own folder.
-
-What an archive holds is looked at before a byte of it is written, and its XML before it is read.
-"""
+"""FMU archives: opened and unpacked safely; flat names of variables with structured names."""
 
 import os
 import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import BinaryIO
+from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
 from cosim.errors import FmuError, SecurityError, UsageError
 from cosim.files import opened_plain
-from cosim.host.temporary import temporary_folder
+from cosim.host.temporary import fmu_folder
+
+TOOL = "cosim-rigid"  # the name in its annotations
+
+
+def flat_names(root: ET.Element) -> dict[str, str]:
+    """Return the flat names of variables that also have a structured name, by the latter.
+
+    Args:
+        root: Of `modelDescription.xml`, FMI 2.0 or 3.0. Files of other tools have no flat names.
+    """
+    if not (root.get("generationTool") or "").startswith(TOOL):
+        return {}
+    version_3 = root.get("fmiVersion", "").startswith("3")
+    place = f"Annotation[@type='{TOOL}']" if version_3 else f"Tool[@name='{TOOL}']"
+    found = {}
+    for variable in root.findall("ModelVariables/*"):
+        alias = variable.find(f"Annotations/{place}/Alias")
+        if alias is not None:
+            found[variable.get("name", "")] = alias.get("name", "")
+    return found
+
 
 MOST_BYTES = 2**30  # of an unpacked FMU
 MOST_ENTRIES = 10_000
 MOST_XML_BYTES = 2**26
 MOST_XML_DEPTH = 64
 DESCRIPTION = "modelDescription.xml"
+SYSTEM_DESCRIPTION = "SystemStructure.ssd"
 _READ_BY_TOOLS = (DESCRIPTION, "sources/buildDescription.xml")
 
+_KINDS = {DESCRIPTION: "an FMU", SYSTEM_DESCRIPTION: "an SSP file"}
 Source = str | os.PathLike[str] | BinaryIO
 
 
 @contextmanager
-def opened(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[zipfile.ZipFile]:
-    """Open an FMU whose entries and XML files are harmless.
+def opened(
+    source: Source, *, most_bytes: int = MOST_BYTES, description: str = DESCRIPTION
+) -> Iterator[zipfile.ZipFile]:
+    """Open an FMU, or an SSP file, whose entries and XML files are harmless.
 
     Args:
         source: The file, by name or open for reading.
         most_bytes: Of all entries, unpacked.
+        description: The entry that makes it such a file.
 
     Raises:
         FmuError: The file is missing, damaged or no archive, or has no model description.
@@ -55,37 +79,36 @@ def opened(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[zipfile.
         raise FmuError(f"cannot read {name}: {reason}; give an FMU") from error
     with stream or nullcontext(), archive:
         try:
-            _refuse_dangerous_entries(archive, most_bytes)
+            _reject_dangerous_entries(archive, most_bytes)
             for entry in _READ_BY_TOOLS:
                 if entry in archive.namelist():
-                    refuse_dangerous_xml(entry, entry_content(archive, entry, MOST_XML_BYTES))
-            if DESCRIPTION not in archive.namelist():
-                raise FmuError(f"it has no {DESCRIPTION}; give an FMU")
+                    reject_dangerous_xml(entry, entry_content(archive, entry, MOST_XML_BYTES))
+            if description not in archive.namelist():
+                raise FmuError(f"it has no {description}; give {_KINDS[description]}")
         except FmuError as error:
             raise type(error)(f"{name}: {error}") from error.__cause__
         yield archive
 
 
 @contextmanager
-def unpacked(source: Source, *, most_bytes: int = MOST_BYTES) -> Iterator[Path]:
-    """Unpack an FMU into a folder that is gone afterwards.
+def unpacked(
+    source: Source, *, most_bytes: int = MOST_BYTES, description: str = DESCRIPTION
+) -> Iterator[Path]:
+    """Unpack an FMU, or an SSP file, into a folder that is gone afterwards.
 
     Raises:
         FmuError, SecurityError: See `opened`.
     """
-    with opened(source, most_bytes=most_bytes) as archive, ExitStack() as held:
-        try:
-            folder = held.enter_context(temporary_folder())
-        except OSError as error:
-            raise FmuError(
-                f"there is no folder for temporary files: {error}; set TMPDIR"
-            ) from error
+    with (
+        opened(source, most_bytes=most_bytes, description=description) as archive,
+        fmu_folder() as folder,
+    ):
         try:
             archive.extractall(folder)
         except (OSError, ValueError, zipfile.BadZipFile, RuntimeError, zlib.error) as error:
-            told = getattr(error, "strerror", None) or error
+            reason = getattr(error, "strerror", None) or error
             cure = "; make room, or set TMPDIR" if isinstance(error, OSError) else ""
-            raise FmuError(f"cannot unpack {source}: {told}{cure}") from error
+            raise FmuError(f"cannot unpack {source}: {reason}{cure}") from error
         yield folder.resolve()
 
 
@@ -104,7 +127,7 @@ def entry_content(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_B
         raise FmuError(f"entry '{entry}' cannot be read: {error}") from error
 
 
-def refuse_dangerous_xml(name: str, content: bytes) -> None:
+def reject_dangerous_xml(name: str, content: bytes) -> None:
     """Refuse XML that declares a document type, the door to entities, or nests without end.
 
     Raises:
@@ -136,7 +159,7 @@ def refuse_dangerous_xml(name: str, content: bytes) -> None:
         raise FmuError(f"{name} is not well-formed: {error}") from error
 
 
-def _refuse_dangerous_entries(archive: zipfile.ZipFile, most_bytes: int) -> None:
+def _reject_dangerous_entries(archive: zipfile.ZipFile, most_bytes: int) -> None:
     entries = archive.infolist()
     if len(entries) > MOST_ENTRIES:
         raise SecurityError(f"{len(entries)} entries are more than {MOST_ENTRIES}")

@@ -1,4 +1,4 @@
-"""Where an FMU's binaries run: FMI's names, and how to compile for each place.
+"""Platforms of FMU binaries: the FMI's names, and how to compile for each.
 
 The machine's own platform takes whatever compiler it has; all others, and its own by name, take
 the one in the package `ziglang`, which brings the headers and libraries of every system along.
@@ -6,6 +6,7 @@ the one in the package `ziglang`, which brings the headers and libraries of ever
 
 import platform as machine
 import sys
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -13,25 +14,7 @@ from pathlib import Path
 
 from cosim.errors import ExportError, MissingTool, UnknownName
 
-# FMI functions alone are visible; no contraction of a * b + c, so that all machines agree. What
-# is generated is straight-line code: -O2 makes it no faster (measured 167 and 170 ns for the
-# bicycle's right-hand side) and takes 1.7 times as long. Nothing unwinds the stack.
-_PORTABLE = (
-    *("-std=c11", "-O1", "-fvisibility=hidden", "-ffp-contract=off", "-ffunction-sections"),
-    *("-fno-asynchronous-unwind-tables", "-fno-stack-protector"),
-    "-DFMI3_OVERRIDE_FUNCTION_PREFIX",  # the names in a shared library are FMI's own
-)
-_UNUSED_CODE_OUT = {
-    "linux": ("-s", "-Wl,--gc-sections"),
-    "windows": ("-s", "-Wl,--gc-sections"),
-    "darwin": ("-Wl,-dead_strip",),
-}
-# What every processor of the kind can do. Without it, the bundled compiler takes all that the
-# machine's own processor can, and some systems' compilers more than the first of the kind.
-_BASELINE = {"x86_64": "-march=x86-64", "aarch64": "-march=armv8-a"}
-_ZIG_BASELINE = "-mcpu=baseline"
-_SUFFIX = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
-_FMI2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
+_TABLES = tomllib.loads(Path(__file__).with_name("platforms.toml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)
@@ -51,11 +34,12 @@ class Target:
     @property
     def suffix(self) -> str:
         """Of a shared library."""
-        return _SUFFIX[self.system]
+        return str(_TABLES["systems"][self.system]["suffix"])
 
     def folder(self, fmi: int) -> str:
         """Return the folder's name below `binaries/` in a version of FMI."""
-        return _FMI2[self.system] if fmi == 2 else f"{self.processor}-{self.system}"
+        own = f"{self.processor}-{self.system}"
+        return str(_TABLES["systems"][self.system]["fmi2"]) if fmi == 2 else own
 
     def command(self) -> tuple[str, ...] | None:
         """Return the compiler; None for the machine's own.
@@ -73,33 +57,20 @@ class Target:
         return (sys.executable, "-P", "-m", "ziglang", "cc", "-target", self.triple)
 
     def options(self, library: str, compiler: Sequence[str]) -> tuple[str, ...]:
-        """Return the compiler's options for a library of this name that runs on every processor.
-
-        Args:
-            library: File name.
-            compiler: Its command, e.g. `("cc",)` or `("zig", "cc")`.
-        """
+        """Return the compiler's options for a library of this name that runs on every processor."""
         name = (f"-Wl,-install_name,@rpath/{library}",) if self.system == "darwin" else ()
-        return (*_PORTABLE, *self._processors(compiler), *_UNUSED_CODE_OUT[self.system], *name)
-
-    def _processors(self, compiler: Sequence[str]) -> tuple[str, ...]:
+        processors = [_TABLES["baselines"][self.processor]]
         if any(Path(word).stem.startswith("zig") for word in compiler):
-            return (_ZIG_BASELINE,)
-        if self.system == "darwin" and self.processor == "aarch64":
-            return ()  # whose first of the kind is what Apple's compiler takes
-        return (_BASELINE[self.processor],)
+            processors = [_TABLES["baselines"]["zig"]]
+        elif self.system == "darwin" and self.processor == "aarch64":
+            processors = []  # whose first of the kind is what Apple's compiler takes
+        unused_code_out = _TABLES["systems"][self.system]["unused_code_out"]
+        return (*_TABLES["options"], *processors, *unused_code_out, *name)
 
 
-# The oldest systems that the compiler's own libraries serve: glibc 2.17 (2012), macOS 10.15 and,
-# for its first processors of the kind, 11.
 PLATFORMS: dict[str, tuple[Target, ...]] = {
-    "linux64": (Target("x86_64", "linux", "x86_64-linux-gnu.2.17"),),
-    "win64": (Target("x86_64", "windows", "x86_64-windows-gnu"),),
-    "darwin64": (
-        Target("x86_64", "darwin", "x86_64-macos.10.15"),
-        Target("aarch64", "darwin", "aarch64-macos.11.0"),
-    ),
-    "aarch64-linux": (Target("aarch64", "linux", "aarch64-linux-gnu.2.17"),),
+    name: tuple(Target(*facts) for facts in members)
+    for name, members in _TABLES["platforms"].items()
 }
 NATIVE = "native"
 ALL_PLATFORMS = "all"

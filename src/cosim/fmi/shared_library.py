@@ -94,7 +94,7 @@ def _c_string(content: bytes, start: int) -> str:
     return content[start:end].decode("ascii", "replace")
 
 
-def _elf(content: bytes) -> Library:
+def _elf(content: bytes) -> Library:  # noqa: C901  # one pass over a binary format
     if content[4:6] != b"\x02\x01":
         raise ValueError("it is not a 64-bit little-endian library")
     (kind, machine) = struct.unpack_from("<HH", content, 16)
@@ -179,8 +179,8 @@ def _pe(content: bytes) -> Library:
     def needs(index: int, size: int, name: int) -> Iterator[str]:
         address = directory(index)
         entry = place(address) if address else 0
-        while address and (told := struct.unpack_from("<I", content, entry + name)[0]):
-            yield _c_string(content, place(told))
+        while address and (offset := struct.unpack_from("<I", content, entry + name)[0]):
+            yield _c_string(content, place(offset))
             entry += size
 
     exports: frozenset[str] = frozenset()
@@ -214,9 +214,9 @@ def _mach(content: bytes) -> Library:
                     exports.add(_c_string(content, names + name).removeprefix("_"))
         elif command in (*_LOADS, _MACH_RPATH):
             (text,) = struct.unpack_from("<I", content, place + 8)
-            told = _c_string(content, place + text)
-            needs.update({told} if command != _MACH_RPATH else ())
-            run_paths += [told] if command == _MACH_RPATH else []
+            loaded = _c_string(content, place + text)
+            needs.update({loaded} if command != _MACH_RPATH else ())
+            run_paths += [loaded] if command == _MACH_RPATH else []
         elif command in (_OLD_MINIMUM, _BUILD):
             (least,) = struct.unpack_from("<I", content, place + (12 if command == _BUILD else 8))
             versions.add(f"macOS_{least >> 16}.{least >> 8 & 0xFF}")

@@ -1,18 +1,64 @@
-"""System Structure and Parameterization: FMUs and their connections in one file (SSP 1.0)."""
+"""System structure and parameters (SSP 1.0): .ssp files and .ssv parameter sets."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import known
+from casadi_models.units import UNITS, known
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import zipped
-from cosim.fmi.parameter_set import SSC, SSD, TYPE, parameter_set, to_file, unit_list
 from cosim.trajectory import repr_17
+
+SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+TYPE = "application/x-ssp-parameter-set"
+
+
+def parameter_set(
+    name: str, values: Mapping[str, float], units: Mapping[str, str | None], about: str = ""
+) -> ET.Element:
+    """Return a parameter set.
+
+    Args:
+        values: Values by variable, in the variables' units.
+    """
+    facts = {"version": "1.0", "name": name} | ({"description": about} if about else {})
+    root = ET.Element(f"{{{SSV}}}ParameterSet", facts)
+    parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
+    used = {v: unit for v in values if (unit := units.get(v)) is not None}
+    for variable, value in values.items():
+        entry = ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=variable)
+        measured = {"unit": used[variable]} if variable in used else {}
+        ET.SubElement(entry, f"{{{SSV}}}Real", {"value": repr_17(value)} | measured)
+    if used:
+        root.append(unit_list(f"{{{SSV}}}Units", used.values()))
+    return root
+
+
+def unit_list(tag: str, names: Iterable[str]) -> ET.Element:
+    """Return the definitions of units, without repetition."""
+    element = ET.Element(tag)
+    for name in sorted(set(names)):
+        unit = UNITS[name]
+        base = {symbol: str(exponent) for symbol, exponent in unit.base}
+        factor = {} if unit.factor == 1 else {"factor": repr_17(unit.factor)}
+        entry = ET.SubElement(element, f"{{{SSC}}}Unit", name=name)
+        ET.SubElement(entry, f"{{{SSC}}}BaseUnit", base | factor)
+    return element
+
+
+def to_file(root: ET.Element) -> bytes:
+    """Return the content of a file of the SSP standard."""
+    for prefix, uri in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV)):
+        ET.register_namespace(prefix, uri)
+    ET.indent(root)
+    content: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return content
 
 
 def write_ssp(
@@ -24,16 +70,16 @@ def write_ssp(
     stop_time: float | None = None,
     parameter_files: bool = False,
 ) -> Path:
-    """Write an SSP file; connectors and values carry their units.
+    """Write an SSP file whose connectors and values have units.
 
     Args:
         target: The file, replaced when everything has succeeded.
-        components: FMU by the component's name.
+        components: Path of the FMU by the component's name.
         connections: ("FROM.OUTPUT", "TO.INPUT") pairs.
         values: Start values and parameters by "COMPONENT.VARIABLE", in the FMUs' units.
-        stop_time: Of the default experiment, s.
-        parameter_files: Whether the values stand in files of their own, `resources/NAME.ssv`, which
-            can be exchanged; else they stand in the description of the system.
+        stop_time: Stop time of the default experiment, s.
+        parameter_files: Whether the values are written to separate files, `resources/NAME.ssv`,
+            which can be exchanged; otherwise the system description contains them.
 
     Returns:
         Path of the file.
@@ -56,11 +102,9 @@ def write_ssp(
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     for component, description in described.items():
-        own = {
-            key.partition(".")[2]: value
-            for key, value in (values or {}).items()
-            if key.partition(".")[0] == component
-        }
+        prefix = f"{component}."
+        given = (values or {}).items()
+        own = {n.removeprefix(prefix): value for n, value in given if n.startswith(prefix)}
         units = {v.name: unit_of(v) for v in description.modelVariables}
         used |= {unit for unit in units.values() if unit}
         element = _component(component, description, units)
@@ -75,14 +119,9 @@ def write_ssp(
         _side(described, key, None)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
     for (source, output), (sink, entry) in ends:
-        ET.SubElement(
-            joints,
-            f"{{{SSD}}}Connection",
-            startElement=source,
-            startConnector=output,
-            endElement=sink,
-            endConnector=entry,
-        )
+        begins = {"startElement": source, "startConnector": output}
+        ends_at = {"endElement": sink, "endConnector": entry}
+        ET.SubElement(joints, f"{{{SSD}}}Connection", begins | ends_at)
     if used:
         root.append(unit_list(f"{{{SSD}}}Units", used))
     if stop_time is not None:
@@ -103,35 +142,27 @@ def _described(path: str | os.PathLike[str]) -> Any:
 
 
 def unit_of(variable: Any) -> str | None:
-    """Return the unit of a variable that the table of units knows."""
+    """Return the unit of a variable; None if the table of units does not contain it."""
     declared = variable.declaredType
     unit = variable.unit or (declared.unit if declared else None)
     return unit if unit is not None and known(unit) else None
 
 
 def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:
-    component = ET.Element(
-        f"{{{SSD}}}Component",
-        name=name,
-        type="application/x-fmu-sharedlibrary",
-        source=f"resources/{name}.fmu",
-    )
+    facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{name}.fmu"}
+    component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:
         if variable.causality in ("input", "output", "parameter"):
-            connector = ET.SubElement(
-                connectors, f"{{{SSD}}}Connector", name=variable.name, kind=variable.causality
-            )
-            unit = units[variable.name]
-            if variable.type == "Boolean":
-                ET.SubElement(connector, f"{{{SSC}}}Boolean")
-            else:
-                ET.SubElement(connector, f"{{{SSC}}}Real", {"unit": unit} if unit else {})
+            facts = {"name": variable.name, "kind": variable.causality}
+            connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", facts)
+            unit, kind = units[variable.name], "Boolean" if variable.type == "Boolean" else "Real"
+            ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
     return component
 
 
 def _binding(file: str | None, chosen: ET.Element) -> ET.Element:
-    """Return what gives a component its values: a file, or the set itself."""
+    """Return the parameter binding of a component: a file, or the set itself."""
     bindings = ET.Element(f"{{{SSD}}}ParameterBindings")
     if file is not None:
         ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding", type=TYPE, source=file)
@@ -149,5 +180,5 @@ def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tup
     if name not in variables:
         raise UnknownName.among(component, "variable", name, variables)
     if causality is not None and variables[name].causality != causality:
-        raise UsageError(f"{text} is no {causality}; connect an output to an input")
+        raise UsageError(f"{text} is not an {causality}; connect an output to an input")
     return component, name

@@ -1,12 +1,11 @@
-"""Whose FMUs may run here: files that this user exported or trusts, by the hash of their bytes."""
+"""Trust: the FMUs that this user exported or trusts, known by the hash of their bytes."""
 
 import hashlib
 import os
 import sys
-from contextlib import suppress
 
-from cosim.codegen.cache import content_of, keep
-from cosim.errors import CacheError, FmuError, SecurityError, UsageError
+from cosim.codegen.cache import content_of, store_if_possible
+from cosim.errors import FmuError, SecurityError, UsageError
 from cosim.files import read_plain
 from cosim.fmi.archive import opened
 
@@ -17,11 +16,10 @@ _RISK = "was not exported here: its code will run with your rights, in a process
 
 
 def remember(content: bytes, how: str = MADE) -> None:
-    """Trust a file of these bytes from now on; where nothing can be kept, it is asked for again."""
+    """Trust a file of these bytes from now on, if the cache can be written."""
     if content_of(_entry(content)) == how.encode():
         return
-    with suppress(OSError, CacheError):
-        keep(_entry(content), how.encode())
+    store_if_possible(_entry(content), how.encode())
 
 
 def is_trusted(path: str | os.PathLike[str]) -> bool:
@@ -43,18 +41,17 @@ def is_made_here(path: str | os.PathLike[str]) -> bool:
 
 
 def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> None:
-    """Let an FMU's code run, or not: asked at a terminal, warned of elsewhere.
+    """Check that an FMU's code may run: ask at a terminal, print a warning elsewhere.
 
-    $COSIM_TRUST = all asks for no file, known refuses all that are not trusted yet.
+    $COSIM_TRUST = all allows every file, known rejects every file that is not trusted yet.
 
     Args:
-        path: The FMU.
-        trusted: The user says so; kept for this very content.
+        trusted: Whether the user trusts the file; remembered for this content.
 
     Raises:
         FmuError: The file cannot be read.
-        SecurityError: The user says no.
-        UsageError: $COSIM_TRUST is none of its values.
+        SecurityError: The user does not allow it.
+        UsageError: $COSIM_TRUST has an unknown value.
     """
     choice = os.environ.get(TRUST_VARIABLE) or "ask"
     if choice not in CHOICES:
@@ -64,9 +61,9 @@ def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> Non
             return
     except OSError as error:
         raise FmuError(f"cannot read {path}: {error.strerror or error}; give an FMU") from error
-    with opened(path):  # refuses what is no FMU, or dangerous, before anybody trusts it
+    with opened(path):  # rejects a file that is no FMU or is dangerous
         pass
-    if trusted or (choice == "ask" and _at_a_terminal() and _asked(path)):
+    if trusted or (choice == "ask" and _at_a_terminal() and _user_agrees(path)):
         remember(read_plain(path), TRUSTED)
         return
     how = "to trust this file, say --trust once"
@@ -75,7 +72,7 @@ def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> Non
     print(f"warning: {path} {_RISK}; {how}", file=sys.stderr)
 
 
-def _asked(path: object) -> bool:
+def _user_agrees(path: object) -> bool:
     print(f"{path} {_RISK}. Run it? [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 

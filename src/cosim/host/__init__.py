@@ -1,1 +1,1 @@
-"""The machine below: temporary folders, processes that are gone."""
+"""The machine below: processes, signals, terminals, temporary folders."""

@@ -1,27 +1,88 @@
-"""A process of Python that ends when ours does, with all that it has started.
+"""Child processes: started, asked questions, confined, and ended with all that they started.
 
-Whatever runs apart is a `Child`: an FMU and its trials (`confined`), a user's own program, the
-workers of a sweep and of a campaign. What a child does for its own sake is in `inside`.
+From inside, a child ends with its parent, limits itself and answers questions.
 """
 
+import ctypes
 import os
 import secrets
 import signal
-import struct
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import IO, Final, Self
+from typing import Self
 
-from cosim.errors import FmuError
-from cosim.host.limits import LIMITS_VARIABLE
-from cosim.host.processes import MARK, end_all
-from cosim.host.temporary import temporary_folder
-from cosim.text.escaping import visible
+from cosim.host.limits import LIMITS_VARIABLE, Limits
+from cosim.host.temporary import fmu_folder, remove_leftovers
+from cosim.text import visible
+
+MARK = "COSIM_RUN"  # of the environment: `/OURS/ITS/...`; children inherit it
+_DIE_WITH_PARENT, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of Linux
+
+
+def end_all(process: int, mark: str) -> None:
+    """End a process, its group, and on Linux all that carry a mark in their environment.
+
+    Args:
+        process: Leader of its group.
+        mark: How the value of the variable `MARK` begins.
+    """
+    with suppress(OSError):
+        if hasattr(os, "killpg"):
+            os.killpg(process, signal.SIGKILL)
+        else:
+            os.kill(process, signal.SIGTERM)  # Windows knows no other
+    known = f"{MARK}={mark}".encode()
+    for _ in range(10):  # they may start others meanwhile
+        found = False
+        for entry in Path("/proc").glob("[0-9]*/environ"):
+            with suppress(OSError):
+                if any(line.startswith(known) for line in entry.read_bytes().split(b"\0")):
+                    os.kill(int(entry.parent.name), signal.SIGKILL)
+                    found = True
+        if not found:
+            return
+
+
+@contextmanager
+def ending_orphans() -> Iterator[None]:
+    """End every child of this process afterwards, and on Linux their orphans.
+
+    Only for a process that has no other children.
+    """
+    _control(_ADOPT_ORPHANS, 1)
+    try:
+        yield
+    finally:
+        while children := _children():
+            for child in children:
+                with suppress(OSError):
+                    os.kill(child, signal.SIGKILL)
+                with suppress(OSError):
+                    os.waitpid(child, 0)
+
+
+def die_with_parent() -> None:
+    """Have Linux end this process when the thread that started it is gone."""
+    if hasattr(signal, "SIGKILL"):
+        _control(_DIE_WITH_PARENT, signal.SIGKILL)
+
+
+def _children() -> list[int]:
+    lists = Path("/proc/self/task").glob("*/children")
+    return [int(word) for file in lists for word in file.read_text().split()]
+
+
+def _control(option: int, value: int) -> None:
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(option, value)
+
 
 MOST_OUTPUT = 10_000  # bytes of what a confined child prints
 PATH = "COSIM_PATH"  # where a child that is not confined looks for modules at last
@@ -29,27 +90,19 @@ ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
     *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", LIMITS_VARIABLE),
 )
-LENGTH: Final = struct.Struct("<Q")  # before each question and answer
-
-Streams = tuple[int | None, int | None, int | None]  # standard input, output and error
-OURS: Streams = (None, None, None)
-ASKED: Streams = (subprocess.PIPE, subprocess.PIPE, None)
-ASKED_SILENTLY: Streams = (subprocess.PIPE, subprocess.PIPE, subprocess.DEVNULL)
-_CAPTURED: Streams = (subprocess.PIPE, subprocess.PIPE, subprocess.STDOUT)
 
 
 class Child:
-    """A child process; as a context, it is gone afterwards.
+    """A child process; as a context manager, it ends the process.
 
     Args:
-        module: Run as `python -P -m MODULE`: nothing of the current folder shadows what is ours.
+        module: Run as `python -P -m MODULE`: no file of the current folder shadows a module.
         words: Its command line.
-        streams: `OURS`, or `ASKED` for `ask`. Where its standard input is a pipe, the end of that
-            tells the child that we are gone.
-        folder: For a confined child: it works in `work` there, has `temporary` for temporary
-            files, few variables of our environment, and what it prints is kept.
-        environment: Variables that it gets besides.
-        descriptors: Open files that it inherits; not on Windows.
+        asked: Whether it answers questions, see `ask`; what it prints to stderr is discarded.
+        folder: For a confined child: it works in `work` there, writes temporary files to
+            `temporary`, gets few variables of the environment, and its output is captured. The
+            end of its standard input tells it that its parent has ended.
+        environment: Additional variables.
 
     Raises:
         OSError: It cannot be started.
@@ -60,63 +113,59 @@ class Child:
         module: str,
         words: Sequence[str] = (),
         *,
-        streams: Streams = OURS,
+        asked: bool = False,
         folder: Path | None = None,
         environment: Mapping[str, str] | None = None,
-        descriptors: Sequence[int] = (),
     ) -> None:
         self._mark = f"{os.environ.get(MARK, '')}/{secrets.token_hex(16)}"
-        given = _all_variables() if folder is None else _few_variables(folder)
-        stdin, stdout, stderr = streams if folder is None else _CAPTURED
+        pipe = subprocess.PIPE if asked or folder is not None else None
+        silent = subprocess.DEVNULL if asked else None
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, *words],
-            stdin=stdin,
-            stdout=stdout,
-            stderr=stderr,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=silent if folder is None else subprocess.STDOUT,
             cwd=None if folder is None else folder / "work",
-            env={**given, **(environment or {}), MARK: self._mark},
-            start_new_session=True,  # Ctrl-C is for the process that asked
-            pass_fds=tuple(descriptors),
+            env={**_variables(folder), **(environment or {}), MARK: self._mark},
+            start_new_session=True,  # Ctrl-C is for the parent
         )
-        self._kept = bytearray()
+        self._captured = bytearray()
         self._reader: threading.Thread | None = None
         if folder is not None:
             self._reader = threading.Thread(target=self._drain, daemon=True)
             self._reader.start()
 
     def wait(self, timeout: float | None = None) -> int | None:
-        """Return the exit code, negative for a signal; None where it runs still after that, s."""
+        """Return the exit code, negative for a signal; None after the timeout, s."""
         try:
             return self._process.wait(timeout)
         except subprocess.TimeoutExpired:
             return None
 
-    def ask(self, question: bytes) -> bytes:
-        """Return the answer to a question; see `inside.questions`.
+    def ask(self, question: str) -> str:
+        """Return the answer to a question, one line each; see `answer_questions`.
 
         Raises:
             OSError, EOFError: The child is gone.
         """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(LENGTH.pack(len(question)) + question)
+        self._process.stdin.write(f"{question}\n".encode())
         self._process.stdin.flush()
-        return receive(self._process.stdout)
-
-    def send(self, number: int) -> None:
-        """Pass a signal on; on Windows a console does that itself."""
-        if os.name != "nt":
-            with suppress(OSError):
-                os.kill(self._process.pid, number)
+        answer = self._process.stdout.readline()
+        if not answer.endswith(b"\n"):
+            raise EOFError
+        return answer.decode()
 
     def kill(self) -> None:
         """End it and all that it has started."""
         end_all(self._process.pid, self._mark)
 
     def end(self) -> int:
-        """End it and all that it has started, close its pipes; return its exit code."""
+        """End it and all that it has started, and remove what it left; return its exit code."""
         self.kill()
         code = self._process.wait()
+        remove_leftovers(Path(tempfile.gettempdir()))
         if self._reader is not None:
             self._reader.join(1.0)
         for pipe in (self._process.stdin, self._process.stdout):
@@ -127,14 +176,14 @@ class Child:
 
     @property
     def printed(self) -> str:
-        """What a confined child has printed, the beginning of it, harmless for a terminal."""
-        return visible(self._kept.decode(errors="replace"), lines=True)
+        """The beginning of what a confined child has printed, harmless for a terminal."""
+        return visible(self._captured.decode(errors="replace"), lines=True)
 
     def _drain(self) -> None:
         assert self._process.stdout is not None
         with suppress(OSError, ValueError):  # closed by `end`, while a grandchild holds it open
             while chunk := os.read(self._process.stdout.fileno(), 65536):
-                self._kept.extend(chunk[: MOST_OUTPUT - len(self._kept)])
+                self._captured.extend(chunk[: MOST_OUTPUT - len(self._captured)])
 
     def __enter__(self) -> Self:
         return self
@@ -157,47 +206,22 @@ def run_confined(
     return code, child.printed
 
 
-def receive(stream: IO[bytes]) -> bytes:
-    """Read a question or an answer.
-
-    Raises:
-        EOFError: The other side is gone.
-    """
-    head = stream.read(LENGTH.size)
-    if len(head) < LENGTH.size:
-        raise EOFError
-    (length,) = LENGTH.unpack(head)
-    content = stream.read(length)
-    if len(content) < length:
-        raise EOFError
-    return content
-
-
 @contextmanager
 def own_folder() -> Iterator[Path]:
-    """Yield a folder for a confined child; gone afterwards, also where a signal ends us.
+    """Yield a folder for a confined child; it is removed afterwards, also after a signal.
 
     Raises:
-        FmuError: There is no room for it.
+        FmuError: It cannot be made.
     """
-    with _ended_by_signals():
-        try:
-            made = temporary_folder()
-            folder = made.__enter__()
-            for name in ("work", "temporary"):
-                (folder / name).mkdir()
-        except OSError as error:
-            told = f"there is no folder for temporary files: {error}; set TMPDIR"
-            raise FmuError(told) from error
-        try:
-            yield folder
-        finally:
-            made.__exit__(None, None, None)
+    with _ended_by_signals(), fmu_folder() as folder:
+        for name in ("work", "temporary"):
+            (folder / name).mkdir()
+        yield folder
 
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Have a signal that ends this process end what is within first."""
+    """Leave this context before SIGTERM or SIGHUP ends the process."""
     kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
     usual = threading.current_thread() is threading.main_thread()
     kinds = [k for k in kinds if usual and signal.getsignal(k) is signal.SIG_DFL]
@@ -226,12 +250,61 @@ class _Ended(BaseException):
         self.number = number
 
 
-def _all_variables() -> dict[str, str]:
-    path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
-    return os.environ | {PATH: path}
-
-
-def _few_variables(folder: Path) -> dict[str, str]:
+def _variables(folder: Path | None) -> dict[str, str]:
+    """Return the environment of a child: few variables for a confined one."""
+    if folder is None:
+        return os.environ | {PATH: os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
     own = {name: str(folder / "temporary") for name in ("TMPDIR", "TEMP", "TMP")}
     own["OPENBLAS_NUM_THREADS"] = "1"  # whose threads reserve memory
     return {name: os.environ[name] for name in ENVIRONMENT if name in os.environ} | own
+
+
+# -- inside a child --------------------------------------------------------------------------------
+
+
+def be_confined() -> None:
+    """Apply the limits of `Limits.chosen` to this process, and end it with its parent."""
+    die_with_parent()
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    Limits.chosen().apply()
+    if hasattr(signal, "SIGXFSZ"):  # Python ignores it, and an FMU may not notice
+        signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+
+
+def leave() -> None:
+    """End this process at once, even if foreign code has left threads or handlers."""
+    with suppress(OSError, TypeError, AttributeError):  # Windows has no C library of this name
+        ctypes.CDLL(None).fflush(None)
+    os._exit(0)
+
+
+def look_where_the_parent_does() -> None:
+    """Add the module path of the parent behind the own one.
+
+    A function that is passed by name is found, and no file of the current folder shadows a module.
+    """
+    places = os.environ.pop(PATH, "").split(os.pathsep)
+    sys.path.extend(place for place in places if place and place not in sys.path)
+
+
+def answer_questions(answer: Callable[[str], str]) -> None:
+    """Answer each line on standard input by a line on standard output, until the parent ends.
+
+    Other output goes to standard error. The process ends with its parent, on Linux even while it
+    computes.
+    """
+    die_with_parent()
+    with os.fdopen(os.dup(1), "w") as answers:
+        os.dup2(2, 1)  # solvers and FMUs print, too
+        for question in sys.stdin:
+            print(answer(question), file=answers, flush=True)
+
+
+def _end_with_input() -> None:
+    """End this process, and every process that it has started, with its standard input."""
+    with suppress(OSError):
+        while os.read(0, 1):  # nothing is ever sent
+            pass
+    if hasattr(os, "killpg") and os.getpgrp() == os.getpid():  # its group is its own
+        os.killpg(0, signal.SIGKILL)
+    os._exit(1)

@@ -1,4 +1,4 @@
-"""Packages of the extras: imported when they are needed, with the command that brings them."""
+"""Optional packages: imported when needed; the error names the command that installs them."""
 
 from importlib import import_module
 from typing import Any
@@ -7,7 +7,7 @@ from cosim.errors import MissingTool
 
 
 def optional_module(name: str, extra: str) -> Any:
-    """Return a module of a package that an extra brings.
+    """Return a module of a package that an extra installs.
 
     Args:
         name: Its import name, `SALib.sample.sobol`.

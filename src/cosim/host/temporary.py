@@ -1,6 +1,6 @@
-"""Folders that are gone afterwards, even where the process that made them was killed.
+"""Temporary folders, which are removed even if the process that made them was killed.
 
-Their names tell the process. Whoever makes one next removes those of dead processes.
+The name of a folder holds its process; the next call removes the folders of dead processes.
 """
 
 import hashlib
@@ -11,27 +11,29 @@ import stat
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-_OLD = 7 * 86400  # s; older folders are nobody's, whatever process has their number today
+from cosim.errors import FmuError
+
+_OLD = 7 * 86400  # s; older folders are removed even if a process has their number today
 PREFIX = "cosim"
 
 
 @contextmanager
 def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Yield a new folder, 0700, that is removed afterwards with all it holds.
+    """Yield a new folder (mode 0700) that is removed afterwards with its content.
 
     Args:
-        parent: Where; the system's folder for temporary files when None.
+        parent: The folder to make it in; the system's temporary folder when None.
 
     Raises:
-        OSError: There is no room, or no permission.
+        OSError: The disk is full, or permission is missing.
     """
     place = Path(tempfile.gettempdir() if parent is None else parent)
     remove_leftovers(place)
-    # Windows deletes no library that is loaded, and fmpy keeps one that refused to start
+    # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
     with tempfile.TemporaryDirectory(
         prefix=f"{PREFIX}-{_place_of_processes()}-{os.getpid()}-",
         dir=place,
@@ -40,13 +42,30 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
         yield Path(name)
 
 
+@contextmanager
+def fmu_folder() -> Iterator[Path]:
+    """Yield a temporary folder for the files of an FMU.
+
+    Raises:
+        FmuError: It cannot be made.
+    """
+    with ExitStack() as held:
+        try:
+            folder = held.enter_context(temporary_folder())
+        except OSError as error:
+            raise FmuError(
+                f"there is no folder for temporary files: {error}; set TMPDIR"
+            ) from error
+        yield folder
+
+
 def loads_no_library(folder: str | os.PathLike[str]) -> bool:
     """Tell whether a folder's file system is mounted noexec."""
     return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
 
 
 def remove_leftovers(place: Path) -> int:
-    """Remove the folders that dead processes of this user have left; return how many."""
+    """Remove the temporary folders of dead processes of this user; return their number."""
     removed = 0
     with suppress(OSError), os.scandir(place) as entries:
         for entry in entries:
@@ -73,7 +92,7 @@ def _is_left(entry: "os.DirEntry[str]") -> bool:
 
 def is_alive(process: int) -> bool:
     """Tell whether a process of this machine runs."""
-    if os.name == "nt":  # where signal 0 would end it
+    if os.name == "nt":  # signal 0 would end it there
         return True
     try:
         os.kill(process, 0)
@@ -86,7 +105,7 @@ def is_alive(process: int) -> bool:
 
 @cache
 def _place_of_processes() -> str:
-    """Return what tells the numbers of processes here from those of other machines."""
+    """Return a text that identifies this machine, or this container, in names of folders."""
     try:
         numbers = str(Path("/proc/self/ns/pid").readlink())  # containers have numbers of their own
     except OSError:

@@ -1,1 +1,1 @@
-"""Road one: SUNDIALS, CasADi's and our own solvers."""
+"""Native simulation: SUNDIALS, CasADi's and our own solvers."""

@@ -1,23 +1,24 @@
-"""A solver over a grid of output times, ready to be called; and what it is built for."""
+"""`Problem`: a model over a grid of output times; `Engine`: a solver for it, ready to be called."""
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.casadi_patches import REPORT
 from cosim.model.inputs import InputSeries
 
 
 class Counts(NamedTuple):
-    """What a call took; `cause` says why it failed, where the solver knows."""
+    """Numbers of steps and calls; `cause` is why the solver failed, if it reports that."""
 
     steps: int | None = None
     rhs_calls: int | None = None
@@ -27,18 +28,21 @@ class Counts(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """A model over a grid: what a solver builds its engine for. Equal ones have equal engines.
+    """A model over a grid of output times; equal problems have equal engines.
 
     Attributes:
         dae: The model.
         times: Output times, s, at least two and increasing, as the bytes of an array of doubles.
         inputs: Time series of some inputs.
-        compiled: Whether the equations are to be machine code.
-        sensitivities: Whether somebody will differentiate the engine's function.
-        piecewise: Whether inputs have a column per output time, which holds on the way there.
-        project: Whether every step is to end where the model's invariants vanish.
-        nominal: What counts as 1 of each state, for solvers that `count_in_nominal`; as SI units
-            are where it is empty.
+        compiled: Whether the equations are compiled.
+        sensitivities: Whether the engine's function must have derivatives.
+        piecewise: Whether inputs have a column per output time, constant in the interval before it.
+        project: Whether every step ends with a projection onto the constraints.
+        nominal: Nominal value of each state, for solvers with `takes_nominal_values`; 1 SI unit if
+            empty.
+        system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
+            a relation leaves its mode; engines that cannot do so ignore it.
+        zero: Relations whose arguments are 0 at the start by definition.
     """
 
     dae: Dae
@@ -49,31 +53,36 @@ class Problem:
     piecewise: bool = False
     project: bool = False
     nominal: tuple[float, ...] = ()
+    system: Hybrid | None = None
+    zero: frozenset[int] = frozenset()
 
     @property
     def grid(self) -> Vector:
         """Output times, s, (n,)."""
         return np.frombuffer(self.times)
 
-    def until(self, n: int) -> "Problem":
-        """Return the problem over the first n output times."""
-        return replace(self, times=self.grid[:n].tobytes())
+
+EngineBuffer = tuple[Any, Callable[[], None]]  # CasADi's buffer and what evaluates it
 
 
 class EngineFunctions(NamedTuple):
-    """What CasADi calls of an engine.
+    """CasADi functions of an engine.
 
     Attributes:
         function: `(x0, z0, p, u, ...) -> (xf, zf, ...)`, one column per output time.
-        parameters: `p -> p` of `function`, which may take more; None where it takes the model's.
+        parameters: From the model's parameters to those of `function`; None if these are equal.
     """
 
     function: ca.Function
     parameters: ca.Function | None = None
 
 
-# (x0, z0, p, u, states, algebraics) -> succeeded, number of output times that were reached
-DirectRun = Callable[[Vector, Vector, Vector, Vector, Vector, Vector], tuple[bool, int]]
+# (x0, z0, p, u, states, algebraics) -> whether it succeeded, number of output times reached, and
+# the time and relation at which it ended before, whose values follow those of the output times
+Crossing = tuple[float, int]
+DirectRun = Callable[
+    [Vector, Vector, Vector, Vector, Vector, Vector], tuple[bool, int, Crossing | None]
+]
 
 
 @dataclass(frozen=True)
@@ -81,48 +90,66 @@ class Engine:
     """An integrator over a grid, ready to be called.
 
     Attributes:
-        make: Builds what CasADi calls, where somebody asks: its sizes grow with the grid.
+        make: Builds the CasADi functions, on demand only: their sizes grow with the grid.
         points: Number of output times, columns of the results.
         repeat_u: Whether `u` has one column per output time.
-        counts: Reads what the thread's last call took.
-        compiled: Whether the equations are machine code.
-        library: What runs as one C function and takes over Ctrl-C (fmu/solvers/interrupt.c); None
-            where CasADi sees to that.
-        kept: Which columns of the results are at the problem's output times; all when None.
-        restart: Builds the engine for a start where this one fails although it is consistent, from
-            dx/dt there, (nx,); None where there is none.
-        fallback: Builds the engine of settings that fail less, for a run that failed with a reason;
-            None where there are none, or none for that reason.
-        direct: Does the same on arrays without CasADi in between; None where nothing does. It
-            prints nothing, and leaves alone what it does not reach.
+        counts: Returns the counts of the thread's last call.
+        library: A library that runs as one C function and handles Ctrl-C itself
+            (fmu/solvers/interrupt.c); None if CasADi handles it.
+        selected: Columns of the results that are at the problem's output times; all when None.
+        restart: Builds, from dx/dt at the start, (nx,), an engine for consistent initial values at
+            which this one fails; None if there is no such engine.
+        direct: Does the same on arrays without CasADi; None if not available. It prints nothing,
+            and does not write the output times that it does not reach.
+        time_unit: Unit of the times in the solver's messages, s.
+        watches: Whether it ends a run where a relation leaves its mode.
     """
 
     make: Callable[[], EngineFunctions]
     points: int
     repeat_u: bool
     counts: Callable[[], Counts]
-    compiled: bool
     library: ctypes.CDLL | None = None
-    kept: NDArray[np.intp] | None = None
+    selected: NDArray[np.intp] | None = None
     restart: "Callable[[Vector], Engine] | None" = None
-    fallback: "Callable[[str], Engine | None] | None" = None
     direct: DirectRun | None = None
+    time_unit: float = 1.0
+    watches: bool = False
 
     @cached_property
     def functions(self) -> EngineFunctions:
-        """What CasADi calls."""
+        """CasADi functions."""
         return self.make()
+
+    @cached_property
+    def buffer(self) -> EngineBuffer:
+        """Buffer of the function: one for all calls, so that counts are read from its memory."""
+        buffer: EngineBuffer = self.functions.function.buffer()
+        return buffer
+
+
+class Integrating(Protocol):
+    """Protocol of the solver classes in `integrate/families`, which add `engine` to `Solver`."""
+
+    def engine(self, problem: Problem) -> Engine:
+        """Build the engine for a problem.
+
+        Raises:
+            UsageError: The solver does not support the problem.
+            ParameterError: The step size would need too many steps.
+            MissingTool: The equations must be compiled, and no compiler works.
+        """
 
 
 def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], Counts]:
-    """Return what reads the report of a library, whose time is start + length * its own."""
+    """Return a function that reads the counts of a library with time = start + length * its own."""
     numbers = (ctypes.c_double * REPORT)()
 
     def counts() -> Counts:
         library.cosim_report(numbers)
         steps, rhs, jacobians, status, reached, last = numbers
         cause = ""
-        if status:
+        if status not in (0, _EVENT):
             why = _CAUSES.get(int(status), "it gave up")
             cause = f"{why} at t = {start + length * reached:g}, h = {length * last:.2g}"
         return Counts(int(steps), int(rhs), int(jacobians), cause)
@@ -130,6 +157,7 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
     return counts
 
 
+_EVENT = 6  # status of a run that ended where a relation leaves its mode
 _CAUSES = {
     1: "too many steps",
     2: "step size too small",

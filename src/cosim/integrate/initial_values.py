@@ -1,4 +1,4 @@
-"""Numbers at the start of a run: states that satisfy their rules, algebraic unknowns that fit."""
+"""Consistent initial values of states and algebraic unknowns."""
 
 import casadi as ca
 import numpy as np
@@ -12,23 +12,29 @@ from cosim.codegen.initialization import (
     start_function,
 )
 from cosim.errors import InitialConditionError
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 from cosim.model.values import Values
 
-DEPENDENT = 1e-14  # least singular value, over the largest, of rows of length 1
-WILD = 1e10  # nominal values: unknowns of such a size are looked at twice
+DEPENDENT = 1e-14  # ratio of the smallest and the largest singular value, for rows of length 1
+WILD = 1e10  # nominal values: for unknowns of this size, singularity is checked
+
+
+def consistent_values(dae: Dae, t: float, values: Values) -> tuple[Vector, Vector]:
+    """Return `start_values`, (nx,), and the `algebraic_values` at them, (nz,)."""
+    x = start_values(dae, t, values)
+    return x, algebraic_values(dae, t, x, values)
 
 
 def start_values(dae: Dae, t: float, values: Values) -> Vector:
-    """Return the start of every state where a run begins at t [s], (nx,).
+    """Return the initial value of every state for a run that begins at t [s], (nx,).
 
     Raises:
-        InitialConditionError: A calculated start has no solution or leaves its bounds.
+        InitialConditionError: A calculated initial value has no solution or is out of bounds.
     """
     return _start_values(dae, t, *(row.tobytes() for row in (values.x, values.p, values.u))).copy()
 
 
-@kept_per_thread(64)
+@cached_per_thread(64)
 def _start_values(dae: Dae, t: float, guesses: bytes, parameters: bytes, inputs: bytes) -> Vector:
     values = Values(*map(np.frombuffer, (guesses, parameters, inputs)))
     try:
@@ -68,13 +74,13 @@ def algebraic_values(dae: Dae, t: float, x: Vector, values: Values) -> Vector:
         raise InitialConditionError(
             f"{dae.full_name}: the algebraic equations have no solution at the start "
             f"({dependent or f'{first} is not finite'}); start away from the singularity, leave "
-            f"out what is said twice, {_other_guess(dae)}or use another formulation"
+            f"out repeated equations, {_other_guess(dae)}or use another formulation"
         )
     return z
 
 
 def _dependent(dae: Dae, t: float, x: Vector, z: Vector, values: Values) -> str:
-    """Say which algebraic equations depend on each other at a start; empty where none do."""
+    """Describe the algebraic equations that depend on each other; empty if they are independent."""
     slopes = np.array(_slope_function(dae)(t, x, z, values.u, values.p))
     if not np.isfinite(slopes).all():
         return ""
@@ -88,25 +94,26 @@ def _dependent(dae: Dae, t: float, x: Vector, z: Vector, values: Values) -> str:
     names = [str(i + 1) for i in np.flatnonzero(shares > 1e-3 * shares.max())]
     if len(names) == 1:
         row = ca.jacobian(dae.alg[int(names[0]) - 1], dae.z)
-        held = "has slope 0 at the first guess" if ca.depends_on(row, dae.z) else "holds no unknown"
-        return f"equation {names[0]} of {len(shares)} {held}"
+        nonlinear = ca.depends_on(row, dae.z)
+        cause = "has slope 0 at the initial guess" if nonlinear else "contains no unknown"
+        return f"equation {names[0]} of {len(shares)} {cause}"
     return f"equations {', '.join(names)} of {len(shares)} repeat each other"
 
 
 def _other_guess(dae: Dae) -> str:
-    """Advise another first guess, where that decides on what is found."""
+    """Return the advice to give another initial guess; empty if the equations are linear."""
     if not ca.depends_on(ca.jacobian(dae.alg, dae.z), dae.z):
         return ""
-    return f"give another first guess, as start value of {dae.algebraics[0].name}, "
+    return f"give another initial guess, as start value of {dae.algebraics[0].name}, "
 
 
-@kept_per_thread(8)
+@cached_per_thread(8)
 def _slope_function(dae: Dae) -> ca.Function:
     return ca.Function("slopes", dae.arguments, [ca.densify(ca.jacobian(dae.alg, dae.z))])
 
 
 def _no_start(dae: Dae, t: float, x: Vector, values: Values) -> InitialConditionError:
-    """Say which rule has no solution: the first that yields no number, or the worst."""
+    """Return the error for the rule without solution: not finite, or of the largest residual."""
     missing = [r for r in dae.start_rules if not np.isfinite(x[list(r.states)]).all()]
     implicit = [r for r in dae.start_rules if r.implicit]
     rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, t, x, values))
@@ -125,7 +132,7 @@ def _residual(dae: Dae, rule: StartRule, t: float, x: Vector, values: Values) ->
 
 
 def _closest(dae: Dae, rule: StartRule, t: float, x: Vector, values: Values) -> str:
-    """Say how near to a solution a scan around the guess comes, for one unknown."""
+    """Describe the smallest residual of a rule near its guess; one unknown is scanned."""
     trial, first = x.copy(), rule.states[0]
     trial[list(rule.states)] = values.x[list(rule.states)]
     best, at = np.inf, float("nan")

@@ -1,26 +1,189 @@
-"""The bare function of CasADi's integrator API, and what to call it with."""
+"""`integrator`: a function in CasADi's integrator API, with derivatives of the solution."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 from casadi import MX
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
+from cosim.codegen.functions import CALL, equations, symbols_like
+from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.runge_kutta.explicit_library import (
+    dop853_method,
+    explicit_function,
+    explicit_library,
+    fixed_step_method,
+)
 from cosim.errors import UsageError
-from cosim.integrate import initial_values
-from cosim.integrate.derivatives import MOST_JACOBIAN_NUMBERS, jacobian_of_run, size_of_jacobian
 from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.families.plugin import COMMON, tolerances
+from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.modes import hybrid
 from cosim.integrate.nominal import Nominal, in_nominal_values
-from cosim.integrate.run.worthwhile import worthwhile
-from cosim.integrate.solver import AdaptiveSolver, Solver
-from cosim.integrate.solvers import chosen_solver, engine_of
-from cosim.model.time_grid import checked_grid
+from cosim.integrate.preparation import compilation_of
+from cosim.integrate.solvers import chosen_solver, engine_of, requested_solver
+from cosim.memo import cached_per_thread
+from cosim.model.solver import AdaptiveSolver, Solver
+from cosim.model.times import checked_grid
 from cosim.model.values import assign
+
+
+def directions(dae: Dae) -> int:
+    """Return the number of derivatives of each unknown: with respect to x0, p and u."""
+    return int(dae.x.numel() + dae.p.numel() + dae.u.numel())
+
+
+@cached_per_thread(16)
+def variational_rhs(dae: Dae) -> ca.Function:
+    """Return the variational equations `rhs(t, X, Z, u, p) -> (dX/dt, Z)`.
+
+    X = (x, S) with the sensitivities S = dx/d(x0, p, u), and Z = (z, dz/d(x0, p, u)), stacked. Of
+    the argument Z, only z is used, as initial guess.
+    """
+    nx, nz, nq = dae.x.numel(), dae.z.numel(), directions(dae)
+    t, _, _, u, p = symbols_like(dae)
+    every, guess = MX.sym("x", nx * (1 + nq)), MX.sym("z", nz * (1 + nq))
+    x, slopes = every[:nx], ca.reshape(every[nx:], nx, nq)
+    z = algebraic_function(dae)(t, x, guess[:nz], u, p)
+    function = equations(dae)
+    ode, alg = function(t, x, z, u, p)
+    by = function.jacobian()(t, x, z, u, p, ode, alg)
+    ode_by, alg_by = dict(zip(CALL, by[:5], strict=True)), dict(zip(CALL, by[5:], strict=True))
+    none = MX(nx, nx)
+    rates = ode_by["x"] @ slopes + ca.horzcat(none, ode_by["p"], ode_by["u"])
+    dz = MX(0, nq)
+    if nz:
+        direct = ca.horzcat(MX(nz, nx), alg_by["p"], alg_by["u"])
+        dz = -ca.solve(alg_by["z"], alg_by["x"] @ slopes + direct, "qr")
+        rates += ode_by["z"] @ dz
+    stacked = [ca.vertcat(ode, ca.vec(rates)), ca.vertcat(z, ca.vec(dz))]
+    dense = [ca.densify(column) for column in stacked]
+    return ca.Function("rhs", [t, every, guess, u, p], dense)
+
+
+MOST_JACOBIAN_NUMBERS = 3_000_000  # in the Jacobian of a whole run
+FEW_EQUATIONS = 150  # up to which an interpreted implicit method is fast enough
+
+
+def jacobian_of_run(problem: Problem, solver: Solver) -> ca.Function:
+    """Return the Jacobian of an integrator's function for CasADi's option `custom_jacobian`.
+
+    If compiled, the variational equations are integrated with the same fixed steps, or by `dop853`
+    at the tolerances of an adaptive solver. If interpreted, they are integrated by `erk`, or by
+    `rosenbrock` if the solver is implicit and there are few equations.
+    """
+    dae, grid = problem.dae, problem.grid
+    interval = (_compiled if problem.compiled else _interpreted)(problem, solver)
+    nx, nz, n = dae.x.numel(), dae.z.numel(), len(grid)
+    np_, nu = dae.p.numel(), dae.u.numel()
+    x0, z0, p = MX.sym("x0", nx), MX.sym("z0", nz), MX.sym("p", np_)
+    u = MX.sym("u", nu, n)
+    by_x0, by_p, by_u = MX.eye(nx), MX(nx, np_), MX(nx, nu * n)
+    state: list[tuple[MX, MX, MX]] = [(by_x0, by_p, by_u)]
+    unknown: list[tuple[MX, MX, MX]] = []
+    x = x0
+    for k in range(1, n):
+        x, first, slopes, dz = interval(x, z0, p, u[:, k], grid[k - 1], grid[k])
+        before, column = state[-1], (MX(nx, nu * k), MX(nx, nu * (n - 1 - k)))
+        if k == 1:
+            unknown.append(_chained(first, before, (MX(nz, nu * k), MX(nz, nu * (n - 2))), nx, np_))
+        unknown.append(_chained(dz, before, (MX(nz, nu * k), MX(nz, nu * (n - 1 - k))), nx, np_))
+        state.append(_chained(slopes, before, column, nx, np_))
+    blocks = []
+    for rows, size in ((state, nx), (unknown, nz)):
+        to_x0, to_p, to_u = (ca.vertcat(*block) for block in zip(*rows, strict=True))
+        blocks += [to_x0, MX(size * n, nz), to_p, to_u]
+    arguments = {"x0": x0, "z0": z0, "p": p, "u": u}
+    results = {"out_xf": MX.sym("out_xf", nx, n), "out_zf": MX.sym("out_zf", nz, n)}
+    return ca.Function(
+        "jac_integrator",
+        [*arguments.values(), *results.values()],
+        blocks,
+        [*arguments, *results],
+        [f"jac_{of}_{by}" for of in ("xf", "zf") for by in arguments],
+    )
+
+
+def _chained(
+    slopes: MX, before: tuple[MX, MX, MX], around: tuple[MX, MX], nx: int, np_: int
+) -> tuple[MX, MX, MX]:
+    """Return derivatives with respect to x0, p and all inputs from those over one interval."""
+    by_x, by_p, by_u = ca.horzsplit(slopes, [0, nx, nx + np_, slopes.size2()])
+    inputs = ca.horzcat(around[0], by_u, around[1])
+    return by_x @ before[0], by_x @ before[1] + by_p, by_x @ before[2] + inputs
+
+
+def _compiled(problem: Problem, solver: Solver) -> ca.Function:
+    """Return `interval(x, z, p, u, begin, end) -> (x, dz at the begin, S, dz)` as compiled code.
+
+    See `variational_rhs`: S are derivatives of x, dz those of z.
+    """
+    dae = problem.dae
+    name, method, settings = Dop853.name, dop853_method(), (0.0, 0.0, np.inf)
+    if isinstance(solver, FixedStep):
+        name, method = solver.name, fixed_step_method(solver.tableau)
+        settings = (0.0, 0.0, solver.step(problem))
+    elif isinstance(solver, AdaptiveSolver):
+        settings = (*solver.tolerance.pair, solver.max_step or np.inf)
+    path = explicit_library(variational_rhs(dae), f"variational {name}", method)
+    run, _ = explicit_function(path, 2)
+    arguments = x, z, p, u, begin, end = _arguments(dae)
+    own = ca.vertcat(p, 2, 0, 1, *settings, ca.DM.ones(run.size1_in("x0")), begin, end)
+    inputs = {"u": u} if dae.inputs else {}
+    found = run(x0=_start(dae, x), z0=_guess(dae, z), p=own, **inputs)
+    unknown = found["zf"]
+    results = _results(dae, found["xf"][:, 1], unknown[:, 0], unknown[:, 1])
+    return ca.Function("interval", arguments, results)
+
+
+def _interpreted(problem: Problem, solver: Solver) -> ca.Function:
+    """Return the function `interval` of `_compiled` for interpreted equations."""
+    dae = problem.dae
+    assert isinstance(solver, AdaptiveSolver)  # CasADi differentiates fixed steps
+    rhs = variational_rhs(dae)
+    stiff = solver.uses_jacobian and rhs.numel_in(1) <= FEW_EQUATIONS
+    s, every = MX.sym("s"), MX.sym("x", rhs.numel_in(1))
+    arguments = x, z, p, u, begin, end = _arguments(dae)
+    own = MX.sym("own", z.numel() + p.numel() + u.numel() + 2)
+    guess, numbers, inputs, span = ca.vertsplit(
+        own, np.cumsum([0, z.numel(), p.numel(), u.numel(), 2]).tolist()
+    )
+    rates, _ = rhs(span[0] + span[1] * s, every, _guess(dae, guess), inputs, numbers)
+    system = {"t": s, "x": every, "p": own, "ode": span[1] * rates}
+    options = COMMON | tolerances(solver)
+    run = ca.integrator("run", "rosenbrock" if stiff else "erk", system, 0, 1, options)
+    start = _start(dae, x)
+    last = run(x0=start, p=ca.vertcat(z, p, u, begin, end - begin))["xf"]
+    unknown = [rhs(t, at, _guess(dae, z), u, p)[1] for t, at in ((begin, start), (end, last))]
+    return ca.Function("interval", arguments, _results(dae, last, *unknown))
+
+
+def _arguments(dae: Dae) -> list[MX]:
+    sizes = {"x": dae.x, "z": dae.z, "p": dae.p, "u": dae.u, "begin": dae.t, "end": dae.t}
+    return [MX.sym(name, symbol.numel()) for name, symbol in sizes.items()]
+
+
+def _start(dae: Dae, x: MX) -> MX:
+    """Return x and its derivatives at the begin of an interval, stacked."""
+    nx, nq = dae.x.numel(), directions(dae)
+    return ca.vertcat(x, ca.vec(ca.horzcat(ca.DM.eye(nx), ca.DM.zeros(nx, nq - nx))))
+
+
+def _guess(dae: Dae, z: MX) -> MX:
+    return ca.vertcat(z, ca.DM.zeros(dae.z.numel() * directions(dae)))
+
+
+def _results(dae: Dae, last: MX, before: MX, after: MX) -> list[MX]:
+    nx, nz, nq = dae.x.numel(), dae.z.numel(), directions(dae)
+    dz = [ca.reshape(unknown[nz:], nz, nq) for unknown in (before, after)]
+    return [last[:nx], dz[0], ca.reshape(last[nx:], nx, nq), dz[1]]
 
 
 def integrator(
@@ -34,31 +197,31 @@ def integrator(
     compiled: bool | None = None,
     derivatives: bool | None = None,
 ) -> ca.Function:
-    """Return the bare function of CasADi's integrator API, to embed, map or differentiate.
+    """Return a function in CasADi's integrator API, to embed, map or differentiate.
 
     Args:
         dae: The model.
-        grid: Increasing output times, s, the start first, (n,).
+        grid: Increasing output times, s, (n,); the first is the begin of the run.
         solver, relative_tolerance, absolute_tolerance: See `simulate`.
-        compiled: Whether to compile the equations. When None, small ones are, and large ones where
-            the library is there already or one run would pay for it: nobody knows how many follow.
-        step_size: Largest step of a solver with fixed ones, s; the model's output interval when
+        compiled: Whether the equations are compiled; small models are when None.
+        step_size: Largest step of a solver with fixed steps, s; the model's output interval when
             None. Steps end at every output time.
-        derivatives: Whether the function is to have derivatives, which takes some preparation and,
-            where compiled, a library of their own. When None, they are left out where the Jacobian
-            of the run would have more than 3 million numbers.
+        derivatives: Whether the function has derivatives, which take time to build and, if
+            compiled, a second library. When None, they are omitted if the Jacobian of the run
+            would have more than 3 million elements.
 
     Returns:
         `(x0, z0, p, u) -> (xf, zf)` with one column per time of the grid, in the order of `dae.x`,
-        `dae.z`, `dae.p`, `dae.u`. What is not given is 0: see `start_vectors`. `u` has one column
-        per time, too, (nu, n): each holds on the way to its time, the first one is of no effect. A
-        single column holds throughout. Forward and reverse derivatives are those of the solution,
-        to the tolerance of the solver, or those of the very steps where these are fixed. Second
-        derivatives exist for fixed steps with `compiled=False` only.
+        `dae.z`, `dae.p`, `dae.u`, SI units. An omitted argument is 0; `start_vectors` returns
+        consistent ones. `u` has one column per time, (nu, n): each applies to the interval that
+        ends at its time, so that the first has no effect. A single column applies to all
+        intervals. Forward and reverse derivatives are those of the solution, to the tolerance of
+        the solver, or those of the steps if these are fixed. Second derivatives exist for fixed
+        steps with `compiled=False` only.
 
     Raises:
         ParameterError: The grid is not increasing or not finite.
-        UsageError: Derivatives are asked for of so long a grid; and see `simulate`.
+        UsageError: Derivatives are requested for too long a grid; also see `simulate`.
         UnknownName, MissingTool: See `simulate`.
 
     Example:
@@ -69,48 +232,50 @@ def integrator(
         (2, 3)
     """
     times = checked_grid(grid)
-    chosen = chosen_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
+    requested = requested_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
+    if hybrid(dae) is not None:
+        raise UsageError(
+            f"{dae.full_name} has events (relations in its equations, or declared ones), at which "
+            "no CasADi integrator stops; use cosim.simulate and cosim.sensitivity, or mark what is "
+            "smooth with Model.smooth"
+        )
+    chosen, _ = chosen_solver(dae, requested)
     if isinstance(chosen, FixedStep) and chosen.step_size is None:
         chosen = replace(chosen, step_size=dae.experiment.output_interval)
-    nominal = Nominal.declared(dae) if isinstance(chosen, AdaptiveSolver) else Nominal.none(dae)
+    nominal = Nominal.none(dae)
+    if isinstance(chosen, AdaptiveSolver):  # of the model's own initial values
+        own = np.array(dae.x_start), np.zeros(len(dae.algebraics))
+        nominal = Nominal.declared(dae).from_start(dae, *own, chosen.tolerance.pair[1])
 
-    def problem_of(compiled: bool) -> Problem:
-        own = isinstance(chosen, FixedStep) and not compiled
-        return Problem(dae, times.tobytes(), None, compiled, sensitivities=own, piecewise=True)
-
-    def engine(compiled: bool) -> Engine:
-        return engine_of(in_nominal_values(problem_of(compiled), chosen, nominal)[0], chosen)
-
-    if compiled is None:
-        compiled = worthwhile(dae, chosen, len(times), lambda: engine(True)).compiled
-    problem, built = problem_of(compiled), engine(compiled)
-    own = problem.sensitivities  # CasADi's are those of the very steps
-    _, divided = in_nominal_values(problem, chosen, nominal)
-    size = size_of_jacobian(dae, len(times))
-    if own or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
-        return _bare_function(dae, built, divided, len(times), {})
+    compiled = compilation_of(dae, chosen, compiled).compiled
+    # only then, derivatives are those of the steps
+    by_casadi = isinstance(chosen, FixedStep) and not compiled
+    problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=by_casadi, piecewise=True)
+    scaled, sizes = in_nominal_values(problem, chosen, nominal)
+    built = engine_of(scaled, chosen)
+    known = dae.x.numel() + dae.p.numel() + len(times) * dae.u.numel()
+    size = len(times) * (dae.x.numel() + dae.z.numel()) * known  # elements of the Jacobian of a run
+    if by_casadi or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
+        return _bare_function(dae, built, sizes, len(times), {})
     if size > MOST_JACOBIAN_NUMBERS:
         raise UsageError(
-            f"{dae.full_name}: derivatives over {len(times)} output times are {size:.0e} numbers; "
-            "give fewer times, or chain runs"
+            f"{dae.full_name}: derivatives at {len(times)} output times are {size:.0e} numbers; "
+            "give fewer times, or chain several integrators"
         )
     jacobian = jacobian_of_run(problem, chosen)
     options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
     options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
-    return _bare_function(dae, built, divided, len(times), options)
+    return _bare_function(dae, built, sizes, len(times), options)
 
 
 def _bare_function(
     dae: Dae, built: Engine, nominal: Nominal, n: int, options: dict[str, Any]
 ) -> ca.Function:
-    x0, z0, p = (
-        MX.sym(name, symbol.numel())
-        for name, symbol in (("x0", dae.x), ("z0", dae.z), ("p", dae.p))
-    )
-    u = MX.sym("u", dae.u.numel(), n)
+    x0, z0 = MX.sym("x0", dae.x.numel()), MX.sym("z0", dae.z.numel())
+    p, u = MX.sym("p", dae.p.numel()), MX.sym("u", dae.u.numel(), n)
     run, extended = built.functions
     parameters = p if extended is None else extended(p)
-    inputs = {"u": u} if dae.inputs else {}  # CasADi maps over columns of nothing
+    inputs = {"u": u} if dae.inputs else {}  # CasADi cannot map over empty columns
     x, z = ca.DM(nominal.x), ca.DM(nominal.z)
     result = run(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
     names = ["x0", "z0", "p", "u"]
@@ -120,7 +285,7 @@ def _bare_function(
 
 
 def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> dict[str, Vector]:
-    """Return consistent `x0`, `z0`, `p`, `u` to call an `integrator` with.
+    """Return consistent arguments `x0`, `z0`, `p`, `u` of an `integrator`, SI units.
 
     Raises:
         UnknownName, ParameterError, InitialConditionError: See `simulate`.
@@ -131,10 +296,5 @@ def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> 
         array([ 0., 10.])
     """
     values = assign(dae, start_values)
-    x0 = initial_values.start_values(dae, 0.0, values)
-    return {
-        "x0": x0,
-        "z0": initial_values.algebraic_values(dae, 0.0, x0, values),
-        "p": values.p,
-        "u": values.u,
-    }
+    x0, z0 = consistent_values(dae, 0.0, values)
+    return {"x0": x0, "z0": z0, "p": values.p, "u": values.u}

@@ -1,10 +1,9 @@
-"""Unknowns in their nominal values, so that one absolute tolerance fits all of them.
+"""Unknowns scaled by nominal values, so that one absolute tolerance fits all of them.
 
-As in FMUs, whose co-simulation solver counts like that. What counts as 1 is a power of two:
-dividing by it and multiplying again changes no bit.
+The co-simulation solver of FMUs scales in the same way. Scales are powers of two: dividing by one
+and multiplying again changes no bit.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log2
@@ -13,171 +12,149 @@ import casadi as ca
 import numpy as np
 from casadi import DM, SX
 
-from casadi_models.dae import Dae, Start, Variable
+from casadi_models.dae import Dae, Variable
 from cosim.arrays import Vector
-from cosim.integrate.engine import Problem
-from cosim.integrate.solver import Solver
-from cosim.memo import kept_per_thread
+from cosim.codegen.functions import equations
+from cosim.integrate.call import INTERRUPTED, Reached, call
+from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.solvers import engine_of
+from cosim.memo import cached_per_thread
+from cosim.model.solver import AdaptiveSolver, Solver
+from cosim.model.values import Values, own_sizes
 
-NOT_GIVEN = 1.0  # the nominal value of a variable that has none of its own
-_SMALL_SHARE = 1e-3  # states that stay below get a nominal value of their own
-_SAMPLES = 16  # of a state, in which most are seen not to
-NOISE = 1e-7  # what states that begin at 0 may reach without being meant
+_ROUNDING = 1e-14  # relative, of numbers that large unknowns make
+NOT_GIVEN = 1.0  # nominal value of a variable for which the model sets none
 
 
 @dataclass(frozen=True)
 class Nominal:
-    """What counts as 1 in the error control of a run, SI: powers of two.
+    """Nominal values for the error control of a run, SI: powers of two.
 
     Attributes:
-        x, z: Of states and algebraic unknowns.
+        x: Of the states, (nx,).
+        z: Of the algebraic unknowns, (nz,).
     """
 
     x: tuple[float, ...]
     z: tuple[float, ...]
 
-    @classmethod
-    def declared(cls, dae: Dae) -> "Nominal":
-        """Return the nominal values that a model has."""
-        return _declared(dae)
+    @staticmethod
+    @cached_per_thread(16)
+    def declared(dae: Dae) -> "Nominal":
+        """Return the nominal values that a model declares."""
+        x, z = (tuple(power(v.nominal) for v in group) for group in (dae.states, dae.algebraics))
+        return Nominal(x, z)
 
-    @classmethod
-    def none(cls, dae: Dae) -> "Nominal":
-        """Return those of solvers without error control: 1."""
-        return _none(dae)
+    @staticmethod
+    @cached_per_thread(16)
+    def none(dae: Dae) -> "Nominal":
+        """Return nominal values of 1, for solvers without error control."""
+        return Nominal((1.0,) * len(dae.states), (1.0,) * len(dae.algebraics))
 
     @cached_property
     def in_si(self) -> bool:
-        """Whether everything counts in SI units."""
+        """Whether every nominal value is 1, in SI units."""
         return {*self.x, *self.z} <= {1.0}
 
     @cached_property
     def columns(self) -> tuple[Vector, Vector]:
-        """Of states and algebraic unknowns, (nx, 1) and (nz, 1)."""
+        """Nominal values of states and algebraic unknowns as columns, (nx, 1) and (nz, 1)."""
         return np.array(self.x).reshape(-1, 1), np.array(self.z).reshape(-1, 1)
 
-    def from_start(self, dae: Dae, z0: Vector) -> "Nominal":
-        """Return them with those of algebraic unknowns that nobody gave, by their start."""
-        if not dae.algebraics:
-            return self
-        z = zip(dae.algebraics, self.z, np.abs(z0), strict=True)
-        return replace(self, z=tuple(n if given(v) else power(max(n, size)) for v, n, size in z))
+    def from_start(self, dae: Dae, x0: Vector, z0: Vector, absolute: float) -> "Nominal":
+        """Return nominal values in which those that the model omits follow from initial values.
 
-    def from_run(self, dae: Dae, states: Vector, algebraics: Vector) -> "Nominal":
-        """Return them with those of small states that nobody gave, by what they reached.
+        A small nonzero initial value of a state becomes its nominal value, so that its relative
+        accuracy is the same as for an initial value of 1, unless it is so small that it may be a
+        rounding error of another one. A large initial value of an algebraic
+        unknown becomes its nominal value. An initial value of 0 does not show the size of an
+        algebraic unknown: its absolute tolerance is at least the rounding error of the largest
+        unknown with the same unit.
 
         Args:
             dae: The model.
-            states, algebraics: The run, (nx, n) and (nz, n).
+            x0, z0: Initial values of states and algebraic unknowns, SI, (nx,) and (nz,).
+            absolute: Absolute tolerance of the solver, in nominal values.
         """
-        found = list(self.x)
-        for i in _not_given(dae):
-            row, most = states[i], _SMALL_SHARE * self.x[i]
-            if np.abs(row[:: len(row) // _SAMPLES + 1]).max() >= most:
-                continue
-            size = np.abs(row).max()
-            meant = size > NOISE or (dae.states[i].start_kind is Start.EXACT and row[0] != 0)
-            if 0 < size < most and meant:
-                found[i] = power(size)
-        return replace(self, x=tuple(found))
-
-    def from_failure(self, dae: Dae, states: Vector, algebraics: Vector) -> "Nominal":
-        """Return them with those of algebraic unknowns that nobody gave, by the largest of a unit.
-
-        What begins at 0 shows nothing of its size; others of its unit do. See `from_run`.
-        """
+        x, z = map(power, own_sizes(dae, x0)), list(self.z)
+        sizes = np.abs(z0)
         largest: dict[str, float] = {}
-        for v, row in zip(dae.algebraics, algebraics, strict=True):
-            largest[v.unit] = max(largest.get(v.unit, 0.0), np.abs(row).max(initial=0.0))
-        z = zip(dae.algebraics, self.z, strict=True)
-        return replace(
-            self, z=tuple(n if given(v) else max(n, power(largest[v.unit] or n)) for v, n in z)
-        )
-
-    def unlike(self, dae: Dae, other: "Nominal") -> Mapping[str, float]:
-        """Return by name what another one has elsewhere."""
-        both = zip((*dae.states, *dae.algebraics), self.x + self.z, other.x + other.z, strict=True)
-        return {v.name: after for v, before, after in both if before != after}
-
-
-@kept_per_thread(16)
-def _declared(dae: Dae) -> Nominal:
-    x, z = (tuple(power(v.nominal) for v in group) for group in (dae.states, dae.algebraics))
-    return Nominal(x, z)
-
-
-@kept_per_thread(16)
-def _none(dae: Dae) -> Nominal:
-    return Nominal((1.0,) * len(dae.states), (1.0,) * len(dae.algebraics))
-
-
-@kept_per_thread(16)
-def _not_given(dae: Dae) -> tuple[int, ...]:
-    return tuple(i for i, variable in enumerate(dae.states) if not given(variable))
-
-
-def given(variable: Variable) -> bool:
-    """Tell whether a variable has a nominal value of its own."""
-    return variable.nominal != NOT_GIVEN
+        for variable, size in zip(dae.algebraics, sizes, strict=True):
+            largest[variable.unit] = max(largest.get(variable.unit, 0.0), size)
+        for i, (variable, size) in enumerate(zip(dae.algebraics, sizes, strict=True)):
+            if variable.nominal == NOT_GIVEN:
+                z[i] = power(max(z[i], size, _ROUNDING * largest[variable.unit] / absolute))
+        return Nominal(tuple(x), tuple(z))
 
 
 def power(size: float) -> float:
-    """Return the power of two next to a positive size."""
+    """Return the power of two nearest to a positive number."""
     return float(2.0 ** round(log2(size)))
 
 
 def in_nominal_values(
     problem: Problem, solver: Solver, nominal: Nominal
 ) -> tuple[Problem, Nominal]:
-    """Return a problem as a solver takes it, and what its unknowns are to be divided by.
+    """Return the problem in scaled unknowns, and the nominal values to divide by.
 
-    One that counts in nominal values by itself takes the equations as they are: as dividing by
-    powers of two changes no bit, its steps are those of the rewritten ones.
+    A solver with `takes_nominal_values` gets the original equations: since dividing by powers of
+    two changes no bit, its steps are those of the scaled equations.
     """
-    if solver.counts_in_nominal:
+    if solver.takes_nominal_values:
         return replace(problem, nominal=nominal.x), Nominal.none(problem.dae)
     return replace(problem, dae=scaled(problem.dae, nominal)), nominal
 
 
-def in_values_of_a_run(
+def in_nominal_values_of_run(
     problem: Problem, solver: Solver, nominal: Nominal
 ) -> tuple[Problem, Nominal, Vector]:
-    """Return the same as `in_nominal_values`, and further parameters that its engine takes.
+    """Return the result of `in_nominal_values`, and further parameters for its engine.
 
-    These are the nominal values of algebraic unknowns that nobody gave: they follow from the start,
-    and one library is to do for every start.
+    These parameters are the nominal values that follow from initial values, so that one compiled
+    library serves all initial values.
     """
     dae = problem.dae
-    found = tuple(i for i, v in enumerate(dae.algebraics) if not given(v))
-    if solver.counts_in_nominal or not found:
+    x = tuple(i for i, n in enumerate(Nominal.declared(dae).x) if nominal.x[i] != n)
+    z = tuple(i for i, v in enumerate(dae.algebraics) if v.nominal == NOT_GIVEN)
+    if solver.takes_nominal_values or not (x or z):
         return *in_nominal_values(problem, solver, nominal), np.empty(0)
-    known = replace(nominal, z=tuple(1.0 if i in found else n for i, n in enumerate(nominal.z)))
-    sized = _sized(scaled(dae, known), found)
-    return replace(problem, dae=sized), nominal, np.array([nominal.z[i] for i in found])
+    known = Nominal(_one_at(nominal.x, x), _one_at(nominal.z, z))
+    sized = _sized(scaled(dae, known), x, z)
+    sizes = [*(nominal.x[i] for i in x), *(nominal.z[i] for i in z)]
+    return replace(problem, dae=sized), nominal, np.array(sizes)
 
 
-@kept_per_thread(16)
-def _sized(dae: Dae, which: tuple[int, ...]) -> Dae:
-    """Return a model some of whose algebraic unknowns are measured in further parameters."""
-    rows, sizes = list(which), SX.sym("size", len(which))
-    z = SX(dae.z)
-    z[rows] = sizes * dae.z[rows]
-    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.z], [z])
-    more = (Variable(f"size_{i}", "1", "what counts as 1 of an unknown", 1.0) for i in which)
-    p = ca.vertcat(dae.p, sizes)
-    return replace(dae, p=p, parameters=(*dae.parameters, *more), ode=ode, alg=alg)
+def _one_at(sizes: tuple[float, ...], which: tuple[int, ...]) -> tuple[float, ...]:
+    return tuple(1.0 if i in which else size for i, size in enumerate(sizes))
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
+def _sized(dae: Dae, x_rows: tuple[int, ...], z_rows: tuple[int, ...]) -> Dae:
+    """Return a model in which further parameters scale some of the unknowns."""
+    sizes = SX.sym("size", len(x_rows) + len(z_rows))
+    of_x, of_z = ca.vertsplit(sizes, [0, len(x_rows), len(x_rows) + len(z_rows)])
+    x, z = SX.ones(dae.x.numel()), SX.ones(dae.z.numel())
+    for every, rows, own in ((x, x_rows, of_x), (z, z_rows, of_z)):
+        if rows:
+            every[list(rows)] = own
+    more = (
+        Variable(f"size_{i}", "1", "nominal value of an unknown", 1.0) for i in range(sizes.numel())
+    )
+    parameters = (*dae.parameters, *more)
+    return replace(_divided(dae, x, z), p=ca.vertcat(dae.p, sizes), parameters=parameters)
+
+
+@cached_per_thread(16)
 def scaled(dae: Dae, nominal: Nominal) -> Dae:
-    """Return a model whose states and algebraic unknowns are measured in nominal values.
+    """Return a model whose states and algebraic unknowns are scaled by nominal values.
 
-    What solvers need is rewritten: equations and invariants; outputs, limits and starts are not.
+    Equations and invariants, which solvers use, are rewritten; outputs, validity conditions and
+    initial values are not.
     """
-    if nominal.in_si:
-        return dae
-    x, z = DM(nominal.x), DM(nominal.z)
+    return dae if nominal.in_si else _divided(dae, SX(DM(nominal.x)), SX(DM(nominal.z)))
 
+
+def _divided(dae: Dae, x: SX, z: SX) -> Dae:
     def rewritten(*expressions: SX) -> list[SX]:
         return ca.substitute([*expressions], [dae.x, dae.z], [x * dae.x, z * dae.z])
 
@@ -185,6 +162,70 @@ def scaled(dae: Dae, nominal: Nominal) -> Dae:
     invariants = []
     for invariant in dae.invariants:
         residual, sizes = rewritten(invariant.residual, invariant.sizes)
-        moved = sizes / x[list(invariant.states)]
-        invariants.append(replace(invariant, residual=residual, sizes=moved))
+        scaled_sizes = sizes / x[list(invariant.states)]
+        invariants.append(replace(invariant, residual=residual, sizes=scaled_sizes))
     return replace(dae, ode=ode / x, alg=alg, invariants=tuple(invariants))
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """Consistent values at which an integration begins, SI.
+
+    Attributes:
+        x: States, (nx,).
+        z: Algebraic unknowns, (nz,).
+        values: Parameters, and the inputs at that time.
+        began: States at which the run began, (nx,), if this is a jump of an input; None if not.
+    """
+
+    x: Vector
+    z: Vector
+    values: Values
+    began: Vector | None = None
+
+
+def scaled_call(problem: Problem, solver: Solver, start: InitialState) -> Reached:
+    """Call the engine of a solver over a grid, its unknowns scaled by nominal values.
+
+    If a solver with error control has no absolute tolerance, nominal values that the model does not
+    set follow from the initial values.
+
+    Raises:
+        UsageError, ParameterError, MissingTool: See `engine_of`.
+    """
+    if not isinstance(solver, AdaptiveSolver):
+        numbers = start.x, start.z, start.values.p, start.values.u
+        return call(engine_of(problem, solver), *numbers)
+    nominal = Nominal.declared(problem.dae)
+    if solver.absolute_tolerance is None:
+        x0 = start.x if start.began is None else start.began
+        nominal = nominal.from_start(problem.dae, x0, start.z, solver.tolerance.pair[1])
+    engine, sizes, more = _scaled_engine(problem, solver, nominal)
+    x, z = sizes.columns
+    p = np.concatenate((start.values.p, more)) if more.size else start.values.p
+    numbers = start.x / x.ravel(), start.z / z.ravel(), p, start.values.u
+    reached = call(engine, *numbers)
+    started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
+    if engine.restart is not None and not started:
+        rates = _rates(problem, start) / x.ravel()
+        again = call(engine.restart(rates), *numbers)
+        reached = replace(again, solve_time=reached.solve_time + again.solve_time)
+    if sizes.in_si:
+        return reached
+    return replace(reached, states=reached.states * x, algebraics=reached.algebraics * z)
+
+
+@cached_per_thread(32)
+def _scaled_engine(
+    problem: Problem, solver: Solver, nominal: Nominal
+) -> tuple[Engine, Nominal, Vector]:
+    """Return an engine in scaled unknowns, their nominal values, and its further parameters."""
+    scaled_problem, sizes, parameters = in_nominal_values_of_run(problem, solver, nominal)
+    return engine_of(scaled_problem, solver), sizes, parameters
+
+
+def _rates(problem: Problem, start: InitialState) -> Vector:
+    """Return dx/dt at consistent initial values, (nx,)."""
+    t, values = problem.grid[0], start.values
+    ode, _ = equations(problem.dae)(t, start.x, start.z, values.u, values.p)
+    return np.array(ode).ravel()

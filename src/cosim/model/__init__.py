@@ -1,1 +1,1 @@
-"""A name, a file or a CasADi object to a `Dae`, and the numbers that users give to it."""
+"""Building a `Dae` from a name, a file or a CasADi object, and checking its values."""

@@ -1,16 +1,94 @@
-"""From the name a user types to a `Dae`: the catalogue, or a builder in the user's own file."""
+"""From a name to a `Dae`: the catalogue, and models in users' own files.
 
+CasADi is imported only when a model is built: a list of the models needs none.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import casadi_models
-from casadi_models.dae import Dae
+from casadi_models import CATALOG
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.model.foreign.from_casadi import from_casadi
-from cosim.model.foreign.named_symbols import identifier
-from cosim.model.user_model import load_user_model
+from cosim.text import Table, sentence
+
+if TYPE_CHECKING:
+    from casadi_models.dae import Dae
+
+
+def load_user_model(path: str, function: str) -> Dae:
+    """Build the model that a function of a Python file describes.
+
+    It may return a `Dae`, a `casadi.DaeBuilder`, whatever `from_casadi` takes, or such a system
+    with its start values as a pair; a dict may hold the options of `from_casadi`, too.
+
+    Raises:
+        UnknownName: The file has no such function.
+        UsageError: The file cannot be read, or its function fails or builds no model.
+    """
+    import casadi as ca
+
+    from casadi_models.dae import Dae
+    from cosim.model.foreign.dae_builder import from_dae_builder
+    from cosim.model.foreign.from_casadi import from_user, is_system
+    from cosim.model.foreign.named_symbols import identifier
+
+    builder = _builder(path, function)
+    try:
+        built = builder()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise UsageError(f"{path}:{function} failed: {_described(error)}") from error
+    if isinstance(built, ca.DaeBuilder):
+        built = from_dae_builder(built)
+    elif is_system(built):
+        built = from_user(built, identifier(Path(path).stem))
+    if not isinstance(built, Dae):
+        raise UsageError(
+            f"{path}:{function} returned {type(built).__name__}; return what Model.freeze() "
+            "returns, a casadi.DaeBuilder, or what cosim.from_casadi takes"
+        )
+    if not (built.states or built.algebraics or built.output_variables or built.monitors):
+        raise UsageError(f"{path}:{function} built a model without a state or an output; add one")
+    return built
+
+
+def _builder(path: str, function: str) -> Callable[[], Any]:
+    if not Path(path).is_file():
+        raise UsageError(f"{path} is not a file; name one as PATH.py:FUNCTION")
+    spec = importlib.util.spec_from_file_location(f"_cosim_{Path(path).stem}", path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{path} is not a Python file; name one as PATH.py:FUNCTION")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look their annotations up
+    try:
+        spec.loader.exec_module(module)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise UsageError(f"{path} cannot be loaded: {_described(error)}") from error
+    builder = getattr(module, function, None)
+    if not callable(builder):
+        own = (n for n, v in vars(module).items() if getattr(v, "__module__", "") == spec.name)
+        raise UnknownName.among(path, "function", function, own)
+    found: Callable[[], Any] = builder
+    return found
+
+
+def _described(error: BaseException) -> str:
+    """Return an exception of a user's code in one line."""
+    return sentence(f"{type(error).__name__}: {error}").removesuffix(":")
+
 
 _OTHER_FILES = {
     ".py": "name the function that builds it, too, as PATH.py:FUNCTION",
+    ".ssp": "a system is taken by simulate and info",
     ".toml": "a scene is taken by simulate, export, crosscheck, tradeoff and plot",
     ".fmu": "an FMU is taken by simulate, crosscheck and plot",
 }
@@ -40,6 +118,9 @@ def load(name: str) -> Dae:
 
 
 def _saved_function(path: str) -> Dae:
+    from cosim.model.foreign.from_casadi import from_casadi
+    from cosim.model.foreign.named_symbols import identifier
+
     try:
         return from_casadi(path, name=identifier(Path(path).stem))
     except ParameterError as error:  # the file holds no start values
@@ -86,3 +167,48 @@ def _unknown_model(name: str) -> UnknownName | UsageError:
         return UnknownName.among(model, "formulation", formulation, own)
     near = UnknownName.among("the catalogue", "model", model, models)
     return UnknownName(f"{near} (all: cosim list)")
+
+
+FILE = Path(__file__).with_name("catalogue.json")
+
+
+def summary() -> list[dict[str, Any]]:
+    """Return a row for each model and formulation: its size and its description.
+
+    The rows are recorded; a formulation that is not is built.
+    """
+    recorded = json.loads(FILE.read_text(encoding="utf-8"))
+    return [{"model": name, **(recorded.get(name) or facts_of(name))} for name in CATALOG]
+
+
+def models() -> Table:
+    """Return every model and formulation, the first formulation of a model being its default.
+
+    Example:
+        >>> models()[0]["model"], len(models())
+        ('crank_shaft/driven', 13)
+    """
+    return Table(tuple(summary()))
+
+
+def facts_of(name: str) -> dict[str, Any]:
+    """Return the row of a formulation from its model."""
+    dae = load(name)
+    return {
+        "states": len(dae.states),
+        "algebraics": len(dae.algebraics),
+        "parameters": len(dae.parameters),
+        "outputs": len(dae.output_variables),
+        "description": dae.description,
+    }
+
+
+def record(tell: Callable[[str], None] = print) -> None:
+    """Write the rows of all formulations: `python -m cosim.model.catalogue`."""
+    rows = {name: facts_of(name) for name in CATALOG}
+    FILE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    tell(f"{FILE}: {len(rows)} formulations")
+
+
+if __name__ == "__main__":
+    record()

@@ -1,9 +1,9 @@
-"""What users give for inputs: numbers, texts, samples, functions and formulas of time."""
+"""Inputs of a run from numbers, texts with units, samples, functions or formulas of time."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import count
 from numbers import Real
 from typing import Any
 
@@ -11,26 +11,29 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from casadi_models.dae import Dae
-from casadi_models.dae.starts import refuse_disorder
+from casadi_models.dae import Dae, Variable
+from casadi_models.dae.starts import reject_disorder
+from casadi_models.dae.variables import is_name
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 from cosim.model.formula import expression
 from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
 
+_STEEP = 0.02  # share of a function's range within a sampling interval that may be a jump
+_TRIALS = 5  # bisections after which only a jump is still half as high
 Law = str | Callable[[Any], Any]
 
 
 @dataclass(frozen=True)
 class Driven:
-    """A model with its inputs settled.
+    """A model and the values of its inputs.
 
     Attributes:
-        dae: The model, laws of time in place of the inputs that follow one.
-        constants: Numbers of other inputs, SI.
-        series: Samples of the rest.
+        dae: The model; formulas replace the inputs that they define.
+        constants: Constant values of other inputs, and of the constants of formulas, by name, SI.
+        series: Samples of the remaining inputs.
     """
 
     dae: Dae
@@ -39,32 +42,34 @@ class Driven:
 
 
 def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
-    """Settle the inputs of a run.
+    """Convert the inputs of a run into equations, constants and samples.
 
-    A law is put into the equations where CasADi can take it, so that solvers follow it as exactly
-    as the states. One that needs numbers (with `if`, a table) is sampled at the output times.
+    A formula, or a function that CasADi can evaluate symbolically, becomes part of the equations,
+    so that solvers compute it as accurately as the states. A function that needs numbers (with
+    `if`, a table) is sampled at the output times.
 
     Args:
-        dae: The model.
         inputs: An `InputSeries`; or by name a number, a text with a unit, a formula of time,
-            states and parameters, a function of time, samples at the output times (n,), or an
-            `InputSeries` with that input.
+            states and parameters, such a formula with constants of its own, ("k*phi", {"k": 2.0}),
+            which become parameters of the model, a function of time, samples at the output times
+            (n,), or an `InputSeries` with that input.
         times: Returns the output times, s, (n,).
 
     Raises:
-        UnknownName: The model has no such input, or a formula an unknown name.
-        ParameterError, UsageError: A value is none of these.
+        UnknownName: The model has no such input, or a formula uses an unknown name.
+        ParameterError, UsageError: A value has none of these types.
     """
     if inputs is None or isinstance(inputs, InputSeries):
         return Driven(dae, {}, inputs)
-    if not isinstance(inputs, Mapping):
-        wanted = "what read_inputs returns, or values by name, e.g. {'steer_torque': 1.0}"
-        raise UsageError.of_type(f"{dae.full_name}: inputs", inputs, wanted)
     known = {variable.name: variable for variable in dae.inputs}
     constants, laws, pieces = dict[str, float](), list[tuple[str, Law]](), list[InputSeries]()
-    for name, value in inputs.items():
+    own = set[str]()
+    for name, value, numbers in _by_name(dae.full_name, inputs):
         if name not in known:
-            raise UnknownName.among(dae.full_name, "input", str(name), known)
+            raise UnknownName.among(dae.full_name, "input", name, known)
+        own |= numbers.keys()
+        if twice := {n for n, v in numbers.items() if constants.setdefault(n, v) != v}:
+            raise UsageError(f"{dae.full_name}: {min(twice)} has two values; give it one")
         if isinstance(value, str) and _is_quantity(value):
             constants[name] = quantity(name, value, known[name].unit)
         elif isinstance(value, Real):
@@ -76,17 +81,28 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
         else:
             pieces.append(_samples(dae.full_name, name, value, times()))
     if laws:
-        dae = with_laws(dae, tuple(laws))
+        dae = with_laws(dae, tuple(laws), tuple(sorted(own)))
     return Driven(dae, constants, _joined_series(pieces))
 
 
-def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
-    """Return the inputs of a run whose equations cannot be changed: an FMU's.
+def _by_name(owner: str, inputs: Any) -> Iterator[tuple[str, Any, Mapping[str, float]]]:
+    """Yield the name and the value of each input, and the constants of a formula."""
+    if not isinstance(inputs, Mapping):
+        expected = "what cosim.read_inputs returns, or values by name, e.g. {'u': 'sin(t)'}"
+        raise UsageError.of_type(f"{owner}: inputs", inputs, expected)
+    for name, given in inputs.items():
+        if isinstance(given, tuple) and [*map(type, given)] == [str, dict]:
+            yield str(name), *given
+        else:
+            yield str(name), given, {}
 
-    Formulas and functions of time are followed wherever the FMU is told a time.
+
+def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
+    """Return the inputs of an FMU, whose equations cannot be changed.
+
+    Formulas and functions of time are evaluated at every time that the FMU receives.
 
     Args:
-        owner: Who asks, for messages.
         inputs: An `InputSeries`; or by name a number, a formula or a function of time, samples at
             the output times (n,), or an `InputSeries` with that input.
         times: Output times, s, (n,).
@@ -96,49 +112,51 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
     """
     if inputs is None or isinstance(inputs, InputSeries):
         return inputs
-    if not isinstance(inputs, Mapping):
-        wanted = "what cosim.read_inputs returns, or values by name, e.g. {'u': 'sin(t)'}"
-        raise UsageError.of_type(f"{owner}: inputs", inputs, wanted)
     laws, pieces = dict[str, Callable[[Vector], Vector]](), list[InputSeries]()
     ends = times[[0, -1]] if len(times) > 1 else times[0] + np.array([0.0, 1.0])
-    for name, value in inputs.items():
+    for name, value, numbers in _by_name(owner, inputs):
         if isinstance(value, InputSeries):
             pieces.append(_column(name, value))
-            continue
-        law: Callable[[Any], Any] | None = value if callable(value) else None
-        if isinstance(value, str):
-            law = _function_of_time(f"{owner}: {name}", value)
         elif isinstance(value, Real):
-            law = partial(_constant, float(value))
-        if law is not None:
+            pieces.append(_samples(owner, name, [float(value)] * 2, ends))
+        elif isinstance(value, str) or callable(value):
+            formula = isinstance(value, str)
+            law = _function_of_time(f"{owner}: {name}", value, numbers) if formula else value
             laws[name] = _on_arrays(law)
-        pieces.append(_samples(owner, name, law or value, ends if law else times))
+            pieces.append(_samples(owner, name, law, ends))
+        else:
+            pieces.append(_samples(owner, name, value, times))
     joined = _joined_series(pieces)
-    return joined and FollowedInputs(joined.names, joined.time, joined.values, laws)
+    return joined and FollowedInputs(
+        joined.names, joined.time, joined.values, laws, spans=joined.spans
+    )
 
 
-def _function_of_time(owner: str, text: str) -> Callable[[float], float]:
+def _function_of_time(
+    owner: str, text: str, constants: Mapping[str, float]
+) -> Callable[[float], float]:
     time = SX.sym("time")
-    function = ca.Function("law", [time], [expression(owner, text, {"t": time, "time": time})])
+    symbols = {name: SX(value) for name, value in constants.items()} | {"t": time, "time": time}
+    function = ca.Function("law", [time], [expression(owner, text, symbols)])
     return lambda t: float(function(t))
-
-
-def _constant(value: float, _time: float) -> float:
-    return value
 
 
 def _on_arrays(law: Callable[[Any], Any]) -> Callable[[Vector], Vector]:
     return lambda times: np.array([law(float(t)) for t in times], dtype=float)
 
 
-@kept_per_thread(16)
-def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...]) -> Dae:
-    """Return the model with formulas, or functions that CasADi can take, in place of inputs.
+@cached_per_thread(16)
+def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...], constants: tuple[str, ...] = ()) -> Dae:
+    """Return the model in which formulas, or functions for CasADi, replace inputs.
+
+    The names of constants in the formulas become parameters of the model.
 
     Raises:
-        UnknownName: There is no such input, or a formula has an unknown name.
-        ParameterError: It is no formula.
+        UnknownName: There is no such input, or a formula uses an unknown name.
+        ParameterError: A formula is malformed.
+        UsageError: The model has a variable with the name of a constant.
     """
+    dae = _with_parameters(dae, constants)
     known = [variable.name for variable in dae.inputs]
     rows = ca.vertsplit(dae.u) if known else []
     for name, law in laws:
@@ -153,15 +171,25 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...]) -> Dae:
     u = ca.vertcat(*(dae.u[i] for i in left)) if left else SX(0, 1)
     followed = dae.rewritten(lambda laws: ca.substitute(laws, [dae.u], [ca.vertcat(*rows)]))
     try:
-        refuse_disorder(followed.start_rules, dae.t, dae.x, u, dae.p)
+        reject_disorder(followed.start_rules, dae.t, dae.x, u, dae.p)
     except ValueError as error:
         names = ", ".join(name for name, _ in laws)
-        raise UsageError(f"{dae.full_name}: {names}: {error}; give it as numbers") from None
+        raise UsageError(f"{dae.full_name}: {names}: {error}; give samples instead") from None
     return replace(followed, u=u, inputs=tuple(dae.inputs[i] for i in left))
 
 
+def _with_parameters(dae: Dae, names: tuple[str, ...]) -> Dae:
+    known = {"t", "time", *(variable.name for variable in dae.variables)}
+    for name in names:
+        if name in known or not is_name(name):
+            raise UsageError(f"{dae.full_name}: '{name}' cannot name a constant; use another name")
+    more = (Variable(name, "1", "constant of a formula", 0.0) for name in names)
+    p = ca.vertcat(dae.p, *map(SX.sym, names))
+    return replace(dae, p=p, parameters=(*dae.parameters, *more)) if names else dae
+
+
 def names_of(dae: Dae) -> dict[str, SX]:
-    """Return what a formula may use of a model: time, states and parameters."""
+    """Return the symbols that a formula may use, by name: time, states and parameters."""
     symbols = {"t": dae.t, "time": dae.t}
     for column, variables in ((dae.x, dae.states), (dae.p, dae.parameters)):
         symbols |= {v.name: s for v, s in zip(variables, ca.vertsplit(column), strict=True)}
@@ -177,7 +205,7 @@ def _is_quantity(text: str) -> bool:
 
 
 def _is_symbolic(dae: Dae, law: Callable[[Any], Any], grid: Vector) -> bool:
-    """Tell whether CasADi can take a function: it gives an expression with the same numbers."""
+    """Return whether a function yields a CasADi expression with the same values."""
     try:
         found = _symbolic(dae, law)
         numbers = ca.Function("law", [dae.t], [found])
@@ -185,13 +213,13 @@ def _is_symbolic(dae: Dae, law: Callable[[Any], Any], grid: Vector) -> bool:
             np.isclose(float(numbers(t)), float(law(float(t))), rtol=1e-9, atol=1e-300)
             for t in (grid[0], grid[len(grid) // 2], grid[-1])
         )
-    except Exception:  # whatever a function for numbers makes of a symbol
+    except Exception:  # a function for numbers may raise anything on a symbol
         return False
 
 
 def _symbolic(dae: Dae, law: Callable[[Any], Any]) -> SX:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # of CasADi, on numpy's functions
+        warnings.simplefilter("ignore", FutureWarning)  # CasADi warns about numpy's functions
         return SX(law(dae.t))
 
 
@@ -209,7 +237,33 @@ def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
             f"{owner}: {name} has samples of shape {array.shape}; the run has "
             f"{len(grid)} output times; give as many, or an InputSeries"
         )
+    if callable(value):
+        grid, array = _with_jumps(value, grid, array)
     return InputSeries((name,), grid, array[:, None])
+
+
+def _with_jumps(
+    law: Callable[[float], Any], times: Vector, samples: Vector
+) -> tuple[Vector, Vector]:
+    """Return samples of a function with those on both sides of every jump between them."""
+    gaps = np.abs(np.diff(samples))
+    for k in np.flatnonzero(gaps > _STEEP * np.ptp(samples))[::-1].tolist():
+        (low, high), (before, after) = times[k : k + 2], samples[k : k + 2]
+        for trial in count():
+            middle = 0.5 * (low + high)
+            steep = abs(after - before) >= 0.5 * gaps[k]
+            if not low < middle < high or (trial > _TRIALS and not steep):
+                break
+            value = float(law(float(middle)))
+            if abs(value - before) > abs(after - value):
+                high, after = middle, value
+            else:
+                low, before = middle, value
+        if steep:
+            more = [before] if high == times[k + 1] else [before, after]
+            samples = np.insert(samples, k + 1, more)
+            times = np.insert(times, k + 1, [high] * len(more))
+    return times, samples
 
 
 def _column(name: str, series: InputSeries) -> InputSeries:
@@ -223,7 +277,7 @@ def _column(name: str, series: InputSeries) -> InputSeries:
 
 
 def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
-    """Return one series at the times of all; between their samples each stays a straight line."""
+    """Return one series at the times of all series, each interpolated linearly."""
     if len(pieces) < 2:
         return pieces[0] if pieces else None
     time = np.unique(np.concatenate([piece.time for piece in pieces]))
@@ -231,4 +285,5 @@ def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
     time = np.sort(np.concatenate((time, jumps)))
     second = np.diff(time, prepend=-np.inf) == 0
     values = np.concatenate([np.where(second, p.at(time), p.before(time)) for p in pieces]).T
-    return InputSeries(tuple(name for piece in pieces for name in piece.names), time, values)
+    spans = {n: (p.time[0], p.time[-1]) for p in pieces for n in p.names}
+    return InputSeries(tuple(spans), time, values, spans=spans)

@@ -1,9 +1,10 @@
-"""Formulas as people type them, `10*sin(2*pi*t)` or `abs(phi) > 45deg`, to CasADi expressions."""
+"""Parser of formulas such as `10*sin(2*pi*t)` or `abs(phi) > 45deg` to CasADi expressions."""
 
 import ast
 import operator
 import re
 from collections.abc import Callable, Mapping
+from functools import reduce
 from math import e, pi
 from typing import Any
 
@@ -44,11 +45,6 @@ def expression(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
 
     Numbers may carry a unit without a blank, `45deg`; `^` is a power; `where(t > 1, 2, 0)` chooses.
 
-    Args:
-        owner: Who asks, for messages.
-        text: The formula.
-        symbols: What may stand in it, by name.
-
     Raises:
         ParameterError: It is no formula of numbers, names and known functions.
         UnknownName: A name in it does not exist.
@@ -79,7 +75,7 @@ def _parsed(owner: str, text: str) -> ast.expr:
 
 
 def _in_si(match: re.Match[str]) -> str:
-    """Return a number with a unit as a product; the longest text that is a unit counts."""
+    """Return a number with a unit as a product; the longest matching unit is taken."""
     number, unit = match[1], match[2]
     for end in range(len(unit), 0, -1):
         found = parse_unit(unit[:end])
@@ -127,10 +123,10 @@ class _Reader:
                         gaps.append(low - high)
                     else:
                         raise self.refusal(node)
-                return _folded(ca.fmin, gaps)
+                return reduce(ca.fmin, gaps)
             case ast.BoolOp(op=op, values=parts):
                 both = isinstance(op, ast.And)
-                return _folded(ca.fmin if both else ca.fmax, [self.margin(part) for part in parts])
+                return reduce(ca.fmin if both else ca.fmax, map(self.margin, parts))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return -self.margin(operand)
         raise ParameterError(
@@ -162,10 +158,3 @@ class _Reader:
             f"{self.owner}: '{ast.unparse(node)}' in '{self.text}' is not understood; use numbers, "
             f"names, + - * / ^ and {', '.join(_FUNCTIONS)}"
         )
-
-
-def _folded(function: Callable[[Any, Any], Any], parts: list[Any]) -> Any:
-    result = parts[0]
-    for part in parts[1:]:
-        result = function(result, part)
-    return result

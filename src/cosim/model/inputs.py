@@ -31,6 +31,7 @@ class InputSeries:
         names: The inputs.
         time: Sample times that do not fall, s, (m,), m > 1.
         values: One column per input, (m, len(names)).
+        spans: First and last sample time, s, of inputs whose samples cover a part only.
 
     Raises:
         ParameterError: The shapes do not fit, a name occurs twice, a time three times, a time is
@@ -47,6 +48,7 @@ class InputSeries:
     names: tuple[str, ...]
     time: Vector
     values: Vector
+    spans: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         time, values = (np.array(a, dtype=float) for a in (self.time, self.values))
@@ -89,6 +91,24 @@ class InputSeries:
             rows[:, here] = self.values[np.searchsorted(self.time, np.asarray(times)[here])].T
         return rows
 
+    def gaps(self, begin: float, end: float) -> str:
+        """Describe which inputs have no samples in a part of a run; an empty text if none."""
+        slack = _SAME_TIME * max(abs(begin), abs(end))
+        found = list[str]()
+        for name in self.names:
+            first, last = self.spans.get(name, (self.time[0], self.time[-1]))
+            if first > begin + slack or last < end - slack:
+                found.append(f"{name} has samples from {first:g} to {last:g} s")
+        return f"{', '.join(found)}, and is constant before and after them" if found else ""
+
+    def slopes(self, time: float) -> Vector:
+        """Return the time derivatives just after a time, (len(names),)."""
+        k = int(np.searchsorted(self.time, time, side="right"))
+        if not 0 < k < len(self.time):
+            return np.zeros(len(self.names))
+        found: Vector = (self.values[k] - self.values[k - 1]) / (self.time[k] - self.time[k - 1])
+        return found
+
     def around(self, time: float) -> "InputSeries":
         """Return the part between two jumps in which a time lies; outside, it rests.
 
@@ -130,12 +150,13 @@ class InputSeries:
         """Return the series of those inputs that are named; None when none of them is."""
         left = [i for i, name in enumerate(self.names) if name in names]
         kept = tuple(self.names[i] for i in left)
-        return InputSeries(kept, self.time, self.values[:, left]) if left else None
+        values = self.values[:, left]
+        return InputSeries(kept, self.time, values, spans=self.spans) if left else None
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedInputs(InputSeries):
-    """Inputs of which some follow functions of time instead of their samples.
+    """Input series in which functions of time replace the samples of some inputs.
 
     Attributes:
         laws: Functions by name, times (n,) to values (n,).
@@ -151,14 +172,13 @@ class FollowedInputs(InputSeries):
 
 
 def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSeries:
-    """Read a time series of some of a model's inputs from a CSV file.
+    r"""Read a time series of some of a model's inputs from a CSV file.
 
     The first line names the columns: `time`, then inputs. Numbers are in SI units, with a decimal
     point, and columns are separated by commas. A byte order mark and CRLF are tolerated. Two lines
     with the same time are a jump.
 
     Args:
-        path: The file.
         dae: The model whose inputs the columns are; for those of an FMU, None.
 
     Raises:
@@ -169,7 +189,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
 
     Example:
         >>> from pathlib import Path
-        >>> _ = Path("torque.csv").write_text("time,steer_torque\\n0,0\\n1,2\\n")
+        >>> _ = Path("torque.csv").write_text("time,steer_torque\n0,0\n1,2\n")
         >>> read_inputs("torque.csv").names
         ('steer_torque',)
     """
@@ -193,7 +213,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
 
 
 def _disorder(times: Vector) -> tuple[int, str] | None:
-    """Return the position of the first time that is out of order, and what is wrong with it."""
+    """Return the position of the first time that is out of order, and the problem."""
     falls, thrice = np.zeros((2, len(times)), dtype=bool)
     falls[1:] = times[1:] < times[:-1]
     thrice[2:] = times[2:] == times[:-2]

@@ -1,4 +1,4 @@
-"""Numbers for many variants of one model at once: checked as one by one, refused row by row."""
+"""Values of many variants of one model: checked like single values, rejected row by row."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae, Start
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Vector
 from cosim.errors import CosimError, ParameterError, UsageError
-from cosim.model.start_outputs import refuse_twice, solved_starts
+from cosim.model.start_outputs import reject_twice, solved_starts
 from cosim.model.values import assign, inertias, settable, unphysical
 
 
 @dataclass(frozen=True)
 class ManyValues:
-    """Numbers of every run for every state (guesses included), parameter and input.
+    """Values of every run for each state (initial guesses included), parameter and input.
 
     Attributes:
         given: What the user gave, by name, (runs,).
@@ -35,7 +35,7 @@ class ManyValues:
 
 
 def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, Vector]:
-    """Return arrays of one length; a single number stands for all runs.
+    """Return arrays of equal length; a single number applies to all runs.
 
     Raises:
         ParameterError: Something is no column of numbers, or the lengths differ.
@@ -68,7 +68,7 @@ def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, V
 
 
 def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> ManyValues:
-    """Put arrays of numbers in place of the model's start values, parameters and inputs.
+    """Replace the model's start values, parameters and inputs by arrays of values.
 
     A value that is impossible refuses its run alone, in the words of `assign`.
 
@@ -87,7 +87,7 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
     kinds = ((dae.states, base.x), (dae.parameters, base.p), (dae.inputs, base.u))
     places = {v.name: (rows, i) for group, rows in kinds for i, v in enumerate(group)}
     through = {way.variable.name for way in dae.start_outputs}
-    refuse_twice(dae, given)
+    reject_twice(dae, given)
     for name, column in given.items():
         calculated = name in known and known[name].start_kind is Start.CALCULATED
         if name not in known or (calculated and name not in through):
@@ -100,17 +100,11 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
             table[id(rows)][:, place] = column
     x, p, u = (table[id(rows)] for rows in (base.x, base.p, base.u))
     x, solved = solved_starts(dae, given, x, p)
-    bad |= _unphysical(dae, given, p) | ~solved
+    bad |= ~solved
+    if dae.inertias and any(v.name in given for v in dae.parameters):
+        bad |= unphysical(inertias(dae, p))
     refused = {int(i): _reason(dae, given, int(i)) for i in np.flatnonzero(bad)}
     return ManyValues(given, x, p, u, refused)
-
-
-def _unphysical(dae: Dae, given: Mapping[str, Vector], p: Vector) -> Truths:
-    """Tell which runs have an inertia that no body has; only what is given can have made it."""
-    names = {v.name for v in dae.parameters} & set(given)
-    if not names or not dae.inertias:
-        return np.zeros(len(p), dtype=bool)
-    return unphysical(inertias(dae, p))
 
 
 def _reason(dae: Dae, given: Mapping[str, Vector], run: int) -> str:

@@ -1,64 +1,35 @@
-"""`60deg`, `9.81 m/s^2`, `0.5 N*m`: a number and a unit as people write them, to a plain number."""
+"""Parser of quantities such as `60deg`, `9.81 m/s^2` or `0.5 N*m` to SI numbers."""
 
 import re
+import tomllib
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from math import pi
+from pathlib import Path
 
-from casadi_models.units import FOOT, INCH, PARTS, POUND, UNITS, Unit
+from casadi_models.units import PARTS, UNITS, Unit
 from cosim.errors import ParameterError
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 _FACTOR = re.compile(r"([A-Za-z\u00b0\u03a9\u00b5%]+|1)(?:(?:\^|\*\*)?([-+]?\d+))?")
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
-_MASS_POUND, _MILE = 0.45359237, 5280 * FOOT  # kg, m; exact
 
 
-def _unit(factor: float = 1.0, **base: int) -> Unit:
-    return Unit(factor, tuple(base.items()))
+def _more_units() -> Mapping[str, Unit]:
+    """Return the units beside those of the models, by name."""
+    table = tomllib.loads(Path(__file__).with_name("units.toml").read_text(encoding="utf-8"))
+    aliases = {name: UNITS[known] for name, known in table["aliases"].items()}
+    units = {name: Unit(u.pop("factor"), tuple(u.items())) for name, u in table["units"].items()}
+    return aliases | units
 
 
-# Besides the units that models are written in; what electrical people bring along, too.
-MORE: Mapping[str, Unit] = {
-    "us": _unit(1e-6, s=1),
-    "RPM": UNITS["rpm"],
-    "\u00b0": UNITS["deg"],
-    "degree": UNITS["deg"],
-    "degrees": UNITS["deg"],
-    "mrad": _unit(1e-3, rad=1),
-    "yd": _unit(3 * FOOT, m=1),
-    "mi": _unit(_MILE, m=1),
-    "mph": _unit(_MILE / 3600, m=1, s=-1),
-    "kph": UNITS["km/h"],
-    "l": _unit(1e-3, m=3),
-    "lbm": _unit(_MASS_POUND, kg=1),
-    "lb": UNITS["lbf"],  # as the book; a mass where only a mass fits
-    "mN": _unit(1e-3, kg=1, m=1, s=-2),
-    "kN": _unit(1e3, kg=1, m=1, s=-2),
-    "kJ": _unit(1e3, kg=1, m=2, s=-2),
-    "kW": _unit(1e3, kg=1, m=2, s=-3),
-    "kPa": _unit(1e3, kg=1, m=-1, s=-2),
-    "MPa": _unit(1e6, kg=1, m=-1, s=-2),
-    "bar": _unit(1e5, kg=1, m=-1, s=-2),
-    "psi": _unit(POUND / INCH**2, kg=1, m=-1, s=-2),
-    "mA": _unit(1e-3, A=1),
-    "mV": _unit(1e-3, kg=1, m=2, s=-3, A=-1),
-    "\u03a9": _unit(kg=1, m=2, s=-3, A=-2),
-    "mH": _unit(1e-3, kg=1, m=2, s=-2, A=-2),
-    "turn": _unit(2 * pi, rad=1),
-}
+MORE = _more_units()
 
 
 def quantity(name: str, text: str, unit: str) -> float:
     """Read `VALUE[UNIT]` as a number in a variable's own unit.
 
     The unit may be a product of powers: `N*m`, `N.m`, `ft-lb`, `m/s^2`, `kg m2`.
-
-    Args:
-        name: The variable, for messages.
-        text: What the user wrote.
-        unit: The variable's unit.
 
     Raises:
         ParameterError: It is not a number, or its unit does not fit.
@@ -79,19 +50,19 @@ def quantity(name: str, text: str, unit: str) -> float:
         raise ParameterError(f"{name} = {text}: write a decimal point, and no other comma")
     if not written:
         return value
-    wanted = parse_unit(unit)
-    if wanted is None:  # of somebody's own
+    target = parse_unit(unit)
+    if target is None:  # not in the table
         raise ParameterError(f"{name} = {text}: give a number in {unit}, without a unit")
-    source = parse_unit(written, like=wanted)
+    source = parse_unit(written, like=target)
     if source is None:
-        fitting = ", ".join(known for known, one in UNITS.items() if one.measures_like(wanted))
+        fitting = ", ".join(known for known, one in UNITS.items() if one.measures_like(target))
         raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
-    if not source.measures_like(wanted):
+    if not source.measures_like(target):
         raise ParameterError(
             f"{name} = {text}: '{written}' cannot be converted to '{unit}': not the same kind of "
             "unit"
         )
-    return value if source.factor == wanted.factor else value * source.factor / wanted.factor
+    return value if source.factor == target.factor else value * source.factor / target.factor
 
 
 @lru_cache(1024)
@@ -117,7 +88,7 @@ def _known(name: str) -> Unit | None:
 
 
 def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
-    """Return a product of powers; after a `/` everything divides, as FMI and people write it."""
+    """Return a product of powers; all factors after a `/` divide, as in FMI."""
     factor, base, sign = 1.0, dict[str, int](), 1
     position, text = 0, text.strip()
     expected = True

@@ -1,4 +1,4 @@
-"""Start values given through an output: a bicycle's `speed` instead of its wheel's rate."""
+"""Start values set through an output, e.g. a bicycle's `speed` instead of its wheel rate."""
 
 from collections.abc import Collection, Mapping
 
@@ -10,13 +10,13 @@ from casadi_models.dae import Dae
 from casadi_models.dae.starts import StartThrough
 from cosim.arrays import Truths, Vector
 from cosim.errors import UsageError
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 
 _LARGEST_RESIDUAL = 1e-9  # relative to the size of what is solved for
 
 
-def refuse_twice(dae: Dae, given: Collection[str]) -> None:
-    """Refuse an output and the state whose start it gives, both at once.
+def reject_twice(dae: Dae, given: Collection[str]) -> None:
+    """Reject values for both an output and the state whose start value it determines.
 
     Raises:
         UsageError: Both are given, or two outputs that give the same start.
@@ -34,7 +34,7 @@ def refuse_twice(dae: Dae, given: Collection[str]) -> None:
 
 
 def overriding(dae: Dae, old: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
-    """Return numbers by name where new ones replace old ones of the same start."""
+    """Return merged values by name; new ones replace old ones of the same start value."""
     pairs = [(way.variable.name, dae.states[way.state].name) for way in dae.start_outputs]
     gone = {state for output, state in pairs if output in new}
     gone |= {output for output, state in pairs if state in new}
@@ -45,10 +45,9 @@ def overriding(dae: Dae, old: Mapping[str, float], new: Mapping[str, float]) -> 
 def solved_starts(
     dae: Dae, given: Mapping[str, Vector], x: Vector, p: Vector
 ) -> tuple[Vector, Truths]:
-    """Solve for the starts that outputs give.
+    """Solve for the start values that outputs determine.
 
     Args:
-        dae: The model.
         given: Of each run, (runs,), by name; other names than `Dae.start_outputs` do not count.
         x: Starts and guesses, (runs, nx).
         p: Parameters, (runs, np).
@@ -77,13 +76,13 @@ def _ways(dae: Dae, given: Collection[str]) -> list[StartThrough]:
 
 
 def _unknowns(dae: Dae, ways: Collection[StartThrough]) -> list[int]:
-    """Return the positions in x of what is solved for: those starts, and what follows of them."""
+    """Return the positions in x of the states that are solved for, with those that follow."""
     return [*(way.state for way in ways), *(i for rule in dae.start_rules for i in rule.states)]
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def _functions(dae: Dae, names: tuple[str, ...], runs: int) -> tuple[ca.Function, ca.Function]:
-    """Return the root and the residual of all laws of the start together, a column per run."""
+    """Return root and residual of all start equations together, one column for each run."""
     ways = _ways(dae, names)
     rows = _unknowns(dae, ways)
     unknown, targets = SX.sym("unknown", len(rows)), SX.sym("targets", len(ways))

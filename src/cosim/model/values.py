@@ -1,4 +1,4 @@
-"""Numbers that users give: checked against what the model says of each variable."""
+"""Users' values by name, checked against the model's variables and bounds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,16 +13,18 @@ import numpy as np
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
-from cosim.memo import kept_per_thread
-from cosim.model.start_outputs import refuse_twice, solved_starts
-from cosim.text.lists import shortened
+from cosim.memo import cached_per_thread
+from cosim.model.start_outputs import reject_twice, solved_starts
+from cosim.text import shortened
 
+_SMALL = 1e-3  # smaller initial values are their own nominal values
+_ROUNDING = 1e-14  # of the largest initial value, which the smallest ones may be
 A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
 
 @dataclass(frozen=True)
 class Values:
-    """Numbers for every state (guesses included), parameter and input, in the DAE's order."""
+    """Values of every state (initial guesses included), parameter and input, in the DAE's order."""
 
     x: Vector
     p: Vector
@@ -36,7 +38,7 @@ def numbers_of(dae: Dae, values: Values) -> dict[str, float]:
 
 
 def number(owner: str, name: str, value: Any, *, positive: bool = False) -> float:
-    """Return a finite real number, or say whose number it should have been.
+    """Return a finite real number; the error names the variable.
 
     Raises:
         ParameterError: The value is no finite real number, or not positive where it must be.
@@ -70,7 +72,7 @@ def listed(call: str, names: Any) -> tuple[str, ...]:
 
 
 def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
-    """Put a user's numbers in place of the model's start values, parameters and inputs.
+    """Replace the model's start values, parameters and inputs by a user's values.
 
     Raises:
         UnknownName: A name is no state, parameter or input of the model.
@@ -94,7 +96,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     nx, np_ = len(dae.states), len(dae.parameters)
     x, p, u = numbers[:nx], numbers[nx : nx + np_], numbers[nx + np_ :]
     if given:
-        refuse_twice(dae, given)
+        reject_twice(dae, given)
     _check_inertias(dae, p.tobytes())
     if not given:
         return Values(x, p, u)
@@ -105,7 +107,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     return Values(starts[0], p, u)
 
 
-@kept_per_thread(64)
+@cached_per_thread(64)
 def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int | None, Variable]]]:
     """Return the model's own numbers of states, parameters and inputs, and where each one is.
 
@@ -120,7 +122,7 @@ def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int | None, Variable]]]:
 
 
 def plain_values(dae: Dae, given: Mapping[str, float]) -> dict[str, float]:
-    """Return numbers of states, parameters and inputs alone: outputs become the starts they give.
+    """Return values of states, parameters and inputs; outputs are replaced by start values.
 
     Raises:
         CosimError: See `assign`.
@@ -160,7 +162,7 @@ def checked(dae: Dae, variable: Variable, value: Any) -> float:
 
 
 def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
-    """Say from what a start value follows: one sets that instead."""
+    """Name the variables from which a start value follows, to set instead."""
     row = dae.states.index(variable)
     rule = next(rule for rule in dae.start_rules if row in rule.states)
     used = {symbol.name() for symbol in ca.symvar(rule.expression)}
@@ -176,11 +178,12 @@ def _calculated(dae: Dae, variable: Variable) -> InitialConditionError:
 def _no_such_start(dae: Dae, given: Mapping[str, float]) -> InitialConditionError:
     ways = [way for way in dae.start_outputs if way.variable.name in given]
     states = ", ".join(dae.states[way.state].name for way in ways)
-    told = ", ".join(
+    through = ", ".join(
         f"{v.name} = {given[v.name]:g} {v.unit}" for v in (way.variable for way in ways)
     )
     return InitialConditionError(
-        f"{dae.full_name}: no start of {states} was found that gives {told}; give {states} itself"
+        f"{dae.full_name}: no start of {states} was found that gives {through}; "
+        f"set {states} directly"
     )
 
 
@@ -194,7 +197,7 @@ def _unknown_name(dae: Dae, name: str, known: Mapping[str, Variable]) -> Unknown
 
 
 def settable(dae: Dae) -> dict[str, Variable]:
-    """Return what can be given a number, by name: states, parameters, inputs.
+    """Return the variables whose values can be set, by name: states, parameters, inputs.
 
     And the outputs by which starts may be given.
     """
@@ -202,7 +205,7 @@ def settable(dae: Dae) -> dict[str, Variable]:
     return {v.name: v for v in (*dae.states, *dae.parameters, *dae.inputs, *through)}
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def _inertia_function(dae: Dae, variants: int) -> ca.Function:
     matrices = ca.horzcat(*(ca.vec(matrix) for _, matrix in dae.inertias))
     function = ca.Function("inertias", [dae.p], [ca.densify(matrices)])
@@ -216,7 +219,7 @@ def inertias(dae: Dae, p: Vector) -> Vector:
 
 
 def unphysical(matrices: Vector) -> Truths:
-    """Tell of each variant, (variants, bodies, 3, 3), whether a body is none: (variants,).
+    """Return for each variant, (variants, bodies, 3, 3), whether one is impossible: (variants,).
 
     That is one whose moments are negative, or where one exceeds the sum of the others.
     """
@@ -230,9 +233,23 @@ def unphysical(matrices: Vector) -> Truths:
     return result
 
 
-@kept_per_thread(64)
+def own_sizes(dae: Dae, x0: Vector) -> Vector:
+    """Return the nominal values of states, (..., nx), from their initial values of that shape.
+
+    They are those of the model; a small initial value is its own one where the model sets none,
+    unless it is so small that it may be a rounding error of another one.
+    """
+    exact = (v.nominal == 1 and v.start_kind is Start.EXACT for v in dae.states)
+    free = np.fromiter(exact, dtype=bool)
+    size = np.abs(x0)
+    rounding = _ROUNDING * size.max(axis=-1, keepdims=True, initial=0.0)
+    declared = np.array([v.nominal for v in dae.states])
+    return np.where(free & (rounding < size) & (size < _SMALL), size, declared)
+
+
+@cached_per_thread(64)
 def _check_inertias(dae: Dae, numbers: bytes) -> None:
-    """Refuse inertias that no body has: negative moments, or one above the sum of the others."""
+    """Reject impossible inertias: negative moments, or one above the sum of the others."""
     if not dae.inertias:
         return
     blocks = inertias(dae, np.frombuffer(numbers)[None])

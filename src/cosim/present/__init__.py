@@ -1,1 +1,1 @@
-"""Pictures of runs and studies: figures, playback, reports."""
+"""Presentation of runs and studies: figures, playback, reports."""

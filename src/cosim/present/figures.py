@@ -1,6 +1,8 @@
-"""The figures that a scene asks for, of one run or of two with their difference."""
+"""Figures of runs: all variables, those of a scene, two runs with their difference, an overlay."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
+from math import ceil
 from textwrap import fill
 from typing import Any
 
@@ -10,24 +12,175 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from cosim.arrays import Vector
+from cosim.colors import CURVES, INVALID, SECOND
 from cosim.errors import UsageError
-from cosim.plotting import (
-    COLOURS,
-    INVALID,
-    LINES,
-    STYLE,
-    Picture,
-    invalid_text,
-    keep_constant_flat,
-    shade_invalid,
-)
+from cosim.plotting import LINES, STYLE, Picture, invalid_text, keep_constant_flat, shade_invalid
 from cosim.scene.scene import FigureSpec
-from cosim.trajectory import Trajectory
-from cosim.verify.comparison import refuse_other_times
+from cosim.trajectory import Column, Trajectory
+from cosim.verify.comparison import reject_other_times
 
-_SECOND: Any = {"color": "black", "linewidth": 0.9, "linestyle": (0, (4, 4))}
-_WIDTH, _PAD = 6.4, 0.07  # inches
-VARIABLES_PER_FIGURE = 3  # where nobody says how to group them
+_WIDTH = 6.4  # inches
+
+
+def draw_panels(run: Trajectory) -> Figure:
+    """Draw the variables of a run over time in their display units, a panel each."""
+    across = min(3, len(run.names))
+    down = ceil(len(run.names) / across)
+    width = 4.2 * across
+    suffix = "" if run.complete else f" ({run.status})"
+    head = fill(f"{run.model}{suffix}", int(width * 11))
+    invalid_from, reasons = run.validity
+    caption = invalid_text(invalid_from, reasons, width)
+    lines = head.count("\n") + bool(caption) * (caption.count("\n") + 1)
+    with matplotlib.rc_context(STYLE):
+        figure = Picture(figsize=(width, 2.3 * down + 0.4 + 0.18 * lines), layout="constrained")
+        axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
+        for axis, column in zip(axes, run.columns, strict=False):
+            values = _displayed(run, column.name)
+            axis.plot(run.time, values, linewidth=1.2, color=CURVES[0])
+            axis.set_title(fill(column.meaning or column.name, 52), fontsize=9)
+            axis.set_ylabel(f"{column.name} [{column.shown_unit}]", fontsize=9)
+            axis.tick_params(labelbottom=True)
+            axis.margins(x=0)
+            keep_constant_flat(axis, values, _displayed_nominal(column))
+            shade_invalid(axis, run.time, invalid_from)
+    count = len(run.names)
+    for axis in axes[count:]:
+        axis.set_visible(False)
+    for axis in axes[max(0, count - across) : count]:
+        axis.set_xlabel("time [s]", fontsize=9)
+    figure.suptitle(head, fontsize=11)
+    if caption:
+        figure.supxlabel(caption, fontsize=8, color=INVALID)
+    return figure
+
+
+def shared_specs(
+    specs: Sequence[FigureSpec], runs: Sequence[Trajectory]
+) -> tuple[tuple[FigureSpec, ...], tuple[str, ...]]:
+    """Return the figures reduced to the variables of every run, and a note on what is left out.
+
+    Without figures, those of all common variables.
+
+    Raises:
+        UsageError: The runs have no variable in common.
+    """
+    common = set(runs[0].names).intersection(*(run.names for run in runs[1:]))
+    candidates = specs or figures_of([name for name in runs[0].names if name in common])
+    shared, gone = [], []
+    for spec in candidates:
+        if spec.x != "time" and spec.x not in common:
+            gone.append(f"figure '{spec.title}' (over {spec.x})")
+            continue
+        chosen = [[i for i, name in enumerate(panel) if name in common] for panel in spec.panels]
+        gone += [n for panel in spec.panels for n in panel if n not in common]
+        rows = [k for k, positions in enumerate(chosen) if positions]
+        if rows:
+            shared.append(
+                replace(
+                    spec,
+                    panels=tuple(tuple(spec.panels[k][i] for i in chosen[k]) for k in rows),
+                    labels=tuple(spec.labels[k] for k in rows) if spec.labels else (),
+                    legends=tuple(tuple(spec.legends[k][i] for i in chosen[k]) for k in rows)
+                    if spec.legends
+                    else (),
+                )
+            )
+    if not shared:
+        models = " and ".join(dict.fromkeys(run.model for run in runs))
+        raise UsageError(f"{models}: these runs have no variable in common that could be drawn")
+    names = ", ".join(dict.fromkeys(gone))
+    return tuple(shared), (f"not drawn, as not every run has it: {names}",) if gone else ()
+
+
+def draw_overlay(specs: Sequence[FigureSpec], runs: Sequence[Trajectory]) -> list[Figure]:
+    """Draw the curves of several runs over each other, in display units; see `shared_specs`.
+
+    Output times may differ. A variable without a unit, as in a file whose header has none, is in SI
+    units and gets those of the other runs.
+    """
+    labels = run_labels(runs)
+    known = {c.name: c for run in reversed(runs) for c in run.columns if c.unit != "1"}
+
+    def shared(own: Column) -> Column:
+        other = known.get(own.name, own)
+        return other if own.unit in ("1", other.unit) else own
+
+    runs = [replace(run, columns=tuple(map(shared, run.columns))) for run in runs]
+    with matplotlib.rc_context(STYLE):
+        return [_overlaid_figure(spec, runs, labels) for spec in specs]
+
+
+def run_labels(runs: Sequence[Trajectory]) -> list[str]:
+    """Return a label for each run: those of model, solver and values that differ between runs."""
+    facts = [
+        (r.model, str(r.stats.get("solver", "")), str(r.stats.get("variation", ""))) for r in runs
+    ]
+    columns = [column for column in zip(*facts, strict=True) if len(set(column)) > 1]
+    found = [", ".join(filter(None, row)) for row in zip(*columns, strict=True)] or [
+        run.model for run in runs
+    ]
+    return [
+        f"{label} ({i})" if found.count(label) > 1 else label for i, label in enumerate(found, 1)
+    ]
+
+
+def _overlaid_figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str]) -> Figure:
+    count = len(spec.panels)
+    height = 1.0 + (4.4 if spec.equal else 2.6 if count == 1 else 1.9) * count
+    figure = Picture(figsize=(_WIDTH, height), layout="constrained")
+    rows = [*figure.subplots(count, 1, squeeze=False, sharex=spec.x == "time").ravel()]
+    figure.suptitle(fill(spec.title, 70), fontsize=11)
+    for axis, panel in zip(rows, spec.panels, strict=True):
+        _overlaid_panel(axis, spec, panel, runs, labels)
+    _name_invalid(figure, rows if spec.x == "time" else [], runs, labels)
+    handles, names = rows[0].get_legend_handles_labels()
+    if len(spec.panels) > 1 and all(len(panel) == 1 for panel in spec.panels):
+        names = list(labels)
+    figure.legend(handles, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=8)
+    return figure
+
+
+def _overlaid_panel(
+    axis: Axes,
+    spec: FigureSpec,
+    panel: Sequence[str],
+    runs: Sequence[Trajectory],
+    labels: Sequence[str],
+) -> None:
+    several = len(panel) > 1
+    for i, name in enumerate(panel):
+        for k, (run, label) in enumerate(zip(runs, labels, strict=True)):
+            axis.plot(
+                _displayed(run, spec.x),
+                _displayed(run, name),
+                color=CURVES[(i if several else k) % len(CURVES)],
+                linestyle=LINES[k % len(LINES)],
+                linewidth=1.6 - 0.25 * min(k, 3),
+                label=f"{name}, {label}" if several else label,
+            )
+    axis.set_ylabel(fill(f"{', '.join(panel)} [{runs[0].column(panel[0]).shown_unit}]", 24))
+    unit = "s" if spec.x == "time" else runs[0].column(spec.x).shown_unit
+    axis.set_xlabel(f"{spec.x_label or spec.x} [{unit}]")
+    axis.label_outer()
+    _scale(axis, spec, panel, runs)
+
+
+def _scale(axis: Axes, spec: FigureSpec, panel: Sequence[str], runs: Sequence[Trajectory]) -> None:
+    """Give both axes the same scale if requested; keep constant curves flat otherwise."""
+    if spec.equal:
+        axis.set_aspect("equal", adjustable="datalim")
+        return
+    columns = [runs[0].column(name) for name in panel]
+    nominal = max(map(_displayed_nominal, columns))
+    drawn = np.concatenate([_displayed(run, name) for run in runs for name in panel])
+    keep_constant_flat(axis, drawn, nominal)
+
+
+_SECOND_RUN: Any = {"color": SECOND, "linewidth": 0.9, "linestyle": (0, (4, 4))}
+_PAD = 0.07  # inches
+VARIABLES_PER_FIGURE = 3  # in figures that no scene declares
 
 
 def draw_figures(
@@ -36,13 +189,13 @@ def draw_figures(
     """Draw a scene's figures in display units.
 
     Args:
-        specs: What stands in each figure.
-        run: Has every variable of the figures.
-        other: A second run, dashed over the first one; a panel below shows second minus first.
+        specs: The figures.
+        run: A run that has every variable of the figures.
+        other: A second run, drawn dashed; a panel below shows the second minus the first.
 
     Raises:
         UnknownName: A run lacks a variable.
-        UsageError: The two runs have other output times.
+        UsageError: The two runs have different output times.
 
     Example:
         >>> import cosim
@@ -56,13 +209,13 @@ def draw_figures(
     if isinstance(specs, FigureSpec | str) or not isinstance(specs, Collection):
         raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
     if other is not None:
-        refuse_other_times(run, other)
+        reject_other_times(run, other)
     with matplotlib.rc_context(STYLE):
         return [_figure(spec, run, other) for spec in specs]
 
 
 def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:
-    """Return figures of these variables, a few in each, a panel each."""
+    """Return figures of these variables: a panel each, three panels in a figure."""
     size = VARIABLES_PER_FIGURE
     groups = [names[i : i + size] for i in range(0, len(names), size)]
     return tuple(FigureSpec(", ".join(g), tuple((name,) for name in g)) for g in groups)
@@ -76,13 +229,16 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
     figure = Picture(
         figsize=(_WIDTH, height), layout=ConstrainedLayoutEngine(h_pad=_PAD, w_pad=_PAD)
     )
-    rows = [*figure.subplots(len(ratios), 1, squeeze=False, height_ratios=ratios).ravel()]
+    sharing = spec.x == "time"
+    grid = figure.subplots(len(ratios), 1, squeeze=False, sharex=sharing, height_ratios=ratios)
+    rows = [*grid.ravel()]
     figure.suptitle(fill(spec.title, 70), fontsize=11)
     mains = rows[::2] if below else rows
     for index, axis in enumerate(mains):
         _panel(axis, spec, index, run, other)
-    origin = "; dashed: ".join(_run_label(each) for each in (run, other) if each is not None)
-    mains[0].set_title(origin, fontsize=7, color="0.4", loc="right")
+    runs = [run] if other is None else [run, other]
+    labels = [_run_label(each) for each in runs]
+    mains[0].set_title("; dashed: ".join(labels), fontsize=7, color="0.4", loc="right")
     if other is not None:
         for index, axis in enumerate(rows[1::2]):
             names = spec.panels[index]
@@ -91,8 +247,11 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
                 names, legends = (spec.x, *names), (spec.x, *legends)
             _difference(axis, names, legends, run, other)
     if spec.x == "time":
-        _share_time(rows)
-    _name_invalid(figure, rows if spec.x == "time" else [], run, other)
+        rows[-1].set_xlabel("time [s]")
+        for axis in rows:
+            axis.margins(x=0)
+            axis.label_outer()
+    _name_invalid(figure, rows if spec.x == "time" else [], runs, labels)
     figure.align_ylabels(rows)
     return figure
 
@@ -105,15 +264,14 @@ def _panel(
     meanings = [f"{column.name}: {column.meaning or column.name}" for column in columns]
     legends = spec.legends[index] if spec.legends else meanings
     for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
-        colour = COLOURS[i % len(COLOURS)]
-        line = LINES[i % len(LINES)]
+        color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
         over, values = _displayed(run, spec.x), _displayed(run, column.name)
-        axis.plot(over, values, color=colour, linestyle=line, label=legend)
+        axis.plot(over, values, color=color, linestyle=line, label=legend)
         bad = run.time >= run.validity[0]
         if spec.x != "time" and bad.any():
             axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
         if other is not None:
-            axis.plot(_displayed(other, spec.x), _displayed(other, column.name), **_SECOND)
+            axis.plot(_displayed(other, spec.x), _displayed(other, column.name), **_SECOND_RUN)
     label = spec.labels[index] if spec.labels else ", ".join(names)
     axis.set_ylabel(
         _beside(label, columns[0].shown_unit, 34 if spec.equal or len(spec.panels) == 1 else 19)
@@ -122,12 +280,7 @@ def _panel(
         axis.legend()
     if spec.x != "time":
         axis.set_xlabel(f"{spec.x_label or spec.x} [{run.column(spec.x).shown_unit}]")
-    if spec.equal:
-        axis.set_aspect("equal", adjustable="datalim")
-    else:
-        drawn = np.column_stack([_displayed(run, name) for name in names])
-        nominal = max(float(c.shown(np.array([c.nominal]))[0]) for c in columns)
-        keep_constant_flat(axis, drawn, nominal)
+    _scale(axis, spec, names, [run])
 
 
 def _difference(
@@ -136,9 +289,8 @@ def _difference(
     zero = True
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
         gap = _displayed(other, name) - _displayed(run, name)
-        line = LINES[i % len(LINES)]
-        colour = COLOURS[i % len(COLOURS)]
-        axis.plot(run.time, gap, color=colour, linestyle=line, linewidth=0.9, label=legend)
+        color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
+        axis.plot(run.time, gap, color=color, linestyle=line, linewidth=0.9, label=legend)
         zero = zero and not gap.any()
     axis.set_ylabel(_beside("difference", run.column(names[0]).shown_unit, 16))
     if zero:
@@ -154,41 +306,33 @@ def _difference(
 
 
 def _name_invalid(
-    figure: Figure, rows: Sequence[Axes], run: Trajectory, other: Trajectory | None
+    figure: Figure, rows: Sequence[Axes], runs: Sequence[Trajectory], labels: Sequence[str]
 ) -> None:
-    """Shade the spans in which the runs are outside their models, and say why."""
-    told = []
-    for each in (run, other) if other is not None else (run,):
-        assert each is not None
-        start, reasons = each.validity
+    """Shade the spans in which the runs are outside their validity ranges, and say why."""
+    captions = []
+    for run, label in zip(runs, labels, strict=True):
+        start, reasons = run.validity
         for axis in rows:
-            shade_invalid(axis, each.time, start)
+            shade_invalid(axis, run.time, start)
         if text := invalid_text(start, reasons, _WIDTH):
-            told.append(f"{_run_label(each)}, {text}" if other is not None else text)
-    if told:
-        lines = (fill(text, 95, max_lines=4, placeholder=" ...") for text in told)
-        figure.supxlabel("\n".join(lines), fontsize=7, color=INVALID)
+            text = f"{label}, {text}" if len(runs) > 1 else text
+            captions.append(fill(text, 95, max_lines=4, placeholder=" ..."))
+    if captions:
+        figure.supxlabel("\n".join(captions), fontsize=7, color=INVALID)
 
 
-def _beside(label: str, unit: str, room: int) -> str:
-    """Return the text of a vertical axis, in lines of so many letters that it keeps its panel."""
+def _beside(label: str, unit: str, letters: int) -> str:
+    """Return the label of a vertical axis, in lines of at most so many letters."""
     text = f"{label} [{unit}]"
-    return text if len(text) <= room else f"{fill(label, room)}\n[{unit}]"
+    return text if len(text) <= letters else f"{fill(label, letters)}\n[{unit}]"
 
 
-def _share_time(rows: Sequence[Axes]) -> None:
-    """Let all panels show the same span; the lowest one carries its numbers."""
-    for axis in rows:
-        if axis is not rows[0]:
-            axis.sharex(rows[0])
-        axis.margins(x=0)
-        axis.set_xlabel("")
-        axis.tick_params(labelbottom=axis is rows[-1])
-    rows[-1].set_xlabel("time [s]")
-
-
-def _displayed(run: Trajectory, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _displayed(run: Trajectory, name: str) -> Vector:
     return run.time if name == "time" else run.column(name).shown(run[name])
+
+
+def _displayed_nominal(column: Column) -> float:
+    return float(column.shown(np.array(column.nominal)))
 
 
 def _run_label(run: Trajectory) -> str:

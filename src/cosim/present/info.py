@@ -1,4 +1,4 @@
-"""What a model, a scene or an FMU is: its variables with numbers at the start, its size."""
+"""Info: facts about a model, a scene or an FMU, and its variables with their start values."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -12,17 +12,17 @@ from cosim.arrays import Vector
 from cosim.errors import InitialConditionError
 from cosim.fmi.archive import entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
-from cosim.integrate.diagnosis.inspection import inspect_start
-from cosim.integrate.initial_values import algebraic_values, start_values
+from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.validity import inspect_start
 from cosim.model.catalogue import load
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
-from cosim.text.tables import MOST_LINES, html_table, text_table
+from cosim.text import MOST_LINES, html_table, text_table
 
 _TITLES = {
-    "conditions": "conditions: calculated where --outputs names them",
-    "limits": "limits: a run is valid while a margin is positive",
+    "conditions": "conditions: calculated if --outputs names them",
+    "limits": "validity conditions: a run is valid while every margin is positive",
 }
 _VARIABLE_COLUMNS = ("name", "unit", "shown in", "start", "bounds", "meaning")
 
@@ -33,9 +33,9 @@ class Info:
 
     Attributes:
         facts: Name, description, source, span, size.
-        tables: Rows by kind of variable, with real numbers: start, minimum, maximum, nominal;
-            None where there is none.
-        limits: (margin at the start, meaning) of what the model is good for.
+        tables: Rows by kind of variable, with numbers for start, minimum, maximum and nominal
+            value; None if there is none.
+        limits: (margin at the start, meaning) of the validity conditions.
 
     Example:
         >>> import cosim
@@ -83,11 +83,11 @@ class Info:
 
 
 def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
-    """Return what a model, a scene or an FMU is.
+    """Return facts about a model, a scene or an FMU.
 
     Args:
-        source: `MODEL`, `MODEL/FORMULATION`, `PATH.py:FUNCTION`, `SCENE.toml`, `FILE.fmu`, or what
-            `load` and `read_scene` return.
+        source: `MODEL`, `MODEL/FORMULATION`, `PATH.py:FUNCTION`, `SCENE.toml`, `FILE.fmu`, or a
+            result of `load` or `read_scene`.
 
     Raises:
         CosimError: There is no such model, scene or file.
@@ -110,7 +110,7 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
 
 
 def _of_scene(scene: Scene) -> Info:
-    of_model = _of_model(scene.configured())
+    of_model = _of_model(scene.request.configured())
     own = {row["of the scene"]: row["is"] for row in scene.rows()}
     facts = {"scene": scene.name, "title": scene.title, **own} | {
         key: value for key, value in of_model.facts.items() if key != "model"
@@ -138,7 +138,7 @@ def _of_model(dae: Dae) -> Info:
     if dae.start_outputs:
         pairs = ((w.variable.name, dae.states[w.state].name) for w in dae.start_outputs)
         facts["starts"] = "; ".join(
-            f"{output} may be given, for {state}" for output, state in pairs
+            f"{output} may be set instead of {state}" for output, state in pairs
         )
     start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
@@ -150,12 +150,10 @@ def _of_model(dae: Dae) -> Info:
 
 
 def _consistent_start(dae: Dae) -> tuple[Vector | None, Vector | None]:
-    """Return consistent states and algebraic unknowns at the start; None where there are none."""
-    values = assign(dae)
+    """Return consistent states and algebraic unknowns at the start; None if there are none."""
     try:
-        x = start_values(dae, 0.0, values)
-        return x, algebraic_values(dae, 0.0, x, values)
-    except InitialConditionError:  # `simulate` says why
+        return consistent_values(dae, 0.0, assign(dae))
+    except InitialConditionError:  # `simulate` reports the reason
         return None, None
 
 
@@ -226,7 +224,7 @@ def _number_or_text(text: str | None) -> Any:
 
 
 def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row as it stands in a table."""
+    """Return a row as a table shows it."""
     if "bounds" in row or "minimum" not in row:
         return dict(row)
     start, kind = row["start"], row["start kind"]

@@ -1,4 +1,4 @@
-"""`report`: everything about one run on one page that can be handed in."""
+"""Report: one page that documents a run, from the equations to the figures."""
 
 import hashlib
 import html
@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,47 +17,32 @@ import casadi_models
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.printed import Printed
 from casadi_models.units import UNITS, convert
+from cosim.drawing.picture import draw_pose
 from cosim.errors import MissingTool
-from cosim.model.reduction.size import size
+from cosim.model.reduction import size
 from cosim.model.values import plain_values
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
 from cosim.present.playback.html import html as playback_page
 from cosim.present.playback.playback import playback
-from cosim.present.playback.render import draw_pose
-from cosim.scene.scene import Scene
-from cosim.text.tables import html_table
+from cosim.scene.scene import Scene, run_settings
+from cosim.text import html_table
 from cosim.trajectory import Trajectory
 
-_CSS = """
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem;
-       color: #111; }
-h1 { font-size: 1.7rem; } h2 { margin-top: 2.2rem; border-bottom: 1px solid #bbb; }
-table { border-collapse: collapse; margin: .6rem 0; font-size: .85rem; }
-td, th { border: 1px solid #ccc; padding: .15rem .5rem; text-align: left; vertical-align: top; }
-caption { text-align: left; font-style: italic; padding: .2rem 0; }
-pre { background: #f5f5f5; padding: .6rem; overflow-x: auto; font-size: .8rem; }
-svg, img { max-width: 100%; height: auto; } figure { margin: 1rem 0; break-inside: avoid; }
-iframe { width: 100%; height: 30rem; border: 1px solid #ccc; }
-.invalid { background: #A02020; color: white; padding: .5rem .8rem; }
-.note { color: #555; font-size: .85rem; }
-@media print { iframe, .screen { display: none; } body { margin: 0; max-width: none;
-               font-size: 10pt; } h2 { break-after: avoid; } table { break-inside: auto; }
-               tr { break-inside: avoid; } }
-"""
+_CSS = "\n" + Path(__file__).with_name("report.css").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class ReportContents:
-    """What a report tells of.
+    """Content of a report.
 
     Attributes:
-        scene: Model and numbers.
-        dae: The model as it ran, reduced to what the scene wants.
-        run: Its result.
-        shown: The same run with everything that the bodies need; for pictures of them.
-        checks: Rows of a crosscheck; empty where none was made.
-        command: What makes the page again.
+        scene: The scene: model and values.
+        dae: The model as it ran, reduced to the outputs of the scene.
+        run: The result.
+        shown: The same run with all variables that place the bodies, for pictures.
+        checks: Rows of a crosscheck; empty if none was made.
+        command: The command that reproduces the page.
     """
 
     scene: Scene
@@ -68,7 +54,7 @@ class ReportContents:
 
 
 def report(contents: ReportContents) -> str:
-    """Return the page: one file that needs no network and prints on paper."""
+    """Return the page as HTML: one file that needs no network and can be printed."""
     c = contents
     title = c.scene.title or c.dae.description or c.run.model
     parts = [f"<h1>{html.escape(title)}</h1>", _validity(c.run), *_system(c), *_bodies(c)]
@@ -84,8 +70,8 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    told = html.escape("; ".join(reasons))
-    return f'<p class="invalid">From {start:g} s on this run is outside its model: {told}</p>'
+    why = html.escape("; ".join(reasons))
+    return f'<p class="invalid">From {start:g} s on this run is outside its model: {why}</p>'
 
 
 def _system(c: ReportContents) -> Iterable[str]:
@@ -103,17 +89,17 @@ def _system(c: ReportContents) -> Iterable[str]:
     if sketch := _sketch(c.dae):
         yield f"<pre>{html.escape(sketch)}</pre>"
     if c.dae.limits:
-        yield "<p>The model holds while</p><ul>"
+        yield "<p>The model is valid while</p><ul>"
         yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)
         yield "</ul>"
     if c.dae.report:
-        yield "<p>Reduced to what the scene wants:</p><ul>"
+        yield "<p>Reduced to the outputs of the scene:</p><ul>"
         yield from (f"<li>{html.escape(line)}</li>" for line in c.dae.report)
         yield "</ul>"
 
 
 def _sketch(dae: Dae) -> str:
-    """Return what the module of a catalogue's system says of it."""
+    """Return the docstring of a catalogue model: its sketch, assumptions and source."""
     if dae.full_name not in casadi_models.CATALOG:
         return ""
     return (import_module(f"casadi_models.{dae.name}").__doc__ or "").strip()
@@ -135,23 +121,23 @@ def _bodies(c: ReportContents) -> Iterable[str]:
 
 def _numbers_section(c: ReportContents) -> Iterable[str]:
     yield "<h2>Numbers</h2>"
-    given = plain_values(c.scene.dae, c.scene.values)
+    values = plain_values(c.scene.dae, c.scene.request.values)
     for caption, variables in (
         ("Start values", c.dae.states),
         ("Parameters", c.dae.parameters),
         ("Inputs", c.dae.inputs),
     ):
-        rows = [_parameter_row(v, c, given) for v in variables]
+        rows = [_parameter_row(v, c, values) for v in variables]
         if rows:
             yield html_table(rows, caption)
-    settings = {k: v for k, v in vars(c.scene.settings).items() if v is not None}
+    settings = run_settings(c.scene.request)
     yield _facts_table({key.replace("_", " "): value for key, value in settings.items()})
 
 
 def _parameter_row(
-    variable: Variable, c: ReportContents, given: Mapping[str, float]
+    variable: Variable, c: ReportContents, values: Mapping[str, float]
 ) -> dict[str, Any]:
-    value = given.get(variable.name, variable.start)
+    value = values.get(variable.name, variable.start)
     if variable.start_kind is Start.CALCULATED and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
     shown = variable.display_unit or variable.unit
@@ -168,17 +154,17 @@ def _printed(c: ReportContents) -> Iterable[str]:
     rows = list(printed_rows(c.scene, c.run))
     if rows:
         yield "<h2>The book's numbers and the run's</h2>"
-        yield html_table(rows, "As printed; the last column: by more than the book's rounding?")
+        yield html_table(rows, "Last column: whether the difference exceeds the book's rounding")
 
 
 def printed_rows(scene: Scene, run: Trajectory) -> Iterable[dict[str, Any]]:
-    """Yield the book's printed numbers beside the run's, where the run has the book's values."""
+    """Yield the book's printed numbers and the run's, if the run has the book's values."""
     dae = scene.dae
     changed = any(
         value != next(v.start for v in dae.variables if v.name == name)
-        for name, value in scene.values.items()
+        for name, value in scene.request.values.items()
     )
-    if dae.full_name not in casadi_models.CATALOG or changed or scene.inputs is not None:
+    if dae.full_name not in casadi_models.CATALOG or changed or scene.request.inputs is not None:
         return
     try:
         printed: Sequence[Printed] = import_module(f"casadi_models.{dae.name}.printed").PRINTED
@@ -223,10 +209,10 @@ def _trust(c: ReportContents) -> Iterable[str]:
             "second run by another method or tolerance.</p>"
         )
     else:
-        yield "<p>No error was estimated; ask for it with <code>--accuracy</code>.</p>"
+        yield "<p>No error was estimated; add <code>--accuracy</code> for an estimate.</p>"
     if c.checks:
         rows = [dict(row) for row in c.checks]
-        yield html_table(rows, "The same run on every road and in every formulation")
+        yield html_table(rows, "The same run on every backend and in every formulation")
 
 
 def _origin_section(c: ReportContents) -> Iterable[str]:

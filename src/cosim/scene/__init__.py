@@ -1,1 +1,1 @@
-"""A model, numbers and wanted outputs, down any road."""
+"""Scenes: TOML files that name a model, its values, the outputs to compute and the figures."""

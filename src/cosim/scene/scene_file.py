@@ -1,4 +1,4 @@
-"""`read_scene`: from a TOML file to a `Scene`; what is wrong in it is named with its line."""
+"""`read_scene` reads a TOML file into a `Scene`; errors name the line."""
 
 import os
 from collections.abc import Iterable, Mapping
@@ -6,29 +6,102 @@ from pathlib import Path
 from typing import Any
 
 from casadi_models.dae import Dae, Variable
+from casadi_models.units import UNITS
+from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
-from cosim.integrate.solver import Tolerance
+from cosim.integrate.keywords import Keywords, requested
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, no_such_output, observable
 from cosim.model.inputs import InputSeries, read_inputs
 from cosim.model.quantities import quantity
+from cosim.model.request import RunRequest
+from cosim.model.solver import LIMITS, Tolerance
 from cosim.model.values import checked, number
-from cosim.scene.goals import GOALS
-from cosim.scene.library import shipped_scenes
-from cosim.scene.scene import Scene, Settings
-from cosim.scene.scene_figures import read_figures
-from cosim.scene.toml_file import TomlFile, read_toml, texts, typed
+from cosim.scene.scene import FigureSpec, Scene
+from cosim.toml_file import TomlFile, read_toml, text_rows, texts, typed
+
+
+def shipped_scenes() -> tuple[Path, ...]:
+    """Return the files of all scenes that come with the package, by name."""
+    return tuple(sorted((Path(__file__).parent / "shipped").glob("*.toml")))
+
+
+_FIGURE_KEYS = tuple(FigureSpec.__dataclass_fields__)
+
+
+def read_figures(file: TomlFile, dae: Dae, outputs: tuple[str, ...]) -> tuple[FigureSpec, ...]:
+    """Return the figures of a scene, checked against its model and outputs."""
+    tables = file.data.get("figures", [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise UsageError(f"{file.at('figures')}: write every figure as a table [[figures]]")
+    return tuple(_figure_spec(file, i, table, dae, outputs) for i, table in enumerate(tables))
+
+
+def _figure_spec(
+    file: TomlFile, index: int, table: Mapping[str, Any], dae: Dae, outputs: tuple[str, ...]
+) -> FigureSpec:
+    here = ("figures", index)
+    file.reject_unknown(here, table, _FIGURE_KEYS)
+    for key in ("title", "panels"):
+        if key not in table:
+            raise UsageError(f"{file.at(*here)}: the figure has no {key}; add one")
+    spec = FigureSpec(
+        title=typed(table["title"], str, "a text", file.at(*here, "title")),
+        panels=text_rows(table["panels"], file.at(*here, "panels")),
+        x=typed(table.get("x", "time"), str, "a variable's name", file.at(*here, "x")),
+        x_label=typed(table.get("x_label", ""), str, "a text", file.at(*here, "x_label")),
+        equal=typed(table.get("equal", False), bool, "true or false", file.at(*here, "equal")),
+        labels=texts(table.get("labels", []), file.at(*here, "labels")),
+        legends=text_rows(table.get("legends", []), file.at(*here, "legends")),
+    )
+    if not spec.panels or not all(spec.panels):
+        raise UsageError(f"{file.at(*here, 'panels')}: a panel has no variable; name one in each")
+    for key, entries in (("labels", spec.labels), ("legends", spec.legends)):
+        if entries and len(entries) != len(spec.panels):
+            raise UsageError(
+                f"{file.at(*here, key)}: {len(entries)} {key} for {len(spec.panels)} panels; "
+                "give one per panel"
+            )
+    for legend, panel in zip(spec.legends, spec.panels, strict=False):
+        if len(legend) != len(panel):
+            raise UsageError(
+                f"{file.at(*here, 'legends')}: {len(legend)} names for the {len(panel)} curves "
+                f"{', '.join(panel)}; give one per curve"
+            )
+    for name in spec.names:
+        where = file.at(*here, "x" if name == spec.x else "panels", word=name)
+        if name not in observable(dae):
+            raise UnknownName(f"{where}: {no_such_output(dae, name)}")
+        if outputs and name not in outputs:
+            raise UsageError(f"{where}: '{name}' is drawn but not computed; add it to outputs")
+    for panel in spec.panels:
+        _reject_mixed_units(file.at(*here, "panels", word=panel[0]), panel, dae)
+    return spec
+
+
+def _reject_mixed_units(where: str, panel: tuple[str, ...], dae: Dae) -> None:
+    variables = [dae.variable(name) for name in panel]
+    for other in variables[1:]:
+        if not UNITS[other.unit].measures_like(UNITS[variables[0].unit]):
+            raise UsageError(
+                f"{where}: {panel[0]} [{variables[0].unit}] and {other.name} [{other.unit}] share "
+                "a panel; give each unit a panel of its own"
+            )
+
 
 _KEYS = ("model", "title", "outputs", "parameters", "start", "inputs", "run", "figures")
-_RUN_KEYS = tuple(Settings.__dataclass_fields__)
-_POSITIVE = ("output_interval", "step_size", *GOALS)
+_GOALS = ("accuracy", "budget")
+_POSITIVE = ("output_interval", "step_size", "max_step", *_GOALS)
+_TIMES = ("start_time", "stop_time", "output_interval")
+_RUN_KEYS = (*_TIMES, "solver", "step_size", *LIMITS, *_GOALS)
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
     """Read a scene.
 
     Args:
-        path: A TOML file; a bare name that is no file here is looked up among the shipped scenes.
+        path: A TOML file; a bare name that does not exist here means a shipped scene. A coupled
+            system, with [parts], is the scene of all parts as one model.
 
     Returns:
         The scene; every name, unit and number in it has been checked against its model.
@@ -38,33 +111,27 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         UnknownName: A key, model, variable or solver does not exist, or the model's formulation
             does not compute an output; one that does is named.
         ParameterError: A number is not finite or out of bounds, or its unit does not fit.
-        InitialConditionError: A start value is given that follows from others.
+        InitialConditionError: A start value is set that is calculated from others.
 
     Example:
-        >>> read_scene("crank_torque.toml").outputs
+        >>> read_scene("crank_torque.toml").request.outputs
         ('T',)
     """
-    file = read_toml(find_scene(path))
-    file.refuse_unknown((), file.data, _KEYS)
+    place = find_scene(path)
+    if is_system(place):
+        system = read_system(place)
+        return Scene(system.name, RunRequest(system.dae), system.title)
+    file = read_toml(place)
+    file.reject_unknown((), file.data, _KEYS)
     dae = _model(file)
-    outputs = _outputs(file, dae)
-    constants, series = _inputs(file, dae)
-    values = {**_own_values(file, dae), **constants}
-    settings = _settings(file)
-    figures = read_figures(file, dae, outputs)
+    request = _request(file, dae)
+    figures = read_figures(file, dae, request.outputs or ())
     title = _text(file, "title") if "title" in file.data else ""
-    with file.naming():
-        return Scene(file.path.stem, dae, title, values, series, outputs, settings, figures)
+    return Scene(file.path.stem, request, title, figures)
 
 
 def scene_values(dae: Dae) -> dict[str, tuple[str, dict[str, float]]]:
-    """Return titles and values, SI, of the shipped scenes of a model that have some, by name.
-
-    Example:
-        >>> from cosim.scene.scene_file import scene_values
-        >>> scene_values(cosim.load("crank_shaft"))["crank_shaft"][1]
-        {'alpha': 10.0, 'omega': 50.0}
-    """
+    """Return titles and values, SI, of the shipped scenes of a model that have some, by name."""
     found = {}
     for path in shipped_scenes():
         file = read_toml(path)
@@ -81,14 +148,14 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
     """
     if not isinstance(path, str | os.PathLike):
         raise UsageError.of_type("read_scene", path, "the name of a TOML file")
-    given = Path(path)
-    if given.exists() or len(given.parts) > 1:
-        return given
+    requested = Path(path)
+    if requested.exists() or len(requested.parts) > 1:
+        return requested
     shipped = {entry.name: entry for entry in shipped_scenes()}
-    if given.name not in shipped:
-        near = UnknownName.among("the working directory or cosim", "scene", given.name, shipped)
+    if requested.name not in shipped:
+        near = UnknownName.among("the working directory or cosim", "scene", requested.name, shipped)
         raise UnknownName(f"{near} (all: cosim list)")
-    return shipped[given.name]
+    return shipped[requested.name]
 
 
 def _model(file: TomlFile) -> Dae:
@@ -96,7 +163,7 @@ def _model(file: TomlFile) -> Dae:
         raise UsageError(f'{file.path}: the model is missing; write model = "NAME"')
     name = _text(file, "model")
     path, colon, function = name.rpartition(".py:")
-    if colon:  # a user's own builder, beside the scene
+    if colon:  # a user's own builder, in the folder of the scene
         name = f"{file.path.parent / path}{colon}{function}"
     with file.naming("model"):
         return load(name)
@@ -118,11 +185,7 @@ def _outputs(file: TomlFile, dae: Dae) -> tuple[str, ...]:
 
 
 def _values(
-    file: TomlFile,
-    table: str,
-    entries: Mapping[str, Any],
-    dae: Dae,
-    variables: Iterable[Variable],
+    file: TomlFile, table: str, entries: Mapping[str, Any], dae: Dae, variables: Iterable[Variable]
 ) -> dict[str, float]:
     """Read a table of numbers in SI units, or of texts with units."""
     known = {variable.name: variable for variable in variables}
@@ -152,7 +215,7 @@ def _misplaced(
 
 
 def _own_values(file: TomlFile, dae: Dae) -> dict[str, float]:
-    startable = (*dae.states, *(way.variable for way in dae.start_outputs))
+    startable = (*dae.states, *(rule.variable for rule in dae.start_outputs))
     return {
         **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
         **_values(file, "start", _table(file, "start"), dae, startable),
@@ -175,9 +238,21 @@ def _inputs(file: TomlFile, dae: Dae) -> tuple[dict[str, float], InputSeries | N
     return values, series
 
 
-def _settings(file: TomlFile) -> Settings:
+def _request(file: TomlFile, dae: Dae) -> RunRequest:
+    """Return the run of the file: values, outputs, inputs, and the table [run]."""
+    outputs = _outputs(file, dae)
+    constants, series = _inputs(file, dae)
+    values = {**_own_values(file, dae), **constants}
+    run = _run_keywords(file)
+    with file.naming():
+        request = RunRequest(dae, values, outputs=outputs or None, inputs=series)
+    with file.naming("run", next((key for key in _GOALS if key in run), "stop_time")):
+        return requested(request, **run)
+
+
+def _run_keywords(file: TomlFile) -> Keywords:
     table = _table(file, "run")
-    file.refuse_unknown(("run",), table, _RUN_KEYS)
+    file.reject_unknown(("run",), table, _RUN_KEYS)
     found: dict[str, Any] = {}
     for key, value in sorted(table.items()):  # the absolute tolerance before the relative one
         with file.naming("run", key):
@@ -191,8 +266,8 @@ def _settings(file: TomlFile) -> Settings:
                 Tolerance(found[key], found.get("absolute_tolerance"))
             if key == "absolute_tolerance":
                 Tolerance(absolute=found[key])
-    with file.naming("run", next((key for key in GOALS if key in found), "stop_time")):
-        return Settings(**found)
+    keywords: Keywords = found  # type: ignore[assignment]  # its keys are checked above
+    return keywords
 
 
 def _table(file: TomlFile, key: str) -> Mapping[str, Any]:

@@ -1,1 +1,1 @@
-"""Samples over time: what is known of a column, other times, CSV files."""
+"""Samples over time: interpolation and CSV files."""

@@ -1,4 +1,4 @@
-"""Tables of numbers over time as CSV text: written by us, and as other tools write them."""
+"""CSV files of samples over time: written by this project, and read from any tool."""
 
 import csv
 import io
@@ -15,8 +15,8 @@ from casadi_models.units import UNITS
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.progress import doing
-from cosim.series.column import Column
-from cosim.text.escaping import csv_cell
+from cosim.series.samples import Column
+from cosim.text import csv_cell
 
 UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
@@ -26,12 +26,13 @@ _TIMES = ("time", "t", "zeit", "temps")
 
 @dataclass(frozen=True)
 class CsvSamples:
-    """What a CSV file says.
+    """Content of a CSV file.
 
     Attributes:
-        names: Of the columns besides time.
-        units: As written, a column each; None where none is.
-        time, values: As written, (n,) and (n, columns); time in s.
+        names: Names of the columns, without time.
+        units: Unit of each column as written; None if there is none.
+        time: Sample times, s, (n,).
+        values: Samples as written, (n, columns).
     """
 
     names: tuple[str, ...]
@@ -47,26 +48,13 @@ def write_csv(
     values: Vector,
     units: str,
 ) -> None:
-    """Write samples over time: names, units where people read them, every number in 17 digits.
-
-    Args:
-        target: File name, replaced atomically, or an open text file.
-        columns: What is known of each.
-        time: s, (n,).
-        values: SI, (n, len(columns)).
-        units: One of `UNIT_KINDS`; "book" is display units, and a second line that names them.
-
-    Raises:
-        ExportError: The file cannot be written.
-        UsageError: The target is neither.
-        UnknownName: There is no such kind of units.
-    """
+    """Write samples over time, SI, (n, len(columns)), with 17 digits; see `Trajectory.to_csv`."""
     if not isinstance(target, str | os.PathLike):
         if not hasattr(target, "write"):
             raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
         _write_lines(target, columns, time, values, units)
         return
-    from cosim.files import written_atomically  # only where a file is wanted
+    from cosim.files import written_atomically  # only if a file is used
 
     with written_atomically(target) as file:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
@@ -107,7 +95,7 @@ def read_csv_samples(path: Path) -> CsvSamples:
 
     Raises:
         UsageError: The file cannot be read, or has no header, time or sample.
-        ParameterError: A cell is no number, or a time falls; the line is named.
+        ParameterError: A cell is not a number, or time decreases; the line is named.
     """
     rows = _rows(path)
     header = [_NAMED.fullmatch(cell) for cell in rows[0][1]]
@@ -128,7 +116,7 @@ def read_csv_samples(path: Path) -> CsvSamples:
     time = table[:, at] * _time_factor(path, units[at])
     if (falling := np.flatnonzero(np.diff(time) < 0)).size:
         line = body[int(falling[0]) + 1][0]
-        raise ParameterError(f"{path}, line {line}: the time falls; sort the lines by time")
+        raise ParameterError(f"{path}, line {line}: time decreases; sort the lines by time")
     rest = [i for i in range(len(names)) if i != at]
     return CsvSamples(
         tuple(names[i] for i in rest), tuple(units[i] for i in rest), time, table[:, rest]
@@ -136,23 +124,22 @@ def read_csv_samples(path: Path) -> CsvSamples:
 
 
 def in_si(
-    path: Path, samples: CsvSamples, units: Mapping[str, str], wanted: Mapping[str, str]
+    path: Path, samples: CsvSamples, units: Mapping[str, str], targets: Mapping[str, str]
 ) -> tuple[list[tuple[str, str | None]], Vector]:
     """Return SI unit and display unit of each column, and the values in SI units.
 
     Args:
-        path: The file, for messages.
-        samples: What it says.
-        units: Units of columns that the file does not tell.
-        wanted: SI units that the columns shall have, where somebody knows.
+        path, samples: The file, for messages, and its content.
+        units: Units by name of columns without a unit in the file.
+        targets: SI units that the columns should have, by name, where known.
 
     Raises:
-        UsageError: A unit is unknown, or does not measure what it should.
+        UsageError: A unit is unknown, or does not convert to the expected one.
     """
     pairs: list[tuple[str, str | None]] = []
     values = samples.values.copy()
     for i, (name, written) in enumerate(zip(samples.names, samples.units, strict=True)):
-        unit, target = units.get(name, written), wanted.get(name)
+        unit, target = units.get(name, written), targets.get(name)
         if unit is None or unit == target:
             pairs.append((target or "1", None))
             continue
@@ -170,7 +157,7 @@ def in_si(
 
 
 def si_name(unit: str) -> str:
-    """Return the name of the SI unit of the kind of a unit; its own where there is none."""
+    """Return the SI unit that a unit converts to; the unit itself if there is none."""
     if UNITS[unit].factor == 1:
         return unit
     fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(UNITS[unit]))
@@ -178,7 +165,7 @@ def si_name(unit: str) -> str:
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    from cosim.files import read_text  # only where a file is wanted
+    from cosim.files import read_text  # only if a file is used
 
     lines = [*enumerate(read_text(path).splitlines(), 1)]
     lines = [(i, line) for i, line in lines if line.strip() and not line.startswith("#")]
@@ -202,7 +189,7 @@ def _numbers(path: Path, line: int, cells: Sequence[str], names: Sequence[str]) 
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell if "_" not in cell else "none")  # Python's 1_000 is no CSV number
+        float(cell if "_" not in cell else "none")  # Python's 1_000 is not a number in CSV
     except ValueError:
         return False
     return True

@@ -1,1 +1,1 @@
-"""Run against run."""
+"""Comparison of runs, reference results and crosschecks of all backends."""

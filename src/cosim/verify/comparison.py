@@ -1,15 +1,17 @@
-"""Two trajectories on one grid: how far apart they are, and where."""
+"""`compare`: differences of two trajectories, and the verdict of a check."""
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from cosim.backend import Backend
 from cosim.errors import UsageError
 from cosim.model.values import number
-from cosim.series.interpolation import resample as interpolated
-from cosim.text.tables import MOST_LINES, html_table, text_table
+from cosim.series.samples import resample as interpolated
+from cosim.text import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 
 
@@ -27,10 +29,10 @@ class Comparison:
     """Differences of two runs, variable by variable, the largest first.
 
     Attributes:
-        first, second: What was compared.
-        differences: One per common variable, falling.
-        bound: Up to where the scaled difference is agreement.
-        note: How other output times were met; empty where both runs have the same ones.
+        first, second: Names of the two runs.
+        differences: One for each common variable, the largest first.
+        bound: Largest scaled difference that counts as agreement (1).
+        note: How the runs were brought to the same output times; empty if they have the same.
 
     Example:
         >>> import cosim
@@ -52,7 +54,7 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether every variable stays within the bound."""
+        """Whether the difference of every variable is within the bound."""
         return self.worst.scaled <= self.bound
 
     def rows(self) -> list[dict[str, Any]]:
@@ -88,14 +90,15 @@ def compare(
 ) -> Comparison:
     """Compare the variables that two runs have in common.
 
-    Where the runs have other output times, the second one is taken at those of the first one that
-    lie within both, and `note` says how: computed again, or interpolated with an estimated error.
+    If the runs have different output times, the second run is evaluated at the times of the first
+    one that lie within both. `note` says how: computed again, or interpolated with an estimated
+    error.
 
     Args:
-        first, second: Two runs; nominal values are the first one's.
+        first, second: Two runs; the nominal values are those of the first.
         bound: Largest scaled difference that counts as agreement (1).
         without: Names to leave out.
-        resample: Whether runs with other output times are compared, and not refused.
+        resample: Whether runs with different output times are compared; else they are rejected.
 
     Raises:
         ParameterError: The bound is not a positive number.
@@ -120,18 +123,18 @@ def compare(
         units = first.column(name).unit, second.column(name).unit
         if units[0] != units[1]:
             raise UsageError(
-                f"{name} is in {units[0]} in {labels[0]}, in {units[1]} in the other; of a file, "
-                "say what it is in: read_csv(path, like=run), or units={...}"
+                f"{name} is in {units[0]} in {labels[0]}, but in {units[1]} in {labels[1]}; for a "
+                "file, set its units: read_csv(path, like=run) or read_csv(path, units={...})"
             )
     note = ""
     if resample and len(first) and len(second) and not _same_times(first, second):
         first, second, note = _on_common_times(first.select(names), second.select(names))
-    refuse_other_times(first, second)
+    reject_other_times(first, second)
     differences = []
     for name in names:
-        with np.errstate(invalid="ignore"):  # infinity less infinity
+        with np.errstate(invalid="ignore"):  # infinity minus infinity
             gap = np.abs(first[name] - second[name]) / first.column(name).nominal
-        gap = np.where(np.isnan(gap), np.inf, gap)  # what is not a number agrees with nothing
+        gap = np.where(np.isnan(gap), np.inf, gap)  # NaN agrees with nothing
         at = int(np.argmax(gap))
         differences.append(Difference(name, float(gap[at]), float(first.time[at])))
     differences.sort(key=lambda difference: -difference.scaled)
@@ -139,7 +142,7 @@ def compare(
 
 
 def _on_common_times(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory, str]:
-    """Return two runs at the times of the first one that both cover, and how that was done."""
+    """Return both runs at the times of the first that both cover, and a note on the method."""
     begin = max(first.time[0], second.time[0])
     end = min(first.time[-1], second.time[-1])
     inside = np.flatnonzero((first.time >= begin) & (first.time <= end))
@@ -153,16 +156,16 @@ def _on_common_times(first: Trajectory, second: Trajectory) -> tuple[Trajectory,
     part = replace(first, time=time, values=first.values[inside])
     if second.again is not None:
         how = "computed again there"
-        met = second.at(time)
+        resampled = second.at(time)
     else:
         values, estimate = interpolated(second.time, second.values, time)
-        met = replace(second, time=time, values=values)
+        resampled = replace(second, time=time, values=values)
         scaled = max(
             e / first.column(n).nominal for n, e in zip(second.names, estimate, strict=True)
         )
         how = f"interpolated, with an estimated error of {scaled:.1e}"
     note = f"compared at {len(time)} times of the first run, {time[0]:g} ... {time[-1]:g} s; "
-    return part, met, note + f"the second one is {how}"
+    return part, resampled, note + f"the second run is {how}"
 
 
 def _same_times(first: Trajectory, second: Trajectory) -> bool:
@@ -172,28 +175,107 @@ def _same_times(first: Trajectory, second: Trajectory) -> bool:
     return float(np.abs(first.time - second.time).max()) <= slack
 
 
-def refuse_other_times(first: Trajectory, second: Trajectory) -> None:
-    """Refuse two runs that cannot be subtracted row by row.
+def reject_other_times(first: Trajectory, second: Trajectory) -> None:
+    """Reject two runs with different output times.
 
     Raises:
-        UsageError: They have other output times, or none.
+        UsageError: They have different output times, or none.
     """
     if not len(first):
         raise UsageError(f"{_label(first)} has no output times; there is nothing to compare")
     if len(first) != len(second):
         raise UsageError(
-            f"other output times: {_label(first)} has {len(first)} output times, {_label(second)} "
-            f"has {len(second)}; run both with one start_time, stop_time and output_interval"
+            f"different output times: {_label(first)} has {len(first)}, {_label(second)} has "
+            f"{len(second)}; run both with the same start_time, stop_time and output_interval"
         )
     apart = np.abs(first.time - second.time)
     if apart.max() > 1e-9 * max(1.0, float(np.abs(first.time).max())):
         i = int(np.argmax(apart))
         raise UsageError(
-            f"{_label(first)} and {_label(second)} have other output times from the {i}th on "
-            f"({first.time[i]:g} s and {second.time[i]:g} s); run both with one output_interval"
+            f"{_label(first)} and {_label(second)} have different output times from index {i} on "
+            f"({first.time[i]:g} s and {second.time[i]:g} s); run both with the same "
+            "output_interval"
         )
 
 
 def _label(run: Trajectory) -> str:
     solver = run.stats.get("solver")
     return f"{run.model} [{solver}]" if solver else run.model
+
+
+class Verdict(StrEnum):
+    """Result of a comparison."""
+
+    OK = "ok"
+    COARSE = "reference too coarse"  # the error of the reference may explain the difference
+    DIFFERS = "DIFFERS"
+    FAILED = "FAILED"  # one of the runs failed
+
+
+@dataclass(frozen=True)
+class Check:
+    """One comparison of two runs, with the cost of the second.
+
+    Attributes:
+        model: `MODEL/FORMULATION` of the second run.
+        backend: Backend of the second run, or how a coupled system was simulated.
+        against: Name of the first run.
+        comparison: The differences; None if a run failed.
+        stats: Statistics of the second run: wall_time, s; rhs_calls.
+        failure: Why the run failed; empty if it did not.
+        left_out: Names that are not compared since they have different meanings, with the reason.
+        doubt: Estimated error of the first run, in nominal values; 0 if it is unknown or does
+            not matter.
+        note: Steps that were taken to explain a difference, or the remedy to try.
+    """
+
+    model: str
+    backend: Backend | str
+    against: str
+    comparison: Comparison | None
+    stats: Mapping[str, Any] = field(default_factory=dict)
+    failure: str = ""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    doubt: float = 0.0
+    note: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Result of the comparison."""
+        if self.comparison is None:
+            return Verdict.FAILED
+        if self.comparison.agrees:
+            return Verdict.OK
+        nearest = self.comparison.worst.scaled - self.doubt
+        return Verdict.COARSE if nearest <= self.comparison.bound else Verdict.DIFFERS
+
+    @property
+    def wall_time(self) -> float | None:
+        """Elapsed time of the second run without compilation, s; None if there is no run."""
+        wall: float | None = self.stats.get("wall_time")
+        return None if wall is None else wall - (self.stats.get("compile_time") or 0.0)
+
+    @property
+    def reason(self) -> str:
+        """Why the run failed; else the note."""
+        return self.failure or self.note
+
+    def row(self) -> dict[str, Any]:
+        """Return the check as a row of a table, for JSON too."""
+        compared = self.comparison
+        worst = compared and compared.worst
+        return {
+            "model": self.model,
+            "backend": self.backend,
+            "against": self.against,
+            "variables": compared and len(compared.differences),
+            "worst": worst and worst.name,
+            "difference": worst and worst.scaled,
+            "at": worst and worst.time,
+            "bound": compared and compared.bound,
+            "verdict": str(self.verdict),
+            "wall_time": self.wall_time,
+            "rhs_calls": self.stats.get("rhs_calls"),
+            "left_out": " ".join(self.left_out) or None,
+            "reason": self.reason or None,
+        }

@@ -1,62 +1,59 @@
-"""The same run on every road and in every formulation, and how far the results are apart."""
+"""Crosscheck: the same run on every backend and in every formulation, with the differences."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from copy import copy
 from dataclasses import replace
+from itertools import tee
 from pathlib import Path
 from typing import Any
 
 import casadi_models
 from casadi_models.dae import Dae
-from cosim.errors import (
-    CosimError,
-    FmuError,
-    InitialConditionError,
-    SolverError,
-    UsageError,
-)
+from cosim.backend import FMU_BACKENDS, Backend
+from cosim.coupling.co_simulation import Method
+from cosim.coupling.system import System
+from cosim.errors import CosimError, FmuError, InitialConditionError, SolverError, UsageError
 from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.exported import run_file
 from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
+from cosim.integrate.run import run as execute
 from cosim.model.catalogue import formulations, load
+from cosim.model.request import Policy, RunRequest
+from cosim.model.solver import Tolerance
+from cosim.model.times import Times
 from cosim.model.values import number
-from cosim.scene.roads import FMU_ROADS, Road, run_fmu, run_on_road, scene_dae
-from cosim.scene.scene import Scene, Settings
+from cosim.scene.scene import Scene
 from cosim.scene.variants import fitting_formulations
-from cosim.text.tables import MOST_LINES, html_table, text_table
+from cosim.text import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
-from cosim.verify.check import Check, Verdict
-from cosim.verify.comparison import compare
+from cosim.verify.comparison import Check, Verdict, compare
 from cosim.verify.reference import reference
 
 BOUND = 1e-6  # of the nominal value
-_FAILURES = (SolverError, FmuError, InitialConditionError)  # of one run, not of what was asked
+_FAILURES = (SolverError, FmuError, InitialConditionError)  # errors of one run; the others continue
+_COUPLED = (Method.ITERATED, Method.EXTRAPOLATED)  # methods with an estimate of their error
+_OF_BOUND = 0.1  # accuracy of a co-simulation
+Subject = str | Scene | System
 _SETTING = "--relative-tolerance"
 
 
 class Checks(Iterator[Check]):
-    """Checks of runs, computed as they are asked for and kept.
+    """Checks of runs, computed when they are read and then stored.
 
-    `for check in checks` and `next(checks)` compute one after the other; a second loop sees the
-    same ones. Shown at a prompt or in a notebook, they are a table of all of them, for which those
-    that are left are computed.
+    `for check in checks` and `next(checks)` compute one check after the other; a second loop reads
+    the stored ones. At a prompt or in a notebook they are shown as a table; the remaining checks
+    are then computed.
     """
 
     def __init__(self, checks: Iterator[Check]) -> None:
-        self._left = checks
-        self._done: list[Check] = []
-        self._given = 0  # to next()
+        self._every, self._next = tee(checks)
 
     def __iter__(self) -> Iterator[Check]:
-        position = 0
-        while self._reaches(position):
-            yield self._done[position]
-            position += 1
+        return copy(self._every)
 
     def __next__(self) -> Check:
-        if not self._reaches(self._given):
-            raise StopIteration
-        self._given += 1
-        return self._done[self._given - 1]
+        return next(self._next)
 
     @property
     def agree(self) -> bool:
@@ -73,64 +70,56 @@ class Checks(Iterator[Check]):
     def _repr_html_(self) -> str:
         return html_table(self.rows())
 
-    def _reaches(self, position: int) -> bool:
-        while len(self._done) <= position:
-            try:
-                self._done.append(next(self._left))
-            except StopIteration:
-                return False
-        return True
-
 
 def crosscheck(
-    models: str | Scene | Sequence[str | Scene] | None = None,
+    models: Subject | Sequence[Subject] | None = None,
     *,
     stop_time: float | None = None,
     output_interval: float | None = None,
     relative_tolerance: float | None = None,
     bound: float = BOUND,
 ) -> Checks:
-    """Run models on every road and compare, one check at a time.
+    """Run models on every backend and compare, one check at a time.
 
     Every formulation runs through CVODES or IDAS; the FMU made from the same equations runs through
     fmpy, as model exchange and as co-simulation; formulations are compared with the first one. A
-    run that fails is a check that failed, and the others go on.
+    run that fails gives a failed check, and the others continue.
 
     Args:
         models: `MODEL` (every formulation), `MODEL/FORMULATION`, or a scene: its own formulation
-            first, then every other one that has the scene's outputs and takes its values. The
-            whole catalogue when None.
+            first, then every other one that has the scene's outputs and values; or a coupled
+            system: all parts as one model, and co-simulation. The whole catalogue when None.
         stop_time, output_interval: s; each model's or scene's own when None.
-        relative_tolerance: Of every solver; the model's `reference_tolerance` when None. A scene's
-            own solver and tolerances do not count.
+        relative_tolerance: For every solver; the model's `reference_tolerance` when None. A scene's
+            own solver and tolerances are not used.
         bound: Largest difference that counts as agreement, in nominal values.
 
     Returns:
-        The checks, each computed when it is asked for; shown, they are a table of all of them.
+        The checks, each computed when it is read; they are shown as a table.
 
     Raises:
         UnknownName: A model does not exist.
-        UsageError, ParameterError: A number or a scene makes no sense.
+        UsageError, ParameterError: A number or a scene is invalid.
         MissingTool: There is no C compiler.
 
     Example:
         >>> checks = crosscheck("crank_shaft/driven", stop_time=0.5)
-        >>> [str(check.road) for check in checks], checks.agree
+        >>> [str(check.backend) for check in checks], checks.agree
         (['fmu-me', 'fmu-cs'], True)
     """
     number("crosscheck", "bound", bound, positive=True)
-    if isinstance(models, str | Scene):
+    if isinstance(models, Subject):
         models = [models]
     if not isinstance(models, Collection | None):
         raise UsageError.of_type("crosscheck", models, "names of models, or scenes")
     for item in models or ():
         if isinstance(item, str) and ".py:" not in item:
-            formulations(item)  # refuses an unknown name before the first run
+            formulations(item)  # rejects an unknown name before the first run
     return Checks(_all_checks(models, stop_time, output_interval, relative_tolerance, bound))
 
 
 def _all_checks(
-    models: Collection[str | Scene] | None,
+    models: Collection[Subject] | None,
     stop_time: float | None,
     output_interval: float | None,
     relative_tolerance: float | None,
@@ -140,38 +129,47 @@ def _all_checks(
     for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
         if not isinstance(item, str) or ".py:" not in item:  # forms of one file are compared
             first = None
-        for scene in _members(item):
-            own = scene.settings
-            settings = Settings(
-                start_time=own.start_time,
-                stop_time=own.stop_time if stop_time is None else stop_time,
-                output_interval=own.output_interval if output_interval is None else output_interval,
-                relative_tolerance=scene.dae.experiment.reference_tolerance
-                if relative_tolerance is None
-                else relative_tolerance,
-            )
-            scene = replace(scene, settings=settings)
+        for request in _members(item):
+            experiment = request.dae.experiment
+            tolerance = relative_tolerance or experiment.reference_tolerance
+            request = _plain(request, stop_time, output_interval, tolerance)
             try:
-                with doing(str(Road.NATIVE)):
-                    run = run_on_road(scene)
+                with doing(str(Backend.NATIVE)):
+                    run = execute(request)
             except _FAILURES as error:
-                yield Check(scene.dae.full_name, Road.NATIVE, "", None, failure=str(error))
+                yield Check(request.dae.full_name, Backend.NATIVE, "", None, failure=str(error))
                 continue
-            yield from _roads(scene, run, bound, relative_tolerance is not None)
-            if first is None or first[1].name != scene.dae.name:
-                first = run, scene.dae
-            elif check := _formulation_check(first, run, scene.dae, bound):
+            yield from _backends(request, run, bound, relative_tolerance is not None)
+            if isinstance(item, System):
+                yield from _couplings(item, request, run, bound)
+            if first is None or first[1].name != request.dae.name:
+                first = run, request.dae
+            elif check := _formulation_check(first, run, request.dae, bound):
                 yield (
                     check
                     if check.comparison and check.comparison.agrees
-                    else replace(check, note=_advice(settings.relative_tolerance or 0.0))
+                    else replace(check, note=_advice(tolerance))
                 )
+
+
+def _plain(
+    request: RunRequest, stop_time: float | None, interval: float | None, tolerance: float
+) -> RunRequest:
+    """Return a request for the default solver at a tolerance, reduced to its outputs."""
+    times = request.times
+    stop = times.stop if stop_time is None else stop_time
+    return replace(
+        request,
+        times=Times(times.start, stop, times.interval if interval is None else interval),
+        solver=Tolerance(tolerance),
+        policy=Policy(),
+    ).reduced()
 
 
 def _formulation_check(
     first: tuple[Trajectory, Dae], run: Trajectory, dae: Dae, bound: float
 ) -> Check | None:
-    """Compare a formulation with the first one, in what both mean by the same name."""
+    """Compare a formulation with the first one in the variables with the same meaning."""
     other, other_dae = first
     own = other_dae.own_meanings | dae.own_meanings
     common = [name for name in other.names if name in run.names]
@@ -180,75 +178,109 @@ def _formulation_check(
         return None
     difference = compare(other, run, bound=bound, without=left_out)
     return Check(
-        run.model, Road.NATIVE, other.model, difference, dict(run.stats), left_out=left_out
+        run.model, Backend.NATIVE, other.model, difference, dict(run.stats), left_out=left_out
     )
 
 
-def _members(item: str | Scene) -> Iterator[Scene]:
-    """Yield a scene for each formulation that is asked for."""
+def _members(item: Subject) -> Iterator[RunRequest]:
+    """Yield a request for each formulation of an item."""
     if isinstance(item, str):
         names = (item,) if "/" in item or ".py:" in item else formulations(item)
-        yield from (Scene(name, load(name)) for name in names)
+        yield from (RunRequest(load(name)) for name in names)
+        return
+    if isinstance(item, System):
+        yield RunRequest(item.dae)
         return
     if not isinstance(item, Scene):
-        raise UsageError.of_type("crosscheck", item, "names of models, or scenes")
-    yield from fitting_formulations(item)
+        raise UsageError.of_type("crosscheck", item, "names of models, scenes or systems")
+    yield from fitting_formulations(item.request)
 
 
-def _roads(scene: Scene, run: Trajectory, bound: float, given: bool) -> Iterator[Check]:
-    """Compare the FMU's runs with a run through CasADi's integrators."""
-    dae = scene_dae(scene)
+def _couplings(
+    system: System, request: RunRequest, run: Trajectory, bound: float
+) -> Iterator[Check]:
+    """Compare the co-simulation of a system by each method with the run of all parts as one."""
+    start, stop = request.times.span(request.dae)
+    for method in _COUPLED:
+        backend = f"co-simulation, {method}"
+        try:
+            with doing(f"{system.name}, {backend}"):
+                other = system.simulate(
+                    start_time=start,
+                    stop_time=stop,
+                    output_interval=request.times.interval,
+                    accuracy=_OF_BOUND * bound,
+                    method=method,
+                )
+        except _FAILURES as error:
+            yield Check(system.name, backend, run.stats["solver"], None, failure=str(error))
+            continue
+        names = [name for name in run.names if name in other.names]
+        difference = compare(run.select(names), other.select(names), bound=bound, resample=False)
+        yield Check(system.name, backend, run.stats["solver"], difference, dict(other.stats))
+
+
+def _backends(
+    request: RunRequest, run: Trajectory, bound: float, fixed_tolerance: bool
+) -> Iterator[Check]:
+    """Compare runs of the FMU with a native run."""
+    dae = request.configured()
     with temporary_folder() as folder:
         with doing(f"{dae.full_name}, export"):
             path = export_fmu(dae, Path(folder) / "model.fmu")
-        for road in FMU_ROADS:
-            yield _road(scene, dae, path, run, road, bound, given)
+        for backend in FMU_BACKENDS:
+            yield _backend(request, path, run, backend, bound, fixed_tolerance)
 
 
-def _road(
-    scene: Scene, dae: Dae, path: Path, run: Trajectory, road: Road, bound: float, given: bool
+def _backend(
+    request: RunRequest,
+    path: Path,
+    run: Trajectory,
+    backend: Backend,
+    bound: float,
+    fixed_tolerance: bool,
 ) -> Check:
-    """Compare an FMU's run, with a better reference and at tighter tolerances where it differs."""
-    solver = run.stats["solver"]
+    """Compare an FMU's run; if it differs, use a better reference and tighter tolerances."""
+    solver, name = run.stats["solver"], request.dae.full_name
 
-    def again(scene: Scene) -> Trajectory:
-        with doing(f"{dae.full_name}, {road}"):
-            return run_fmu(scene, dae, path, road)
+    def again(request: RunRequest) -> Trajectory:
+        assert backend.interface is not None
+        with doing(f"{name}, {backend}"):
+            return run_file(request, path, backend.interface)
 
     try:
-        other = again(scene)
+        other = again(request)
     except _FAILURES as error:
-        return Check(dae.full_name, road, solver, None, failure=str(error))
+        return Check(name, backend, solver, None, failure=str(error))
     difference = compare(run, other, bound=bound, resample=False)
-    first = Check(dae.full_name, road, solver, difference, dict(other.stats))
+    first = Check(name, backend, solver, difference, dict(other.stats))
     if difference.agrees:
         return first
-    return _judged(scene, run.names, first, other, None if given else again)
+    return _against_reference(request, run.names, first, other, None if fixed_tolerance else again)
 
 
-def _judged(
-    scene: Scene,
+def _against_reference(
+    request: RunRequest,
     names: Sequence[str],
     check: Check,
     other: Trajectory,
-    again: Callable[[Scene], Trajectory] | None,
+    again: Callable[[RunRequest], Trajectory] | None,
 ) -> Check:
-    """Compare with a reference that states its own error what differs from a plain run.
+    """Compare a run that differs with a reference whose error is known.
 
     Args:
-        scene: What ran.
-        names: The variables that are compared.
-        check: What the plain comparison gave.
+        request: The run.
+        names: The compared variables.
+        check: The comparison with a plain run.
         other: The run that differs.
-        again: Runs the scene with other settings; None where its tolerance was asked for.
+        again: Function that runs another request; None if the user has chosen the tolerance.
     """
     assert check.comparison is not None
     bound = check.comparison.bound
-    settings = scene.settings
-    tolerance = settings.relative_tolerance or 0.0
+    tolerance = request.tolerance.relative if request.tolerance else 0.0
     try:
-        with doing(f"{scene.dae.full_name}, reference"):
-            best = reference(scene)
+        with doing(f"{request.dae.full_name}, reference"):
+            best = reference(request)
         truth, doubt = best.run.select(names), best.error(names)
     except CosimError as error:
         advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"
@@ -260,14 +292,14 @@ def _judged(
             if tighter < 1:
                 if again is None:
                     break
-                other = again(replace(scene, settings=replace(settings, relative_tolerance=now)))
+                other = again(replace(request, solver=Tolerance(now)))
             difference = compare(truth, other, bound=bound, resample=False)
         except _FAILURES:
             break
         note = f"at relative tolerance {now:g}" if tighter < 1 else ""
         found = Check(
             check.model,
-            check.road,
+            check.backend,
             best.method,
             difference,
             dict(other.stats),
@@ -280,8 +312,8 @@ def _judged(
     if found.verdict is Verdict.DIFFERS:
         found = replace(found, note=_advice(tolerance))
     elif found.verdict is Verdict.COARSE:
-        told = f"the reference may be wrong by {doubt:.1e}: ask for a larger bound or a shorter run"
-        found = replace(found, note=told)
+        note = f"the reference may be wrong by {doubt:.1e}: use a larger bound or a shorter run"
+        found = replace(found, note=note)
     return found
 
 

@@ -1,85 +1,53 @@
-"""The reference of a scene: what the errors of all other runs are measured against.
+"""`reference`: the trajectory that the errors of all other runs are measured against.
 
-Different methods run at their tightest. The two that agree best are taken; how far they are apart
-is the estimate of the reference's own error, variable by variable. Nothing is known beforehand:
-the reference is computed for the numbers of this very scene, and kept in the cache.
+Different methods run at their tightest. The two that agree best are used; their difference is the
+estimate of the reference's own error, variable by variable. The reference is computed for the
+numbers of one request, and cached.
 """
 
 import hashlib
 import io
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.cache import content_of, keep
+from cosim.codegen.cache import content_of, store_if_possible
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.initialization import start_function
-from cosim.errors import CacheError, SolverError, UsageError
-from cosim.integrate.run.outputs import all_columns
-from cosim.integrate.simulate import simulate
-from cosim.integrate.solvers import SOLVERS
-from cosim.model.time_grid import time_grid
+from cosim.errors import SolverError, UsageError
+from cosim.integrate.families.casadi_rk import Erk, Rosenbrock
+from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.families.fixed_step import FixedStep, Ode8
+from cosim.integrate.families.sundials import Idas
+from cosim.integrate.outputs import all_columns
+from cosim.integrate.run import run as execute
+from cosim.model.request import Policy, RunRequest
+from cosim.model.solver import AdaptiveSolver, Solver
+from cosim.model.times import Times, time_grid
 from cosim.model.values import assign
 from cosim.scene.scene import Scene
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
-ENOUGH = 3e-12  # estimated error, in nominal values, at which no costly method is tried
-_REFERENCE_FORMAT = "reference-3"
+ENOUGH = 3e-12  # estimated error, in nominal values, at which no further method is tried
+_REFERENCE_FORMAT = "reference-4"
 
 
-@dataclass(frozen=True)
-class Way:
-    """A solver as accurate as it gets.
-
-    Attributes:
-        solver: A name of `SOLVERS`.
-        tolerance: Relative, of an adaptive solver.
-        parts: How many steps of a fixed-step solver make an output interval.
-    """
-
-    solver: str
-    tolerance: float | None = None
-    parts: int | None = None
-
-    def __str__(self) -> str:
-        if self.parts is None:
-            return f"{self.solver} at {self.tolerance:g}"
-        return f"{self.solver} with {self.parts} steps per output interval"
-
-    def run(self, scene: Scene, dae: Dae) -> Trajectory:
-        """Run a DAE with the scene's span and inputs; record all, whatever is observed."""
-        settings = scene.settings
-        options: dict[str, Any] = {"relative_tolerance": self.tolerance}
-        if self.parts is not None:
-            options = {"step_size": dae.experiment.output_interval / self.parts}
-        return simulate(
-            dae,
-            start_time=settings.start_time,
-            stop_time=settings.stop_time,
-            solver=self.solver,
-            inputs=scene.inputs,
-            outputs=[column.name for column in all_columns(dae)],
-            **options,
-        )
-
-
-# In the order of trial. Which of them work depends on the model: stiff, algebraic, chaotic.
-WAYS = (
-    Way("dop853", 3e-14),
-    Way("erk", 3e-14),
-    Way("ode8", parts=2),
-    Way("ode8", parts=8),
-    Way("rosenbrock", 1e-13),
-    Way("rosenbrock", 1e-12),
-    Way("idas", 1e-12),
-    Way("idas", 1e-11),
+# In the order of trial; which of them succeed depends on the model. The number is a relative
+# tolerance; for a fixed-step method, it is the number of steps per output interval.
+METHODS: tuple[tuple[type[Solver], float], ...] = (
+    (Dop853, 3e-14),
+    (Erk, 3e-14),
+    (Ode8, 2),
+    (Ode8, 8),
+    (Rosenbrock, 1e-13),
+    (Rosenbrock, 1e-12),
+    (Idas, 1e-12),
+    (Idas, 1e-11),
 )
 
 
@@ -89,7 +57,7 @@ class Reference:
 
     Attributes:
         run: Every state, algebraic unknown and output of the full model.
-        method: How it was computed.
+        method: The method that computed it.
         check: The second method.
         errors: Largest difference of the two by name, in nominal values.
         key: Hash of equations, values, span and versions.
@@ -109,8 +77,10 @@ class Reference:
         return f"{self.run.model}: {self.method}, {self.error():.1e} from {self.check}"
 
 
-def reference(scene: Scene | Dae) -> Reference:
-    """Return the reference of a scene, or of a model with its own numbers; from the cache if there.
+def reference(subject: Scene | RunRequest | Dae) -> Reference:
+    """Return the reference of a scene, a request, or a model with its own numbers.
+
+    It is cached under a hash of everything that it depends on.
 
     Raises:
         SolverError: No two methods reach the stop time.
@@ -122,96 +92,105 @@ def reference(scene: Scene | Dae) -> Reference:
         >>> found.error(["phi"]) < 1e-8
         True
     """
-    if isinstance(scene, Dae):
-        scene = Scene(scene.full_name, scene)
-    if not isinstance(scene, Scene):
-        raise UsageError.of_type("reference", scene, "a Scene or a Dae")
-    dae = scene.configured()
-    key = reference_key(scene)
+    if isinstance(subject, Dae):
+        subject = RunRequest(subject)
+    if isinstance(subject, Scene):
+        subject = subject.request
+    if not isinstance(subject, RunRequest):
+        raise UsageError.of_type("reference", subject, "a Scene or a Dae")
+    key = reference_key(subject)
     entry = f"references/{key}"
     known = _read_reference(entry, key)
     if known is not None:
         return known
-    found = _computed(scene, dae, key)
-    _keep_reference(found, entry)
+    found = _computed(subject, key)
+    content = io.BytesIO()
+    stats = {name: getattr(found, name) for name in ("method", "check", "errors", "key")}
+    replace(found.run, stats=stats).to_npz(content)
+    store_if_possible(entry, content.getvalue())  # else it is computed again next time
     return found
 
 
-def reference_key(scene: Scene) -> str:
-    """Return a hash of all that a scene's trajectory depends on."""
-    dae, settings = scene.configured(), scene.settings
+def reference_key(request: RunRequest) -> str:
+    """Return a hash of everything that the trajectory of a request depends on."""
+    dae = request.configured()
     equations = ca.Function("equations", dae.arguments, [dae.ode, dae.alg, dae.outputs])
     values = assign(dae)
-    stop = settings.stop_time
-    if stop is None:
-        stop = settings.start_time + dae.experiment.stop_time
-    grid = time_grid(settings.start_time, stop, dae.experiment.output_interval)
+    start, stop = request.times.span(dae)
+    grid = time_grid(start, stop, dae.experiment.output_interval)
     parts = [equations.serialize().encode(), start_function(dae).serialize().encode()]
     parts += [array.tobytes() for array in (values.x, values.p, values.u, grid)]
     recorded = (*dae.states, *dae.algebraics, *dae.output_variables)
     named = [(v.name, v.nominal) for v in recorded]
-    parts.append(repr((_REFERENCE_FORMAT, ca.CasadiMeta.version(), named, WAYS)).encode())
-    if scene.inputs is not None:
-        parts.append(repr(scene.inputs.names).encode())
-        parts += [scene.inputs.time.tobytes(), scene.inputs.values.tobytes()]
+    methods = [(solver.name, setting) for solver, setting in METHODS]
+    parts.append(repr((_REFERENCE_FORMAT, ca.CasadiMeta.version(), named, methods)).encode())
+    if request.inputs is not None:
+        parts.append(repr(request.inputs.names).encode())
+        parts += [request.inputs.time.tobytes(), request.inputs.values.tobytes()]
     digest = hashlib.sha256()
     for part in parts:
         digest.update(len(part).to_bytes(8) + part)
     return digest.hexdigest()[:32]
 
 
-def _computed(scene: Scene, dae: Dae, key: str) -> Reference:
-    runs: dict[Way, Trajectory] = {}
+def _computed(request: RunRequest, key: str) -> Reference:
+    dae = request.configured()
+    everything = replace(
+        request,
+        dae=dae,
+        values={},
+        times=Times(*request.times.span(dae)),
+        outputs=tuple(column.name for column in all_columns(dae)),
+        policy=Policy(),
+    )
+    runs: list[tuple[Solver, str, Trajectory]] = []
     reasons: list[str] = []
     best: Reference | None = None
-    for way in _ways_for(dae):
-        if SOLVERS[way.solver].uses_jacobian and best is not None and best.error() <= ENOUGH:
+    for solver, label in _methods_for(dae):
+        if solver.uses_jacobian and best is not None and best.error() <= ENOUGH:
             break
         try:
-            runs[way] = way.run(scene, dae)
+            runs.append((solver, label, execute(replace(everything, solver=solver))))
         except SolverError as error:
             reasons.append(str(error))
             continue
         best = _best_pair(runs, key)
     if best is None:
-        told = f"; {reasons[0]}" if reasons else ""
-        raise SolverError(f"{dae.full_name}: no two methods agree on a reference{told}")
+        why = f"; {reasons[0]}" if reasons else ""
+        raise SolverError(f"{dae.full_name}: no two methods agree on a reference{why}")
     return best
 
 
-def _ways_for(dae: Dae) -> Iterator[Way]:
-    for way in WAYS:
-        solver = SOLVERS[way.solver]
-        possible = solver.solves_dae or not dae.algebraics
-        if possible and (has_compiler() or not solver.compiled_only):
-            yield way
+def _methods_for(dae: Dae) -> Iterator[tuple[Solver, str]]:
+    """Yield the solvers that a model can have, each with its numbers and its name in reports."""
+    for kind, setting in METHODS:
+        possible = kind.solves_dae or not dae.algebraics
+        if not possible or (kind.compiled_only and not has_compiler()):
+            continue
+        if issubclass(kind, FixedStep):
+            step = dae.experiment.output_interval / setting
+            yield kind(step_size=step), f"{kind.name} with {setting:g} steps per output interval"
+        elif issubclass(kind, AdaptiveSolver):
+            yield kind(relative_tolerance=setting), f"{kind.name} at {setting:g}"
 
 
-def _best_pair(runs: Mapping[Way, Trajectory], key: str) -> Reference | None:
+def _best_pair(runs: Sequence[tuple[Solver, str, Trajectory]], key: str) -> Reference | None:
     """Return the pair of different methods that agree best."""
     best: Reference | None = None
-    for (way, run), (other, again) in combinations(runs.items(), 2):
-        if way.solver == other.solver:
+    for (solver, label, run), (other, other_label, again) in combinations(runs, 2):
+        if solver.name == other.name:
             continue
-        apart = {d.name: d.scaled for d in compare(run, again).differences}
-        # no method carries more digits than the numbers themselves
-        for column in run.columns:
-            rounding = np.spacing(np.abs(run[column.name]).max()) / column.nominal
-            apart[column.name] = max(apart[column.name], float(rounding))
-        found = Reference(run, str(way), str(other), apart, key)
+        least = rounding_errors(run)
+        apart = {d.name: max(d.scaled, least[d.name]) for d in compare(run, again).differences}
+        found = Reference(run, label, other_label, apart, key)
         if best is None or found.error() < best.error():
             best = found
     return best
 
 
-def _keep_reference(found: Reference, entry: str) -> None:
-    """Write to the cache; without one, the reference is computed again next time."""
-    names = ("method", "check", "errors", "key")
-    content = io.BytesIO()
-    stats = {name: getattr(found, name) for name in names}
-    replace(found.run, stats=stats).to_npz(content)
-    with suppress(OSError, CacheError):
-        keep(entry, content.getvalue())
+def rounding_errors(run: Trajectory) -> dict[str, float]:
+    """Return the rounding error of double precision in each variable, in nominal values."""
+    return {c.name: float(np.spacing(np.abs(run[c.name]).max())) / c.nominal for c in run.columns}
 
 
 def _read_reference(entry: str, key: str) -> Reference | None:

@@ -1,6 +1,6 @@
-"""An FMU that carries its own proof: a reference result, how near the FMU comes, a picture.
+"""Reference result inside an FMU: a native run, and the FMU's difference from it at export.
 
-The reference is the run of road one, not of the FMU; `check_file` repeats the comparison anywhere.
+The file also carries a picture of the result. `check_file` repeats the comparison.
 """
 
 import csv
@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 from warnings import warn
 from xml.etree import ElementTree as ET
 
@@ -22,60 +22,57 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
+from cosim.backend import FMU_BACKENDS
 from cosim.codegen.compiler import has_compiler
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
-from cosim.files import refuse_unwritable, write_atomically
-from cosim.fmi.aliases import flat_names
-from cosim.fmi.archive import DESCRIPTION, entry_content, opened
-from cosim.fmi.export.package import export_fmu, zipped
-from cosim.fmi.export.solver_choice import ROSENBROCK, solver_for
+from cosim.files import reject_unwritable, write_atomically
+from cosim.fmi.archive import DESCRIPTION, entry_content, flat_names, opened
+from cosim.fmi.export.co_simulation import ROSENBROCK, solver_for
+from cosim.fmi.export.package import FmuKeywords, export_fmu, zipped
+from cosim.fmi.export.related_files import MEASURED, REFERENCE, Sets, related_files
 from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
 from cosim.host.temporary import temporary_folder
-from cosim.integrate.simulate import simulate
-from cosim.model.rank import watches_rank
-from cosim.scene.roads import FMU_ROADS
-from cosim.text.escaping import sentence
+from cosim.integrate.keywords import requested
+from cosim.integrate.run import run as execute
+from cosim.model.request import DriftControl
+from cosim.text import sentence
 from cosim.trajectory import Column, Trajectory
-from cosim.verify.check import Check, Verdict
-from cosim.verify.comparison import compare
+from cosim.verify.comparison import Check, Verdict, compare
 from cosim.verify.crosscheck import BOUND
-from cosim.verify.related_files import MEASURED, REFERENCE, Sets, related_files
 
 OWN = "reference"
 MOST_ROWS = 201
-CONSTANT_NOISE = (
-    1e-10  # of what is constant, in nominal values: rounding, and what the tolerance leaves
-)
-FINER_OUTPUTS = 10  # times of a check within each of the reference: communication steps
-LOOSER = 10.0  # tolerance of a run by the reference's own solver that tells how wrong it may be
-AFFORDABLE = 5000  # operations of equations that a second method runs interpreted
+CONSTANT_NOISE = 1e-10  # range of a constant result, in nominal values: rounding and tolerance
+FINER_OUTPUTS = 10  # communication steps of a check within each output interval of the reference
+LOOSER = 10.0  # factor on the tolerance where the same solver estimates its own error
+AFFORDABLE = 5000  # most operations of equations that a second method integrates interpreted
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
-PALETTE_SIZE = 16  # of the picture
-_Way = tuple[str | None, bool | None]  # a solver, and whether compiled
-_ACROSS: _Way = (None, None)  # positions where constraints lose rank
+PALETTE_SIZE = 16  # colors of the picture
+_Method = tuple[str | None, bool | None]  # a solver, and whether it is compiled
+_PROJECTED: _Method = (None, None)  # passes singular configurations
 
 
-def export_with_proof(
+def export_with_reference(
     dae: Dae,
     target: str | os.PathLike[str],
     *,
     reference: bool = True,
     sets: Sets = MappingProxyType({}),
-    **options: Any,
+    **options: Unpack[FmuKeywords],
 ) -> Path:
     """Export an FMU with a reference result, the measured difference from it, and a picture.
 
-    The FMU is written whatever becomes of its proof; a warning says what is missing, and why.
+    The FMU is written even if there is no reference result; a warning then says why.
 
     Args:
         dae: The model.
         target: The file, replaced when everything has succeeded.
-        reference: Whether there shall be a reference result.
-        sets: A line of text and values, SI, by name: files of parameters inside the FMU, each with
-            what of it the FMU lets be set.
+        reference: Whether the FMU gets a reference result.
+        sets: Parameter sets by name, each a line of text and values, SI. A set becomes a file
+            inside the FMU with those of its values that importers may set.
         options: See `export_fmu`.
 
     Raises:
@@ -84,29 +81,29 @@ def export_with_proof(
     Warns:
         UserWarning: There is no reference result, or the FMU is too far from it.
     """
-    refuse_unwritable(target)
+    reject_unwritable(target)
     with temporary_folder() as folder:
         plain = export_fmu(dae, Path(folder) / "model.fmu", **options)
-        proof: dict[str, bytes] = {}
+        added: dict[str, bytes] = {}
         if reference:
-            local = plain  # what can be run here
+            local = plain  # an FMU that runs on this machine
             if tuple(options.get("platforms", (NATIVE,))) != (NATIVE,):
-                here = options | {"platforms": (NATIVE,)}
+                here: FmuKeywords = {**options, "platforms": (NATIVE,)}
                 local = export_fmu(dae, Path(folder) / "local.fmu", **here)
-            proof = _proof(dae, local, str(target))
+            added = _reference_files(dae, local, str(target))
         with zipfile.ZipFile(plain) as fmu:
             files = {name: fmu.read(name) for name in fmu.namelist()}
     if "model.png" in files or "terminalsAndIcons/icon.png" in files:
-        proof.pop("model.png", None)  # the mechanism is a better icon than a result
-    files |= proof
+        added.pop("model.png", None)  # the mechanism is a better icon than a result
+    files |= added
     files |= related_files(files, sets)
     content = zipped(files)
     remember(content)
     return write_atomically(target, content)
 
 
-def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
-    """Return the files that prove an FMU; without a reference, one that says why there is none."""
+def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
+    """Return result, measured differences and picture; the reason where there is no result."""
     tolerance = dae.experiment.reference_tolerance
     try:
         run, doubt, by = _reference_run(dae, tolerance)
@@ -117,13 +114,13 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
     checks = [*_result_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
     for check in checks:
         if check.verdict is not Verdict.OK:
-            said = f"{check.verdict}: {check.comparison}; {_TRY}"
+            problem = f"{check.verdict}: {check.comparison}; {_TRY}"
             if check.failure:
-                said = f"{check.failure}; the FMU is written without this part of its proof"
-            warn(f"{target}: {check.road}: {said}", stacklevel=3)
+                problem = f"{check.failure}; the FMU is written without this comparison"
+            warn(f"{target}: {check.backend}: {problem}", stacklevel=3)
     text = io.StringIO(newline="")
     _under_its_names(run, local).to_csv(text)
-    worst = {c.road: c.comparison.worst for c in checks if c.comparison}
+    worst = {c.backend: c.comparison.worst for c in checks if c.comparison}
     facts = {
         "model": run.model,
         "solver": run.stats["solver"],
@@ -134,10 +131,10 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
         "largest difference in nominal values": {
-            road: {"variable": w.name, "difference": w.scaled, "time": w.time}
-            for road, w in worst.items()
+            backend: {"variable": w.name, "difference": w.scaled, "time": w.time}
+            for backend, w in worst.items()
         },
-        "failed": {c.road: c.failure for c in checks if c.failure},
+        "failed": {c.backend: c.failure for c in checks if c.failure},
     }
     return {
         REFERENCE: text.getvalue().encode(),
@@ -147,16 +144,13 @@ def _proof(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
 
 
 def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> Iterator[Check]:
-    """Run an FMU through fmpy on every interface and compare with the reference inside it.
+    """Run an FMU through fmpy with each interface and compare with the reference inside it.
 
-    Its binary runs in a process of its own; a run that fails is a check that failed.
-
-    Args:
-        path: The FMU.
-        timeout: Wall time of one run, s.
+    The binary runs in a separate process; a run that fails, or takes longer than the timeout, s,
+    becomes a check that failed.
 
     Raises:
-        FmuError: The file is no FMU, or carries no reference.
+        FmuError: The file is no FMU, or carries no reference result.
     """
     try:
         with opened(path) as fmu:
@@ -166,7 +160,7 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
                 raise FmuError(f"{path} carries no reference result: {why}")
             table = entry_content(fmu, REFERENCE).decode()
             description = ET.fromstring(entry_content(fmu, DESCRIPTION))
-            against = _whose(path, description)
+            against = _reference_name(path, description)
             run = _from_csv(table, facts, flat_names(description))
             tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
             doubt = float(facts.get("estimated error in nominal values", 0.0))
@@ -179,8 +173,8 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
         yield replace(check, against=against)
 
 
-def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
-    """Return what to call the reference inside an FMU: its maker's own, but for ours."""
+def _reference_name(path: str | os.PathLike[str], description: ET.Element) -> str:
+    """Return the name of the reference inside an FMU, with its tool where not exported here."""
     if is_made_here(path):
         return OWN
     tool = sentence(description.get("generationTool") or "an unnamed tool")[:60]
@@ -188,29 +182,28 @@ def _whose(path: str | os.PathLike[str], description: ET.Element) -> str:
 
 
 def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
-    """Return a run of road one, its estimated error, and what tells it.
+    """Return a native run, its estimated error, and the method that estimates the error.
 
-    A second method tells how far it may be wrong; of a large model, or where no other one comes
-    through, a run of the same solver with a tenfold tolerance. Of a stiff or a sensitive model
-    another solver may be the first that comes through.
+    The solvers are tried in order until one succeeds. A second solver estimates the error; for
+    large models, or where no other solver succeeds, the same solver at ten times the tolerance.
 
     Raises:
-        CosimError: None does; the first one's reason.
+        CosimError: No solver succeeds; the error is that of the first one.
     """
-    implicit = dae.algebraics or solver_for(dae, None) == ROSENBROCK  # as the FMU's own
-    ways: list[_Way] = [("rosenbrock" if implicit else "erk", False)]
-    ways += [("dop853", True)] * has_compiler() + [("rosenbrock", False)]
-    ways += [("idas" if dae.algebraics else "cvodes", False)]
-    ways += [_ACROSS] * (has_compiler() and watches_rank(dae))
-    ways = [*dict.fromkeys(ways)]
+    implicit = dae.algebraics or solver_for(dae, None) == ROSENBROCK  # as inside the FMU
+    methods: list[_Method] = [("rosenbrock" if implicit else "erk", False)]
+    methods += [("dop853", True)] * has_compiler() + [("rosenbrock", False)]
+    methods += [("idas" if dae.algebraics else "cvodes", False)]
+    methods += [_PROJECTED] * (has_compiler() and dae.has_conditioned_multipliers)
+    methods = [*dict.fromkeys(methods)]
     first: CosimError | None = None
-    for i, (solver, compiled) in enumerate(ways):
+    for i, (solver, compiled) in enumerate(methods):
         try:
             run = _plain(dae, solver, compiled, tolerance)
         except (SolverError, UsageError) as error:
             first = first or error
             continue
-        estimate = _doubt(dae, run, ways[i], ways[i + 1 :], tolerance)
+        estimate = _estimated_error(dae, run, methods[i], methods[i + 1 :], tolerance)
         if estimate is None:
             continue
         doubt, by = estimate
@@ -219,13 +212,13 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
     raise first or SolverError(f"{dae.full_name}: no second run confirms the first one")
 
 
-def _doubt(
-    dae: Dae, run: Trajectory, own: _Way, others: Sequence[_Way], tolerance: float
+def _estimated_error(
+    dae: Dae, run: Trajectory, own: _Method, others: Sequence[_Method], tolerance: float
 ) -> tuple[float, str] | None:
-    """Return the estimated error of a run in nominal values and what tells it, if anything does."""
+    """Return the error of a run in nominal values and its estimator; None if no run succeeds."""
     if not run.names:
         return 0.0, ""
-    second = [way for way in others if way[1] is False] if dae.operations() <= AFFORDABLE else []
+    second = [m for m in others if m[1] is False] if dae.operations() <= AFFORDABLE else []
     for name, compiled in [*second, own]:
         looser = LOOSER if name == own[0] else 1.0
         with suppress(SolverError, UsageError):
@@ -237,25 +230,23 @@ def _doubt(
 
 def _plain(dae: Dae, solver: str | None, compiled: bool | None, tolerance: float) -> Trajectory:
     span, interval = dae.experiment.stop_time, dae.experiment.output_interval
-    return simulate(
+    request = requested(
         dae,
         output_interval=max(interval, span / (MOST_ROWS - 1)),
         relative_tolerance=tolerance,
         solver=solver,
         outputs=dae.observed,
         compiled=compiled,
+        drift_control=DriftControl.PROJECTION if solver is None else None,
     )
+    return execute(request)
 
 
 def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:
-    """Return results with constants and zeros written as such.
+    """Return results, (n, variables), whose constants and zeros are exact.
 
-    Importers compare a result with a band around the reference as wide as a part of its range,
-    which noise does not fill.
-
-    Args:
-        values: A column per variable, (n, number of variables).
-        nominal: Their sizes.
+    Importers compare a result with a band around the reference. Its width is a part of the
+    reference's range, which for a constant would be rounding noise.
     """
     quiet = values.copy()
     for column, size in zip(quiet.T, nominal, strict=True):
@@ -272,26 +263,26 @@ def _result_checks(
     simulate_file: Callable[..., Trajectory],
     doubt: float,
 ) -> Iterator[Check]:
-    for road in FMU_ROADS:
+    for backend in FMU_BACKENDS:
         try:
             again = simulate_file(
                 path,
-                interface=road.interface,
+                interface=backend.interface,
                 stop_time=float(run.time[-1]),
                 output_interval=float(run.time[1] - run.time[0]) / FINER_OUTPUTS,
                 relative_tolerance=tolerance,
             )
         except FmuError as error:
-            yield Check(run.model, road, OWN, None, failure=str(error))
+            yield Check(run.model, backend, OWN, None, failure=str(error))
             continue
         rows = np.union1d(np.arange(0, len(again), FINER_OUTPUTS), [len(again) - 1])
         again = replace(again, time=again.time[rows], values=again.values[rows])
         difference = compare(run, again, bound=bound)
-        yield Check(run.model, road, OWN, difference, dict(again.stats), doubt=doubt)
+        yield Check(run.model, backend, OWN, difference, dict(again.stats), doubt=doubt)
 
 
 def _under_its_names(run: Trajectory, path: Path) -> Trajectory:
-    """Return a result with the names of an FMU's variables, which may be structured."""
+    """Return a result under the names of an FMU's variables, which may be structured."""
     with opened(path) as fmu:
         names = flat_names(ET.fromstring(entry_content(fmu, DESCRIPTION)))
     own = {flat: name for name, flat in names.items()}
@@ -312,7 +303,7 @@ def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Tra
 
 
 def _picture(run: Trajectory) -> bytes:
-    """Draw the first variables of the run: what an importer shows for the model."""
+    """Draw the first three variables of a run, as the icon of the model."""
     from PIL import Image
 
     from cosim.plotting import picture

@@ -79,7 +79,7 @@ def test_every_operation_agrees_with_casadi_in_every_lane(lanes):
                     )
 
 
-def test_a_lane_takes_no_bit_from_its_neighbours():
+def test_a_lane_is_independent_of_its_neighbors():
     lanes = processor_lanes()
     function = ca.Function("f", [x, y], [ca.vertcat(*OPERATIONS.values())])
     call = compiled(function, lanes)
@@ -91,13 +91,13 @@ def test_a_lane_takes_no_bit_from_its_neighbours():
         np.testing.assert_array_equal(call(others, b)[:, 0], alone)
 
 
-def test_an_operation_that_lanes_do_not_have_is_refused():
+def test_operation_without_a_vector_form_is_rejected():
     function = ca.Function("f", [x, y], [ca.erfinv(x)])
-    with pytest.raises(UsageError, match="no operation"):
+    with pytest.raises(UsageError, match="no form for SIMD lanes"):
         vector_text(function, "f")
 
 
-def test_sine_and_cosine_of_an_angle_are_taken_together_and_keep_their_bits():
+def test_sine_and_cosine_of_an_angle_are_computed_together_with_the_same_bits():
     expressions = [ca.sin(x), ca.cos(x), ca.cos(y), ca.sin(x + y), ca.sin(y), ca.cos(x)]
     function = ca.Function("f", [x, y], [ca.vertcat(*expressions)])
     assert vector_text(function, "f").count("sine_and_cosine(") == 2

@@ -23,7 +23,7 @@ def residual(tableau, tree):
     return abs(float(total - Fraction(1, density(tree))))
 
 
-def test_trees_are_as_many_as_cayley_counted():
+def test_number_of_rooted_trees_is_the_published_one():
     assert [len(trees(n)) for n in range(1, 9)] == NUMBER_OF_TREES
 
 
@@ -39,7 +39,7 @@ def test_ode8_satisfies_every_condition_to_the_digits_of_its_source(nodes):
 
 
 @pytest.mark.parametrize("tableau", METHODS.values(), ids=METHODS)
-def test_order_is_not_higher_than_said(tableau):
+def test_order_is_not_higher_than_declared(tableau):
     assert (
         max(residual(tableau, tree) for tree in trees(tableau.order + 1)) > 1e-6
     )  # measured 1e-2, 8e-6
@@ -63,8 +63,10 @@ def test_halving_the_step_four_times_shows_the_order(name, coarsest):
             value = float(step(value, i * h, h, [], []))
         errors.append(abs(value - np.exp(np.sin(2.0))))
     orders = np.log2(errors[:-1]) - np.log2(errors[1:])
-    # measured 4.03 4.02 4.01 4.01; 8.02 8.14 8.08 7.71, the last one against rounding
-    assert orders == pytest.approx(METHODS[name].order, abs=0.35)
+    above_rounding = np.array(errors[1:]) > 100 * np.finfo(float).eps
+    assert above_rounding.sum() >= 3
+    # measured 4.03 4.02 4.01 4.01; 8.02 8.14 8.08, and 7.1 to 7.7 where rounding begins to count
+    assert orders[above_rounding] == pytest.approx(METHODS[name].order, abs=0.35)
 
 
 def test_step_uses_time_inputs_and_parameters():
@@ -84,10 +86,10 @@ THIRD = Fraction(1, 3)
         ((((), (1,)), (THIRD, THIRD)), "weights of the step add up to 0.66"),
         ((((), (1,)), (0, 1), (0, THIRD)), "weights of stage 2 add up to 1.0, its node is 0.33"),
         ((((), (0, 1)), (0, 1)), "weights of earlier stages only"),
-        ((((),), (0, 1)), "give a row per stage"),
+        ((((),), (0, 1)), "give a row for each stage"),
     ],
 )
-def test_tableau_with_a_wrong_number_is_refused(parts, reason):
+def test_tableau_with_a_wrong_weight_is_rejected(parts, reason):
     with pytest.raises(ValueError, match=reason):
         Tableau(2, *parts)
 

@@ -70,7 +70,7 @@ FAULTS = {
         variable("time"), initial="calculated"
     ),
     "'theta': the start value is missing": set_attributes(real("theta"), start=None),
-    "'energy': a start value is given, but calculated": set_attributes(real("energy"), start="0"),
+    "'energy': a calculated variable has a start value": set_attributes(real("energy"), start="0"),
     "'theta': start = NaN is no finite number": set_attributes(real("theta"), start="NaN"),
     "'m': max = INF is no finite number": set_attributes(real("m"), max="INF"),
     "'m': min, start and max do not rise": set_attributes(real("m"), min="5"),
@@ -115,6 +115,7 @@ def test_fault_in_the_description_is_found(problem, exported, tmp_path):
     assert any(problem in found for found in check_fmu(path)), check_fmu(path)
 
 
+@pytest.mark.slow
 def test_what_fmpy_lets_pass_is_the_larger_part(exported, tmp_path):
     passed = [
         problem

@@ -12,8 +12,8 @@ from helpers.fmu_files import remove, repeat_child, rewritten, set_attributes, w
 
 from cosim.cli.main import main
 from cosim.codegen.compiler import find_compiler
+from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG, Finding
-from cosim.fmi.check.findings import examine
 
 NAME = "bar_on_frame/reduced"
 VARIABLE = "ModelVariables/ScalarVariable[@name='{}']"

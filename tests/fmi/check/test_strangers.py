@@ -15,9 +15,9 @@ import pytest
 
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import SecurityError
-from cosim.fmi.check.apart import try_apart
+from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE
-from cosim.fmi.check.findings import examine
+from cosim.fmi.check.isolated import try_apart
 
 SLAVE = """
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real

@@ -7,20 +7,20 @@ from pathlib import Path
 import pytest
 from helpers.fmu_files import rewritten, set_attributes, with_description
 from helpers.hostile import hostile, hostile_binary
+from helpers.samples import sampled
 from helpers.small_models import decay
 
 import casadi_models
 from cosim.cli.main import main
 from cosim.fmi.archive import unpacked
-from cosim.fmi.check.apart import try_apart
+from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
-from cosim.fmi.check.findings import examine
+from cosim.fmi.check.isolated import TRIALS, try_apart
+from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.bench import Bench
-from cosim.fmi.check.trials.compiling import sources
-from cosim.fmi.check.trials.summed_steps import summed_steps
-from cosim.fmi.check.trials.table import TRIALS
+from cosim.fmi.check.trials.steps import summed_steps
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import source_files, zipped
+from cosim.fmi.export.package import FmuOptions, source_files, zipped
 from cosim.fmi.platforms import targets
 from cosim.fmi.run.c_master import co_simulation_library
 
@@ -83,7 +83,7 @@ def found(path, **options) -> set[tuple[str, str]]:
 
 def wrapped(folder: Path, **bodies: str) -> Path:
     """Build an FMU whose functions are wrapped: `CALL` in a body is the call of the sound one."""
-    files = source_files(decay(), "wrapped", 1e-9, 2)
+    files = source_files(decay(), FmuOptions(identifier="wrapped"))
     for function, body in bodies.items():
         kind = "fmi2Component" if function == "fmi2Instantiate" else "fmi2Status"
         parameters = SIGNATURES[function]
@@ -115,7 +115,7 @@ def test_a_file_of_ours_passes_every_trial(name, fmi, exported, capsys):
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("name", casadi_models.CATALOG)
+@pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 def test_all_files_of_ours_have_nothing_wrong_and_pass_all_trials_but_the_compiler(
     name, fmi, exported
 ):

@@ -1,9 +1,9 @@
-"""Names of models become C identifiers, or are refused."""
+"""Names of models become C identifiers or are rejected."""
 
 import pytest
 
 from cosim.errors import ExportError
-from cosim.fmi.export.identifier import model_identifier
+from cosim.fmi.export.package import model_identifier
 
 
 @pytest.mark.parametrize(
@@ -44,12 +44,12 @@ def test_model_and_formulation_become_one_identifier(name, identifier):
         "x" * 300,
     ],
 )
-def test_what_is_no_c_name_is_refused(name):
+def test_invalid_c_name_is_rejected(name):
     with pytest.raises(ExportError, match="cannot name an FMU: use at most 100 ASCII letters"):
         model_identifier(name)
 
 
 @pytest.mark.parametrize("name", ["for", "int", "restrict", "main", "con", "NUL", "Com1", "lpt9"])
-def test_reserved_word_is_refused(name):
+def test_reserved_word_is_rejected(name):
     with pytest.raises(ExportError, match=f"'{name}' cannot name an FMU: it is a reserved word"):
         model_identifier(name)

@@ -82,7 +82,7 @@ def test_the_description_says_so_and_is_sound(files, fmi):
 
 
 @VERSIONS
-def test_a_crossing_is_told_once(files, fmi):
+def test_violated_condition_is_reported_once(files, fmi):
     said = []
 
     def collect(*arguments):
@@ -116,8 +116,8 @@ def test_without_the_option_nothing_is_there(tmp_path):
     assert 'numberOfEventIndicators="0"' in text
 
 
-def test_what_cannot_be_is_refused_in_a_sentence(tmp_path):
-    with pytest.raises(UsageError, match="declares no limits"):
+def test_impossible_valid_output_is_rejected_with_one_message(tmp_path):
+    with pytest.raises(UsageError, match="declares no validity conditions"):
         cosim.export_fmu(decay(), tmp_path / "a.fmu", valid=True)
     model = Model("taken", description="taken", source="a test")
     x = model.state("valid", "1", 1.0, "not what the option means")

@@ -18,7 +18,7 @@ from helpers.small_models import decay, table
 import cosim
 from cosim.errors import ExportError, MissingTool, ParameterError, UnknownName, UsageError
 from cosim.fmi.check.check import check_fmu
-from cosim.fmi.export.sources import c_files
+from cosim.fmi.export import c_files
 
 OLD = b"what was here before"
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -79,7 +79,7 @@ def test_archive_holds_no_time_no_path_and_no_name_of_this_machine(tmp_path):
 # -- what may be chosen -------------------------------------------------------------------------
 
 
-def test_outputs_are_those_that_are_asked_for(tmp_path):
+def test_outputs_are_the_requested_ones(tmp_path):
     path = cosim.export_fmu(decay(), tmp_path / "model.fmu", outputs=["y"])
     assert cosim.simulate_fmu(path).names == ("y",)
     with pytest.raises(UnknownName, match="decay has no output 'z'; it has x, y"):
@@ -92,20 +92,20 @@ def test_tolerance_is_recommended_to_importers(tmp_path):
 
 
 @pytest.mark.parametrize("tolerance", [0, -1e-6, 1, float("nan"), float("inf"), 1e-14, True, "1"])
-def test_tolerance_that_no_solver_keeps_is_refused(tolerance, target):
+def test_tolerance_out_of_range_is_rejected(tolerance, target):
     with pytest.raises(ParameterError, match="tolerance"):
         cosim.export_fmu(decay(), target, tolerance=tolerance)
     assert_untouched(target)
 
 
-def test_version_that_the_fmi_does_not_have_is_refused(target):
+def test_unknown_fmi_version_is_rejected(target):
     with pytest.raises(UnknownName, match="cosim has no FMI version '1'; it has 2, 3"):
         cosim.export_fmu(decay(), target, fmi=1)
     assert_untouched(target)
 
 
 @pytest.mark.parametrize("name", ["../x", "a b", "for", "nul", "x" * 300])
-def test_name_that_is_no_identifier_is_refused(name, target):
+def test_invalid_identifier_is_rejected(name, target):
     with pytest.raises(ExportError, match="cannot name an FMU"):
         cosim.export_fmu(decay(), target, identifier=name)
     assert_untouched(target)
@@ -128,20 +128,20 @@ def test_model_may_be_called_model(tmp_path):
     assert cosim.simulate_fmu(path)["x"][-1] == pytest.approx(np.exp(-0.5), rel=1e-6)
 
 
-def test_generated_code_of_another_form_is_refused(target, monkeypatch):
+def test_unknown_form_of_generated_code_is_rejected(target, monkeypatch):
     """Of another CasADi, whose functions would not be found and headed."""
     code = "static int f0(const double** arg) { return 0; }\n"
     monkeypatch.setattr(c_files, "equations_code", lambda *_: code)
-    with pytest.raises(UsageError, match="names generated functions in another way; use casadi"):
+    with pytest.raises(UsageError, match="names generated functions differently; use casadi"):
         cosim.export_fmu(decay(), target)
     assert_untouched(target)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
-def test_model_without_states_is_exported_too(fmi, interface, tmp_path):
+def test_model_without_states_is_exported(fmi, interface, tmp_path):
     path = cosim.export_fmu(table(), tmp_path / "table.fmu", fmi=fmi)
-    run = cosim.simulate_fmu(path, interface=interface, start={"push": 1.5})
+    run = cosim.simulate_fmu(path, interface=interface, start_values={"push": 1.5})
     assert np.allclose(run["y"], 4.5 + run.time, rtol=0, atol=1e-14)
 
 
@@ -188,7 +188,7 @@ def compiler(folder: Path, script: str) -> str:
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
-        (None, "which is not there"),
+        (None, "which does not exist"),
         ("echo 'no space left' >&2; exit 1", "no space left"),
         ("printf 'caf\\351' >&2; exit 1", "failed"),
         ("exit 0", "failed"),  # it claims success, but there is no library
@@ -214,7 +214,7 @@ def test_compiler_that_makes_something_else_is_found_out(target, cold, tmp_path,
     assert_untouched(target)
 
 
-def test_machine_without_a_compiler_is_told_how_to_get_one(target, cold, monkeypatch):
+def test_missing_compiler_is_reported_with_a_remedy(target, cold, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", "")
     monkeypatch.setattr("cosim.codegen.compiler.find_spec", lambda _name: None)
@@ -223,7 +223,7 @@ def test_machine_without_a_compiler_is_told_how_to_get_one(target, cold, monkeyp
     assert_untouched(target)
 
 
-def test_cache_that_cannot_be_written_is_told(target, tmp_path, monkeypatch):
+def test_unwritable_cache_is_reported(target, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.raises(ExportError, match=r"cannot compile in .*Not a directory; set COSIM_CACHE"):
@@ -231,7 +231,7 @@ def test_cache_that_cannot_be_written_is_told(target, tmp_path, monkeypatch):
     assert_untouched(target)
 
 
-def test_missing_folder_and_folder_as_target_are_told_before_anything_is_computed(tmp_path, cold):
+def test_invalid_target_is_reported_before_anything_is_computed(tmp_path, cold):
     with pytest.raises(ExportError, match=r"cannot write .*gone/x\.fmu: .*; create .*gone first"):
         cosim.export_fmu(decay(), tmp_path / "gone" / "x.fmu")
     with pytest.raises(ExportError, match="it is a directory; give a file name"):
@@ -241,7 +241,7 @@ def test_missing_folder_and_folder_as_target_are_told_before_anything_is_compute
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
-def test_read_only_folder_is_told(target):
+def test_read_only_folder_is_reported(target):
     target.parent.chmod(0o500)
     try:
         with pytest.raises(ExportError, match="Permission denied"):

@@ -1,4 +1,4 @@
-"""Which solver an FMU carries for co-simulation, and what it refuses."""
+"""The solver for co-simulation inside an FMU: choice and rejection."""
 
 import zipfile
 
@@ -10,7 +10,7 @@ import casadi_models
 import cosim
 from casadi_models.dae import Model
 from cosim.errors import UnknownName, UsageError
-from cosim.fmi.export.solver_choice import fastest_decay, solver_for
+from cosim.fmi.export.co_simulation import fastest_decay, solver_for
 
 
 def relaxation(rate: float):
@@ -64,7 +64,7 @@ def test_a_stiff_model_gets_the_implicit_solver_and_runs(rate, solver, tmp_path)
     assert np.abs(run["x"] - exact).max() < 1e-7  # measured 2e-12 and 0
 
 
-def test_a_solver_that_does_not_fit_is_refused_with_those_that_do(tmp_path):
+def test_unsuitable_solver_is_rejected_with_suitable_ones(tmp_path):
     ode, dae = (cosim.load(f"crank_shaft/{name}") for name in ("driven", "multipliers"))
     with pytest.raises(UnknownName, match=r"solver 'dop583'.*dop853"):
         cosim.export_fmu(ode, tmp_path / "model.fmu", solver="dop583")

@@ -14,7 +14,7 @@ import cosim
 from cosim.cli.main import main
 from cosim.errors import FmuError, MissingTool, UnknownName, UsageError
 from cosim.fmi.run import c_master, opened
-from cosim.fmi.run.c_master import communication_points
+from cosim.fmi.run.request import communication_points
 from cosim.model.inputs import InputSeries
 
 
@@ -47,7 +47,7 @@ def both(path, **options):
 @pytest.mark.parametrize("times", [(0.0, 1.0, 0.1), (0.3, 1.0, 0.13), (0.0, 0.5, 0.7)], ids=str)
 def test_co_simulation_has_the_bits_of_fmpy(fmi, times, fmus):
     names = ("start_time", "stop_time", "output_interval")
-    options = dict(zip(names, times, strict=True)) | {"start": {"x": 1.5}}
+    options = dict(zip(names, times, strict=True)) | {"start_values": {"x": 1.5}}
     through_fmpy, in_c = both(fmus[fmi], interface="CoSimulation", **options)
     np.testing.assert_array_equal(in_c.time, through_fmpy.time)
     np.testing.assert_array_equal(in_c.values, through_fmpy.values)
@@ -145,11 +145,13 @@ def test_derivatives_that_are_always_discarded_end_the_run(write):
 def test_an_fmu_that_ends_the_simulation_ends_the_run(fmi, balls):
     landing = 0.25 + ((2 - 9.81 / 4) + np.sqrt((2 - 9.81 / 4) ** 2 + 2 * 9.81 * 0.6934375)) / 9.81
     with pytest.raises(FmuError, match="the run ended at ") as caught:
-        cosim.simulate_fmu(balls[fmi], start={"limit": 1.0}, master="c")
+        cosim.simulate_fmu(balls[fmi], start_values={"limit": 1.0}, master="c")
     assert f"at {landing:g} s" in str(caught.value)
 
 
 @INTERFACES
+# if Ctrl-C falls between open() and its `with`, Python closes the file and warns
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_ctrl_c_ends_a_run(interface, fmus):
     before = signal.getsignal(signal.SIGINT)
     timer = threading.Timer(0.3, signal.raise_signal, [signal.SIGINT])
@@ -186,7 +188,7 @@ def test_a_file_is_unpacked_once_and_runs_do_not_feel_each_other(fmus, monkeypat
     original = opened.unpacked
     monkeypatch.setattr(opened, "unpacked", lambda p: (count.append(p), original(p))[1])
     first = cosim.simulate_fmu(path, master="c")
-    cosim.simulate_fmu(path, start={"x": 3.0}, master="c")
+    cosim.simulate_fmu(path, start_values={"x": 3.0}, master="c")
     again = cosim.simulate_fmu(path, master="c")
     assert len(count) == 1
     np.testing.assert_array_equal(first.values, again.values)

@@ -48,6 +48,14 @@ def test_law_is_followed_as_accurately_as_the_interface_can(integrator, interfac
     assert np.abs(run["x"] - exact(run.time)).max() < bound
 
 
+@pytest.mark.parametrize("interface", KINDS)
+@pytest.mark.parametrize("law", [LAW, lambda t: 2 * np.sin(FREQUENCY * t)], ids=["text", "call"])
+def test_output_that_depends_on_an_input_follows_it_exactly(lag, interface, law):
+    run = cosim.simulate_fmu(lag[1], interface=interface, inputs={"u": law}, output_interval=0.17)
+    expected = 4 * np.sin(FREQUENCY * run.time)
+    np.testing.assert_allclose(run["fed_through"], expected, rtol=0, atol=1e-14)  # measured 4e-16
+
+
 def test_file_and_formula_drive_two_inputs_at_once(integrator, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ramp.csv").write_text('"time","w"\n0,0\n1,1\n')
@@ -59,7 +67,7 @@ def test_file_and_formula_drive_two_inputs_at_once(integrator, tmp_path, monkeyp
 
 
 def test_constant_input_of_a_mapping_is_a_constant(integrator):
-    run = cosim.simulate_fmu(integrator, inputs={"u": 0.5}, start={"w": 0.25})
+    run = cosim.simulate_fmu(integrator, inputs={"u": 0.5}, start_values={"w": 0.25})
     assert run.final["x"] == pytest.approx(0.75, abs=1e-9)
 
 
@@ -74,7 +82,7 @@ def test_constant_input_of_a_mapping_is_a_constant(integrator):
 )
 def test_nonsense_of_inputs_is_told(integrator, inputs, start, kind, told):
     with pytest.raises(kind, match=told):
-        cosim.simulate_fmu(integrator, inputs=inputs, start=start)
+        cosim.simulate_fmu(integrator, inputs=inputs, start_values=start)
 
 
 def test_series_and_formula_of_one_input_are_refused(integrator, tmp_path, capsys):
@@ -132,7 +140,7 @@ def test_jump_at_the_start_or_the_end_is_none_within_the_run(lag):
             assert run.final["x"] == pytest.approx(1 - 0.5 / np.e, abs=1e-6)
 
 
-def test_file_with_a_time_twice_drives_both_roads_alike(lag, tmp_path, monkeypatch, capsys):
+def test_file_with_a_time_twice_drives_both_backends_alike(lag, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rows = "\n".join(f"{t:.17g},{u}" for t, (u,) in zip(JUMPS.time, JUMPS.values, strict=True))
     (tmp_path / "u.csv").write_text(f"time,u\n{rows}\n")
@@ -148,3 +156,22 @@ def test_file_with_a_time_twice_drives_both_roads_alike(lag, tmp_path, monkeypat
         run = cosim.Trajectory.read_csv("run.csv")
         bound = 1e-6 if lag[0] == 2 or not more else 1e-3
         np.testing.assert_allclose(run["x"], lagging(run.time), rtol=0, atol=bound)
+
+
+@pytest.mark.parametrize("interface", KINDS)
+@pytest.mark.parametrize(("first", "last"), [(0.25, 1.0), (0.0, 0.5), (0.0, 1.0)])
+def test_run_beyond_the_samples_is_reported(integrator, interface, first, last):
+    part = cosim.InputSeries(("u",), [first, last], [[0.0], [1.0]])
+    whole = cosim.InputSeries(("w",), [0.0, 1.0], [[0.0], [1.0]])
+    for inputs in (part, {"u": part, "w": "sin(t)"}, {"u": part, "w": whole}):
+        run = cosim.simulate_fmu(integrator, interface=interface, inputs=inputs)
+        expected = f"u has samples from {first:g} to {last:g} s, and is constant before and after"
+        note = run.stats.get("note", "")
+        assert note.startswith(expected) == (last - first < 1)
+        assert "w has" not in note
+
+
+def test_formula_with_constants_drives_an_fmu(integrator):
+    inputs = {"u": ("a*sin(w0*t)", {"a": 2.0, "w0": FREQUENCY})}
+    run = cosim.simulate_fmu(integrator, interface="CoSimulation", inputs=inputs)
+    assert np.abs(run["x"] - exact(run.time)).max() < STRAIGHT

@@ -16,7 +16,7 @@ from helpers.small_models import decay
 import cosim
 from cosim.errors import FmuError, ParameterError, UnknownName
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import source_files, zipped
+from cosim.fmi.export.package import FmuOptions, source_files, zipped
 from cosim.fmi.platforms import targets
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.host.child import MOST_OUTPUT
@@ -26,7 +26,7 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks at processes i
 
 # What the FMU does in a communication step of this length
 BAD_STEPS = {"crash": 0.5, "hang": 0.25, "exit": 0.125, "shout": 0.0625}
-BEHAVIOUR = """
+BEHAVIOR = """
     if (length == 0.5) abort();
     if (length == 0.25) for (volatile int i = 0;; i = 1) {}
     if (length == 0.125) exit(7);
@@ -37,11 +37,11 @@ BEHAVIOUR = """
 @pytest.fixture(scope="module")
 def bad(tmp_path_factory) -> Path:
     """An FMU that misbehaves at some step sizes."""
-    files = source_files(decay(), "bad", 1e-9, 2)
+    files = source_files(decay(), FmuOptions(identifier="bad"))
     code = files["sources/stepping.c"].decode()
-    place = "    drop_spent_slopes(self);\n    const State before"
+    place = "    drop_spent_motion(self);\n    const State before"
     assert place in code
-    code = code.replace(place, f"{BEHAVIOUR}{place}")
+    code = code.replace(place, f"{BEHAVIOR}{place}")
     files["sources/stepping.c"] = f"#include <stdio.h>\n#include <stdlib.h>\n{code}".encode()
     sources = {Path(name).name: c for name, c in files.items() if name.startswith("sources/")}
     path = tmp_path_factory.mktemp("bad") / "bad.fmu"
@@ -54,8 +54,8 @@ def command(*words, **more):
     return subprocess.run(call, capture_output=True, text=True, timeout=60, check=False, **more)
 
 
-def simulate(path, behaviour, *words):
-    step = ["--output-interval", str(BAD_STEPS[behaviour])]
+def simulate(path, behavior, *words):
+    step = ["--output-interval", str(BAD_STEPS[behavior])]
     return command("simulate", path, "--trust", "--stop-time", "1", *step, *words)
 
 

@@ -62,20 +62,22 @@ def test_run_of_no_length_is_the_start(interface, fmus):
 def test_values_reach_the_fmu(interface, fmi, fmus):
     values = {"x": 3.0, "rate": 2.0, "force": 0.5}
     run = cosim.simulate_fmu(
-        fmus["decay", fmi], interface=interface, start=values, relative_tolerance=1e-9
+        fmus["decay", fmi], interface=interface, start_values=values, relative_tolerance=1e-9
     )
     exact = 0.25 + 2.75 * np.exp(-2 * run.time)
     assert np.allclose(run["y"], 2 * exact, rtol=1e-6, atol=0)  # measured 2e-8
 
 
 @INTERFACES
-def test_values_change_a_run_as_on_the_other_road(interface, exported):
+def test_values_change_a_run_as_on_the_other_backend(interface, exported):
     start = {"phi_dot": 0.3, "w": 1.1, "mB": 80.0, "steer_torque": 0.2, "delta": 0.01}
     span = {"stop_time": 0.3, "output_interval": 0.1, "relative_tolerance": 1e-10}
     dae = cosim.load("bicycle/multipliers")
-    reference = cosim.simulate(dae, start=start, compiled=False, **span)
+    reference = cosim.simulate(dae, start_values=start, compiled=False, **span)
     plain = cosim.simulate(dae, compiled=False, **span)
-    run = cosim.simulate_fmu(exported(dae.full_name), interface=interface, start=start, **span)
+    run = cosim.simulate_fmu(
+        exported(dae.full_name), interface=interface, start_values=start, **span
+    )
     assert cosim.compare(reference, run).worst.scaled < 1e-7  # measured 4e-9
     assert cosim.compare(plain, run).worst.scaled > 1e-2
 
@@ -97,13 +99,13 @@ def test_evaluations_of_the_derivatives_are_counted(fmus):
     ("arguments", "error", "reason"),
     [
         ({"interface": "Model"}, UnknownName, "no interface 'Model'; did you mean ModelEx"),
-        ({"start": {"rat": 1.0}}, UnknownName, "no start value 'rat'; did you mean rate"),
+        ({"start_values": {"rat": 1.0}}, UnknownName, "no start value 'rat'; did you mean rate"),
         ({"outputs": ["z"]}, UnknownName, "no output 'z'"),
-        ({"start": {"y": 1.0}}, UsageError, "y cannot be set"),
-        ({"start": {"der(x)": 1.0}}, UsageError, "cannot be set"),
-        ({"start": {"time": 1.0}}, UsageError, "time cannot be set"),
-        ({"start": {"x": float("nan")}}, ParameterError, "x = nan is not finite"),
-        ({"start": {"x": "1"}}, ParameterError, "x = '1' is not a real number"),
+        ({"start_values": {"y": 1.0}}, UsageError, "y cannot be set"),
+        ({"start_values": {"der(x)": 1.0}}, UsageError, "cannot be set"),
+        ({"start_values": {"time": 1.0}}, UsageError, "time cannot be set"),
+        ({"start_values": {"x": float("nan")}}, ParameterError, "x = nan is not finite"),
+        ({"start_values": {"x": "1"}}, ParameterError, "x = '1' is not a real number"),
         ({"stop_time": -1.0}, ParameterError, "stop_time = -1 s lies before start_time = 0 s"),
         ({"stop_time": float("inf")}, ParameterError, "stop_time = inf is not finite"),
         ({"start_time": float("nan")}, ParameterError, "start_time = nan is not finite"),
@@ -185,7 +187,7 @@ def test_wrong_guid_is_refused_with_both_guids(interface, fmi, fmus, tmp_path):
 )
 def test_value_out_of_its_bounds_is_refused_by_the_fmu(interface, fmi, start, reason, fmus):
     with pytest.raises(FmuError, match=reason):
-        cosim.simulate_fmu(fmus["decay", fmi], interface=interface, start=start)
+        cosim.simulate_fmu(fmus["decay", fmi], interface=interface, start_values=start)
 
 
 @pytest.mark.parametrize(
@@ -228,7 +230,7 @@ def test_calculated_start_is_a_guess_before_initialization_and_refused_during_it
     """The pitch follows from the other angles, whatever its solution begins with."""
     path = exported("bicycle/multipliers")
     with pytest.raises(UsageError, match="theta cannot be set"):
-        cosim.simulate_fmu(path, start={"theta": 0.1})
+        cosim.simulate_fmu(path, start_values={"theta": 0.1})
     with unpacked(path) as folder:
         description = fmpy.read_model_description(str(folder))
         log: list[str] = []
@@ -252,4 +254,4 @@ def test_calculated_start_is_a_guess_before_initialization_and_refused_during_it
 def test_start_without_solution_is_an_error_with_the_reason(interface, fmi, fmus):
     assert cosim.simulate_fmu(fmus["gap", fmi], interface=interface)["x"][0] == pytest.approx(2.0)
     with pytest.raises(FmuError, match="the start values of x cannot be calculated"):
-        cosim.simulate_fmu(fmus["gap", fmi], interface=interface, start={"size": -1.0})
+        cosim.simulate_fmu(fmus["gap", fmi], interface=interface, start_values={"size": -1.0})

@@ -12,6 +12,7 @@ from helpers.engines import build
 from helpers.order_conditions import density, trees
 from helpers.oscillators import oscillator
 
+from cosim.api import simulate
 from cosim.codegen.compiler import find_compiler
 from cosim.codegen.runge_kutta import dop853
 from cosim.codegen.runge_kutta.explicit_library import (
@@ -21,10 +22,9 @@ from cosim.codegen.runge_kutta.explicit_library import (
 )
 from cosim.errors import MissingTool, UsageError
 from cosim.integrate.families.fixed_step import tableau_of
-from cosim.integrate.simulate import simulate
-from cosim.integrate.solver import Tolerance
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
+from cosim.model.solver import Tolerance
 from cosim.verify.reference import reference
 
 FIXED_STEP = [name for name, solver in SOLVERS.items() if not solver.adaptive]
@@ -125,7 +125,7 @@ def test_nothing_is_compiled_when_tolerance_grid_or_values_change(monkeypatch, t
         simulate(dae, solver=name)
         kept = sorted(tmp_path.iterdir())
         simulate(dae, solver=name, output_interval=0.037, stop_time=3.0, start_time=1.0, **options)
-        simulate(dae, solver=name, start={"k": 5.0, "x": 0.3, "push": 0.1})
+        simulate(dae, solver=name, start_values={"k": 5.0, "x": 0.3, "push": 0.1})
         new = [path for path in tmp_path.iterdir() if path not in kept]
         assert new == []
 
@@ -203,6 +203,7 @@ static int rhs_work(long long *a, long long *r, long long *i, long long *w) {
 #define NZ 1
 #define NU 1
 #define NC 1
+#define RELATIONS 0
 """
 
 

@@ -8,16 +8,19 @@ import pytest
 from helpers.extended import Long, final_state, has_extended_precision, right_hand_side
 from helpers.oscillators import oscillator
 
+import cosim
 from casadi_models.dae import Model
+from cosim.api import simulate
 from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau
 from cosim.errors import SolverError
 from cosim.integrate.families.fixed_step import Rk4
 from cosim.integrate.integrator import start_vectors
-from cosim.integrate.simulate import simulate
-from cosim.model.catalogue import load
-from cosim.scene.scene import Scene, Settings
-from cosim.study.tradeoff.convergence import observed_order
-from cosim.study.tradeoff.stability import largest_stable_step, stability_function, stability_limit
+from cosim.study.tradeoff.fixed_steps import (
+    largest_stable_step,
+    observed_order,
+    stability_function,
+    stability_limit,
+)
 from cosim.verify.reference import reference
 
 METHODS = {"rk4": RK4, "ode8": ODE8}
@@ -25,8 +28,8 @@ POUND_FOOT_SECOND = 1.3558179483314004  # ft.lbf.s/rad in N.m.s/rad
 
 
 def scene(name, **changes):
-    settings = Settings(stop_time=changes.pop("stop_time", None))
-    return Scene(name, load(name), values=changes, settings=settings)
+    stop = changes.pop("stop_time", None)
+    return cosim.requested(name, stop_time=stop, start_values=changes)
 
 
 def decay(rate=50.0):
@@ -34,9 +37,10 @@ def decay(rate=50.0):
     model = Model("decay", stop_time=1.0)
     x = model.state("x", "1", 1.0, "what decays")
     model.derivative(x, -rate * x)
-    return Scene("decay", model.freeze())
+    return cosim.requested(model.freeze())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "solver", "order"),
     [
@@ -77,7 +81,7 @@ def test_order_8_ends_at_rounding_after_three_halvings_where_steps_must_be_small
 )
 def test_order_8_shows_over_four_halvings_where_rounding_is_small(name, stop, steps, tmp_path):
     """From each halving to the next, not as the slope of a fit."""
-    dae = load(name)
+    dae = cosim.load(name)
     f, x = right_hand_side(dae, tmp_path), start_vectors(dae)["x0"].astype(Long)
     ends = [final_state(f, x, ODE8, stop, steps * 2**k) for k in range(6)]
     apart = [float(np.abs(b - a).max()) for a, b in pairwise(ends)]
@@ -90,7 +94,7 @@ def test_order_8_shows_over_four_halvings_where_rounding_is_small(name, stop, st
 def test_wrong_coefficient_shows_as_a_lower_order(monkeypatch):
     wrong = Tableau(4, RK4.a, (*RK4.b[:2], RK4.b[2] + RK4.b[3], 0))
     monkeypatch.setattr(Rk4, "tableau", wrong)
-    spring = Scene("oscillator", oscillator().dae)
+    spring = cosim.requested(oscillator().dae)
     found = observed_order(spring, reference(spring), "rk4")
     assert found.observed == pytest.approx(1, abs=0.2)  # measured 1.0
 
@@ -108,6 +112,7 @@ def test_rk4_has_its_published_limits_on_the_real_and_the_imaginary_axis(mode, l
     assert largest_stable_step(polynomial, mode) == pytest.approx(limit, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", METHODS)
 def test_limit_of_a_decay_is_that_of_the_real_axis(solver):
     found = stability_limit(decay(), reference(decay()), solver)
@@ -117,6 +122,7 @@ def test_limit_of_a_decay_is_that_of_the_real_axis(solver):
     assert found.measured == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", METHODS)
 @pytest.mark.parametrize(
     "model",
@@ -125,7 +131,7 @@ def test_limit_of_a_decay_is_that_of_the_real_axis(solver):
         scene("bicycle/independent"),
         scene("disk_two_bars/reduced"),
     ],
-    ids=lambda model: model.name,
+    ids=lambda request: request.dae.name,
 )
 def test_runs_are_lost_beyond_the_predicted_step_and_not_before(model, solver):
     """Whole runs, not single modes: within 10 % on either side of what the eigenvalues say."""

@@ -1,4 +1,4 @@
-"""DaeBuilder models of every feature: right on both roads, or refused by name.
+"""DaeBuilder models of every feature: right on both backends, or refused by name.
 
 The ones that are marked are examples of CasADi's own documentation (class DaeBuilder), with numbers
 where those leave them out.
@@ -18,6 +18,7 @@ from helpers.accepted_builders import (
     root_of_cubic,
 )
 from helpers.refused_builders import REFUSED
+from helpers.samples import sampled
 
 import cosim
 from cosim.errors import CosimError, UsageError
@@ -49,10 +50,7 @@ QUICK = (
 )
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in ACCEPTED],
-)
+@pytest.mark.parametrize("name", sampled(ACCEPTED, QUICK))
 def test_accepted_model_is_right_in_an_fmu(name, tmp_path):
     builder, exact = ACCEPTED[name]
     dae = cosim.from_dae_builder(builder())
@@ -102,7 +100,7 @@ def test_facts_come_along():
 
 def test_calculated_start_follows_its_parameter():
     dae = cosim.from_dae_builder(calculated_start())
-    run = cosim.simulate(dae, stop_time=0.01, start={"p": 5.0}, compiled=False)
+    run = cosim.simulate(dae, stop_time=0.01, start_values={"p": 5.0}, compiled=False)
     assert run["x"][0] == 10.0
 
 

@@ -26,7 +26,7 @@ def final(dae, name: str = "x", **options) -> float:
 
 
 @KINDS
-def test_oscillator_is_its_closed_form_and_takes_both_roads(kind, tmp_path):
+def test_oscillator_is_its_closed_form_and_takes_both_backends(kind, tmp_path):
     system = oscillator(kind)
     x, v = ca.vertsplit(system["x"]) if kind is SX else system["x"].primitives()
     energy = v**2 / 2 + system["p"] * x**2 / 2
@@ -106,7 +106,7 @@ def test_quadrature_becomes_a_state(kind):
 def test_start_may_depend_on_parameters():
     x, k = SX.sym("x"), SX.sym("k")
     dae = cosim.from_casadi({"x": x, "p": k, "ode": -k * x}, {"x": 2 * k, "k": 3.0})
-    run = cosim.simulate(dae, start={"k": 0.5}, **END)
+    run = cosim.simulate(dae, start_values={"k": 0.5}, **END)
     assert run["x"][[0, -1]] == pytest.approx([1.0, np.exp(-0.5)], abs=1e-8)
 
 
@@ -142,7 +142,7 @@ def test_defaults_of_a_function_are_its_start_values(tmp_path):
     function = ca.Function("f", [x, p], [-p[0] * p[1] * x], ["x", "p"], ["ode"], options)
     function.save(str(tmp_path / "decay.casadi"))
     dae = cosim.load(str(tmp_path / "decay.casadi"))
-    run = cosim.simulate(dae, start={"p_2": 0.5}, **END)
+    run = cosim.simulate(dae, start_values={"p_2": 0.5}, **END)
     assert run["x"][[0, -1]] == pytest.approx([2.0, 2 * np.exp(-1.5)], abs=1e-8)
     assert cosim.from_casadi(function, {"p_1": 7}).parameters[0].start == 7
 
@@ -322,7 +322,7 @@ def test_letter_is_spelt_as_its_readers_call_it(name, spelt):
     assert [(s.name, s.meaning) for s in dae.states] == [(spelt, name)]
 
 
-def test_lambda_is_a_variable_on_both_roads(tmp_path):
+def test_lambda_is_a_variable_on_both_backends(tmp_path):
     """Python keeps that word for itself; C and XML do not."""
     tilt = SX.sym("λ")
     dae = cosim.from_casadi({"x": tilt, "ode": -tilt}, {"lambda": 1.0}, name="tilting")

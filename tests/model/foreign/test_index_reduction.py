@@ -78,7 +78,7 @@ def test_starts_that_nobody_gave_satisfy_the_constraints_and_follow_the_paramete
     dae = cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.8, "u": 0.5, "L": 1.0})
     run = cosim.simulate(dae, stop_time=0.01)
     assert run["v"][0] == pytest.approx(0.6 * 0.5 / 0.8, abs=1e-12)
-    longer = cosim.simulate(dae, stop_time=0.01, start={"L": 2.0})
+    longer = cosim.simulate(dae, stop_time=0.01, start_values={"L": 2.0})
     assert np.hypot(longer["x"][0], longer["y"][0]) == pytest.approx(2.0, abs=1e-12)
 
 

@@ -91,7 +91,7 @@ def system(kind) -> dict:
 
 
 @pytest.mark.parametrize("kind", [SX, MX])
-def test_short_circuit_on_both_roads(kind, tmp_path):
+def test_short_circuit_on_both_backends(kind, tmp_path):
     system_ = system(kind)
     dae = cosim.from_casadi(system_, {"x": 0.4, "u": 1.0}, {"rate": system_["ode"]})
     own = ca.Function("own", [INDEX, X], [EXPRESSIONS["conditional"]])
@@ -102,7 +102,7 @@ def test_short_circuit_on_both_roads(kind, tmp_path):
         start_values = {"u": float(u)}
         runs = [cosim.simulate(dae, start_values=start_values, compiled=False, **options)]
         runs += [
-            cosim.simulate_fmu(path, interface=i, start=start_values, **options)
+            cosim.simulate_fmu(path, interface=i, start_values=start_values, **options)
             for i in ("ModelExchange", "CoSimulation")
         ]
         for run in runs:

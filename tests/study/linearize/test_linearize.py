@@ -1,4 +1,4 @@
-"""Linear systems: closed forms, the published speeds of the bicycle, the FMU against the graph."""
+"""Linear systems: closed forms, published speeds of the bicycle, FMU against model."""
 
 import json
 
@@ -10,18 +10,18 @@ import cosim
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.study.linearize.linearization import blocks
-from cosim.study.linearize.linearize import cyclic_states, linearize
-from cosim.study.linearize.sweep import linearize_sweep
+from cosim.study.linearize.linearize import linearize
+from cosim.study.linearize.point import cyclic_states
 
 UPRIGHT = {"phi_dot": 0.0}
 
 
-def test_bar_across_the_arm_is_unstable_by_the_closed_form():
+def test_unstable_equilibrium_of_the_bar_has_the_eigenvalues_of_the_closed_form():
     dae = cosim.load("bar_on_frame/reduced")
     linear = linearize(dae, at="equilibrium", start_values={"Omega_dot": 0.0})
     assert linear.x[0] == pytest.approx(np.pi / 2, abs=1e-9)
     assert "equilibrium" in linear.point
-    assert linear.steadiness == "steady, phi going on"
+    assert linear.steadiness == "steady, moving on: phi"
     # theta'' = Omega^2 theta - b / I theta' near 90 deg
     values = {v.name: v.start for v in dae.parameters}
     damping = values["b"] / (values["m"] * values["length"] ** 2 / 12)
@@ -34,7 +34,7 @@ def test_bar_across_the_arm_is_unstable_by_the_closed_form():
 def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
     dae = cosim.load(f"bicycle/{formulation}")
     values = np.linspace(-10, -24, 8)
-    sweep = linearize_sweep(dae, "thetaR_dot", values, start_values=UPRIGHT, outputs=["speed"])
+    sweep = linearize(dae, along={"thetaR_dot": values}, start_values=UPRIGHT, outputs=["speed"])
     capsize, weave = sweep.crossings
     assert capsize.outputs["speed"] == pytest.approx(CAPSIZE_SPEED, abs=1e-9)  # 1.4e-11
     assert weave.outputs["speed"] == pytest.approx(WEAVE_SPEED, abs=1e-9)  # 1.7e-12
@@ -44,7 +44,7 @@ def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
 
 
 @pytest.mark.parametrize(("model", "fmi"), [("bicycle/independent", 2), ("bicycle/multipliers", 3)])
-def test_fmu_has_the_eigenvalues_of_the_graph(tmp_path, model, fmi):
+def test_fmu_has_the_eigenvalues_of_its_model(tmp_path, model, fmi):
     dae = cosim.load(model)
     path = cosim.export_fmu(dae, tmp_path / "bicycle.fmu", fmi=fmi)
     bare = linearize(path, start_values=UPRIGHT)
@@ -64,7 +64,7 @@ def _simple(values):
     return np.sort_complex([v for v in values if abs(v) > 1e-6 and abs(v + 1) > 1e-6])
 
 
-def test_linear_system_is_the_slope_of_the_model_itself():
+def test_matrices_agree_with_finite_differences_of_the_model():
     dae = cosim.load("bar_on_frame/two_body")
     linear = linearize(dae, outputs=["M_phi"])
 
@@ -72,7 +72,7 @@ def test_linear_system_is_the_slope_of_the_model_itself():
         starts = {"Omega": 2 * np.pi + shift}
         return cosim.simulate(dae, start_values=starts, stop_time=0.0, outputs=["M_phi"])["M_phi"]
 
-    # the frame's bodies follow their own calculated starts, so only the input is free to compare
+    # the frame's bodies follow calculated initial values, so that only the input is compared
     torque = [
         cosim.simulate(dae, start_values={"T2": t}, stop_time=0.0, outputs=["M_phi"])["M_phi"][0]
         for t in (-1e-3, 1e-3)
@@ -82,7 +82,7 @@ def test_linear_system_is_the_slope_of_the_model_itself():
     assert output(0.0)[0] == linear.y[0]
 
 
-def test_formulations_have_the_same_eigenvalues_that_do_not_vanish():
+def test_formulations_have_the_same_nonzero_eigenvalues():
     found = []
     for formulation in ("reduced", "multipliers"):
         linear = linearize(cosim.load(f"disk_two_bars/{formulation}"), at="equilibrium")
@@ -91,7 +91,7 @@ def test_formulations_have_the_same_eigenvalues_that_do_not_vanish():
     assert len(found[0]) == 4
 
 
-def test_along_a_run_the_state_is_that_of_the_run():
+def test_linearization_at_a_time_uses_the_state_of_the_run():
     dae = cosim.load("bar_on_frame/reduced")
     linear = linearize(dae, at=0.5)
     run = cosim.simulate(dae, stop_time=0.5, output_interval=0.5)
@@ -99,18 +99,18 @@ def test_along_a_run_the_state_is_that_of_the_run():
     assert linear.steadiness.startswith("not steady")
 
 
-def test_cyclic_states_influence_nothing_but_each_other():
+def test_cyclic_states_influence_only_each_other():
     dae = cosim.load("bicycle/independent")
     names = [dae.states[i].name for i in cyclic_states(dae)]
     assert names == ["thetaR", "psi", "thetaF", "xP", "yP"]
 
 
-def test_blocks_are_states_that_act_on_each_other_both_ways():
+def test_blocks_are_groups_of_states_that_influence_each_other():
     pattern = np.array([[0, 1, 0, 0], [1, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
     assert blocks(pattern) == ((0, 1), (2,), (3,))
 
 
-def test_motion_that_cannot_rest_is_refused_with_its_state():
+def test_missing_equilibrium_is_an_error_that_names_the_state():
     with pytest.raises(InitialConditionError, match="Omega cannot come to rest"):
         linearize(cosim.load("bar_on_frame/reduced"), at="equilibrium")
 
@@ -123,19 +123,19 @@ def test_motion_that_cannot_rest_is_refused_with_its_state():
         ({"start_values": {"alphaa": 1.0}}, UnknownName, "did you mean alpha"),
     ],
 )
-def test_names_that_do_not_exist_are_refused(options, error, text):
+def test_unknown_names_are_rejected(options, error, text):
     with pytest.raises(error, match=text):
         linearize(cosim.load("crank_shaft"), **options)
 
 
-def test_sweep_needs_values_in_order():
+def test_values_along_a_parameter_must_be_monotonic():
     with pytest.raises(ParameterError, match="increasing or decreasing"):
-        linearize_sweep(cosim.load("crank_shaft"), "alpha", [1.0, 3.0, 2.0])
+        linearize(cosim.load("crank_shaft"), along={"alpha": [1.0, 3.0, 2.0]})
 
 
-def test_fmu_has_its_start_only(tmp_path):
+def test_fmu_is_linearized_at_its_initial_state_only(tmp_path):
     path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
-    with pytest.raises(UsageError, match="linearized at its start"):
+    with pytest.raises(UsageError, match="linearized at its initial state"):
         linearize(path, at=1.0)
     with pytest.raises(UnknownName, match="did you mean alpha"):
         linearize(path, start_values={"alphaa": 1.0})
@@ -148,7 +148,7 @@ def test_fmu_with_structured_names_has_each_variable_once(tmp_path):
     assert len(outputs) == len(set(outputs)) == len(dae.output_variables) + len(dae.states)
 
 
-def test_command_runs_no_fmu_that_is_not_trusted(tmp_path, monkeypatch):
+def test_command_does_not_run_an_untrusted_fmu(tmp_path, monkeypatch):
     path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
     monkeypatch.setenv("COSIM_TRUST", "known")
     monkeypatch.setattr("cosim.fmi.trust.is_trusted", lambda _: False)
@@ -158,9 +158,9 @@ def test_command_runs_no_fmu_that_is_not_trusted(tmp_path, monkeypatch):
 
 def test_command_shows_modes_and_crossings(tmp_path, capsys):
     assert main(["linearize", "crank_shaft", "--outputs", "T"]) == 0
-    assert "crank_shaft/driven at its start" in capsys.readouterr().out
+    assert "crank_shaft/driven at its initial state" in capsys.readouterr().out
     figure, csv = tmp_path / "e.png", tmp_path / "e.csv"
-    words = ["--sweep", "thetaR_dot=-10:-24:8", "-p", "phi_dot=0", "--outputs", "speed"]
+    words = ["--along", "thetaR_dot=-10:-24:8", "-p", "phi_dot=0", "--outputs", "speed"]
     files = ["-o", str(csv), "--figure", str(figure)]
     assert main(["linearize", "bicycle", *words, *files]) == 0
     shown = capsys.readouterr().out
@@ -172,6 +172,14 @@ def test_command_shows_modes_and_crossings(tmp_path, capsys):
     assert [p["time"] for p in json.loads(capsys.readouterr().out)] == [0.5, 1.0]
 
 
-@pytest.mark.parametrize("words", [["--sweep", "alpha"], ["--at", "soon"], ["--figure", "x.png"]])
-def test_command_refuses_what_it_cannot_read(words):
+@pytest.mark.parametrize("words", [["--along", "alpha"], ["--at", "soon"], ["--figure", "x.png"]])
+def test_command_rejects_invalid_options(words):
     assert main(["linearize", "crank_shaft", *words]) == 2
+
+
+def test_crossing_at_an_unsteady_state_is_no_critical_speed():
+    along = {"along": {"thetaR_dot": [-13.0, -15.0]}, "outputs": ["speed"]}
+    with pytest.raises(InitialConditionError, match=r"not steady: .* not for a limit of stability"):
+        linearize("bicycle", **along)  # its roll rate is 0.5 rad/s; 4.27 m/s was reported
+    (weave,) = linearize("bicycle", at="equilibrium", **along).crossings
+    assert weave.outputs["speed"] == pytest.approx(WEAVE_SPEED, rel=1e-10)

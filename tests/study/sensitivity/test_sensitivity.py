@@ -1,4 +1,4 @@
-"""Derivatives of runs: closed forms, starts that follow, and a second opinion that is heard."""
+"""Sensitivities: closed forms, calculated initial values, and the check by finite differences."""
 
 import json
 
@@ -11,16 +11,22 @@ from cosim.cli.main import main
 from cosim.errors import InitialConditionError, SolverError, UnknownName, UsageError
 from cosim.model.inputs import InputSeries
 from cosim.model.values import assign
-from cosim.study.sensitivity.sensitivity import sensitivity
-from cosim.study.sensitivity.variational import SensitivityTarget, start_slopes, variational
+from cosim.study.sensitivity.sensitivity import (
+    SensitivityTarget,
+    sensitivity,
+    start_slopes,
+    variational,
+)
 
 SHORT = {"stop_time": 1.0, "output_interval": 0.1}
 
 
 @pytest.mark.parametrize("formulation", ["driven", "multipliers"])
-def test_angle_of_the_crank_grows_by_half_the_square_of_time(formulation):
+def test_derivative_of_the_crank_angle_by_alpha_is_half_the_square_of_time(formulation):
     dae = cosim.load(f"crank_shaft/{formulation}")
-    found = sensitivity(dae, of=["phi"], with_respect_to=["alpha", "omega", "density"], **SHORT)
+    found = sensitivity(
+        dae, outputs=["phi"], with_respect_to=["alpha", "omega", "density"], **SHORT
+    )
     time = found.run.time
     # phi = phi0 + omega t + alpha t^2 / 2; measured 2e-16
     np.testing.assert_allclose(found["phi", "alpha"], time**2 / 2, rtol=0, atol=1e-12)
@@ -39,7 +45,7 @@ def test_angle_of_the_crank_grows_by_half_the_square_of_time(formulation):
 def test_derivatives_of_an_oscillator_are_the_closed_form(algebraic, solver):
     dae = oscillator(algebraic=algebraic).dae
     found = sensitivity(
-        dae, of=["x"], with_respect_to=["k", "x", "v"], solver=solver, check=False, **SHORT
+        dae, outputs=["x"], with_respect_to=["k", "x", "v"], solver=solver, check=False, **SHORT
     )
     w, t, x0, v0 = np.sqrt(K), found.run.time, dae.x_start[0], dae.x_start[1]
     drive = 1 / (K - 1)
@@ -55,7 +61,7 @@ def test_derivatives_of_an_oscillator_are_the_closed_form(algebraic, solver):
 
 
 @pytest.mark.parametrize("name", ["w", "rF", "lambda", "phi", "delta", "phi_dot"])
-def test_calculated_starts_of_the_bicycle_are_differentiated(name):
+def test_calculated_initial_values_of_the_bicycle_are_differentiated(name):
     dae = cosim.load("bicycle/independent")
     target = SensitivityTarget.of(dae, name)
     values = assign(dae, {"delta": 0.1, "phi": 0.2})
@@ -71,14 +77,15 @@ def test_calculated_starts_of_the_bicycle_are_differentiated(name):
     np.testing.assert_allclose(found, central, rtol=0, atol=1e-7)
 
 
-def test_all_derivatives_of_the_bicycle_agree_with_differences():
+@pytest.mark.slow
+def test_all_derivatives_of_the_bicycle_agree_with_finite_differences():
     dae = cosim.load("bicycle/independent")
     found = sensitivity(dae, stop_time=1.0, output_interval=0.25)
     assert len(found.targets) == 26
     assert found.check.scaled < 1e-6  # measured 4e-8
 
 
-def test_direction_leaves_the_model_itself_alone():
+def test_variational_equations_do_not_change_the_run_of_the_model():
     dae = cosim.load("bar_on_frame/two_body")
     both = variational(dae)
     assert both.states[: len(dae.states)] == dae.states
@@ -86,34 +93,34 @@ def test_direction_leaves_the_model_itself_alone():
     assert len(both.algebraics) == 2 * len(dae.algebraics)
 
 
-def test_constant_input_counts_and_one_that_follows_a_series_is_refused():
+def test_constant_input_is_accepted_and_an_input_series_is_rejected():
     dae = cosim.load("bar_on_frame/reduced")
-    found = sensitivity(dae, of=["theta"], with_respect_to=["T2"], **SHORT)
-    assert found["theta", "T2"][-1] == pytest.approx(-1.4744, abs=1e-4)  # the issue's table
+    found = sensitivity(dae, outputs=["theta"], with_respect_to=["T2"], **SHORT)
+    assert found["theta", "T2"][-1] == pytest.approx(-1.4744, abs=1e-4)  # independent value
     series = InputSeries(("T2",), np.array([0.0, 1.0]), np.zeros((2, 1)))
-    with pytest.raises(UsageError, match="T2 follows a series"):
-        sensitivity(dae, of=["theta"], with_respect_to=["T2"], inputs=series, **SHORT)
+    with pytest.raises(UsageError, match="T2 follows a time series"):
+        sensitivity(dae, outputs=["theta"], with_respect_to=["T2"], inputs=series, **SHORT)
 
 
-def test_what_has_no_influence_is_zero():
+def test_derivative_by_a_parameter_without_influence_is_zero():
     dae = cosim.load("bar_on_frame/reduced")
-    found = sensitivity(dae, of=["Omega"], with_respect_to=["m", "Omega_dot"], **SHORT)
+    found = sensitivity(dae, outputs=["Omega"], with_respect_to=["m", "Omega_dot"], **SHORT)
     assert not found["Omega", "m"].any()
     np.testing.assert_allclose(found["Omega", "Omega_dot"], found.run.time, rtol=0, atol=1e-12)
 
 
-def test_second_method_that_disagrees_is_an_error(monkeypatch):
+def test_disagreement_of_the_two_methods_is_an_error(monkeypatch):
     from cosim.study.sensitivity import sensitivity as module
 
     original = module.differences
     monkeypatch.setattr(module, "differences", lambda *a: original(*a) * 1.001)
     with pytest.raises(SolverError, match=r"d phi / d alpha at 1 s is 0\.5 by dop853"):
-        sensitivity(cosim.load("crank_shaft"), of=["phi"], with_respect_to=["alpha"], **SHORT)
+        sensitivity(cosim.load("crank_shaft"), outputs=["phi"], with_respect_to=["alpha"], **SHORT)
 
 
-def test_value_at_its_bound_is_checked_from_one_side():
+def test_parameter_at_its_bound_is_varied_to_one_side():
     dae = cosim.load("bar_on_frame/reduced")  # frame_inertia is 1, its largest value
-    found = sensitivity(dae, of=["M_phi"], with_respect_to=["frame_inertia"], **SHORT)
+    found = sensitivity(dae, outputs=["M_phi"], with_respect_to=["frame_inertia"], **SHORT)
     assert found.check.scaled < 1e-8
     assert found["M_phi", "frame_inertia"].all()
 
@@ -122,23 +129,23 @@ def test_value_at_its_bound_is_checked_from_one_side():
     ("options", "error", "text"),
     [
         ({"with_respect_to": ["aplha"]}, UnknownName, "did you mean alpha"),
-        ({"of": ["phii"]}, UnknownName, "did you mean phi"),
+        ({"outputs": ["phii"]}, UnknownName, "did you mean phi"),
         ({"with_respect_to": []}, UsageError, "give a list of names"),
     ],
 )
-def test_names_that_do_not_exist_are_refused(options, error, text):
+def test_unknown_names_are_rejected(options, error, text):
     with pytest.raises(error, match=text):
         sensitivity(cosim.load("crank_shaft"), **options)
 
 
-def test_calculated_start_is_refused_with_its_causes():
+def test_calculated_initial_value_is_rejected_with_its_causes():
     with pytest.raises(InitialConditionError, match="start of theta is calculated"):
         sensitivity(cosim.load("bicycle"), with_respect_to=["theta"])
 
 
-def test_ranking_begins_with_the_heaviest_and_csv_reads_back(tmp_path):
+def test_ranking_begins_with_the_largest_weight_and_csv_reads_back(tmp_path):
     dae = cosim.load("bar_on_frame/reduced")
-    found = sensitivity(dae, of=["theta"], with_respect_to=["b", "m", "length"], **SHORT)
+    found = sensitivity(dae, outputs=["theta"], with_respect_to=["b", "m", "length"], **SHORT)
     weights = [row["weight"] for row in found.ranking()]
     assert weights == sorted(weights, reverse=True)
     path = tmp_path / "d.csv"

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.study.sweep.samples import Samples, as_samples, design, grid, read_samples
+from cosim.study.sweep.samples import (
+    Samples,
+    as_samples,
+    chosen_samples,
+    design,
+    grid,
+    read_samples,
+)
 
 
 def test_a_grid_has_every_combination_and_its_last_name_varies_fastest():
@@ -13,13 +20,35 @@ def test_a_grid_has_every_combination_and_its_last_name_varies_fastest():
     assert found.columns["phi"].tolist() == [0, 1, 2, 0, 1, 2]
 
 
-def test_samples_survive_a_file_bit_for_bit(tmp_path):
+def test_samples_from_a_file_have_its_numbers_bit_for_bit(tmp_path):
     random = np.random.default_rng(1)
     samples = Samples({"a": random.normal(size=50), "b": random.normal(size=50) * 1e-300})
-    samples.to_csv(tmp_path / "s.csv")
+    rows = zip(*(column.tolist() for column in samples.columns.values()), strict=True)
+    lines = ["a,b", *(",".join(map(repr, row)) for row in rows)]
+    (tmp_path / "s.csv").write_text("\n".join(lines))
     again = read_samples(tmp_path / "s.csv")
     assert again.digest == samples.digest
     np.testing.assert_array_equal(again.columns["b"], samples.columns["b"])
+
+
+def test_single_values_hold_for_every_row_of_a_table():
+    found = chosen_samples({"g": 9.81}, {"phi": [0, 1, 2]})
+    assert found.columns["g"].tolist() == [9.81] * 3
+    with pytest.raises(UsageError, match="one value for all runs"):
+        chosen_samples({"g": [1, 2, 3]}, {"phi": [0, 1, 2]})
+    with pytest.raises(UsageError, match="give it once"):
+        chosen_samples({"phi": 1}, {"phi": [0, 1, 2]})
+    with pytest.raises(UsageError, match="not both"):
+        chosen_samples({"phi": (0, 1)}, {"phi": [0, 1, 2]}, "sobol:4")
+
+
+def test_a_design_by_name_is_the_one_of_its_function():
+    ranges = {"a": (2.0, 3.0), "b": 7.0}
+    assert chosen_samples(ranges, None, "random:8").digest == design("random", 8, ranges).digest
+    axes = {"a": [1, 2], "b": [3, 4]}
+    assert chosen_samples(axes, None, "grid").digest == grid(axes).digest
+    with pytest.raises(UsageError, match="KIND:N"):
+        chosen_samples(ranges, None, "sobol")
 
 
 @pytest.mark.parametrize("kind", ["sobol", "lhs", "halton", "random"])
@@ -44,7 +73,7 @@ def test_a_design_follows_a_distribution():
     assert found.columns["m"].std() == pytest.approx(5, rel=0.01)
 
 
-def test_what_is_no_table_is_refused(tmp_path):
+def test_malformed_tables_and_designs_are_rejected(tmp_path):
     with pytest.raises(UsageError, match="CSV file"):
         as_samples(3)
     with pytest.raises(ParameterError, match="there are none"):
@@ -52,13 +81,13 @@ def test_what_is_no_table_is_refused(tmp_path):
     with pytest.raises(ParameterError, match="others have"):
         as_samples({"a": [1, 2], "b": [1, 2, 3]})
     file = tmp_path / "bad.csv"
-    for text, told in (
+    for text, expected in (
         ("a,b\n1\n", "row 2"),
         ("a\nx\n", "could not convert"),
         ("a,a\n1,2\n", "twice"),
     ):
         file.write_text(text)
-        with pytest.raises(ParameterError, match=told):
+        with pytest.raises(ParameterError, match=expected):
             read_samples(file)
     with pytest.raises(UnknownName, match="sobol"):
         design("sobbol", 4, {"a": (0, 1)})

@@ -1,4 +1,4 @@
-"""`tradeoff`: counts repeat, errors are what they are said to be, nothing is lost on the way."""
+"""`tradeoff`: reproducible counts, correct errors, and a reason for every missing result."""
 
 import base64
 import io
@@ -9,36 +9,41 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.oscillators import oscillator
 from PIL import Image
 
+import cosim
+from cosim.backend import Backend
 from cosim.cli.main import main
 from cosim.errors import MissingTool, ParameterError, SolverError, UnknownName, UsageError
-from cosim.model.catalogue import load
-from cosim.present.work_precision import draw_tradeoff
-from cosim.present.work_precision_front import draw_front
-from cosim.scene.scene import Scene, Settings
+from cosim.present.work_precision import draw_pareto_front, draw_tradeoff
+from cosim.study.pareto import pareto_front
 from cosim.study.tradeoff.configuration import Configuration, Selection
 from cosim.study.tradeoff.measurement import (
     COSTS,
     Measurement,
+    Outcome,
     Timing,
-    gather,
+    combined,
     invariants,
-    observed_event,
+    measurement_of,
 )
-from cosim.study.tradeoff.record import Event, Outcome, Record
-from cosim.study.tradeoff.result import pareto_front, proportionality
-from cosim.study.tradeoff.study import study_record, tradeoff
-from cosim.study.tradeoff.variants import Workshop
+from cosim.study.tradeoff.result import proportionality
+from cosim.study.tradeoff.study import Runner, tradeoff
 from cosim.verify.reference import reference
 
 TOLERANCES = (1e-4, 1e-5, 1e-7, 1e-9)  # at 1e-3 a handful of steps are no asymptote
+SPRING = oscillator().dae
 SMALL = Selection(("erk", "rk4"), TOLERANCES, (0.02, 0.01, 0.005), ("native",))
 
 
-def bar(**changes) -> Scene:
-    settings = Settings(stop_time=1.0)
-    return Scene("bar", load("bar_on_frame/reduced"), settings=settings, **changes)
+def bar(**changes):
+    return cosim.requested("bar_on_frame/reduced", stop_time=1.0, **changes)
+
+
+def erk(tolerance=1e-3):
+    request = cosim.requested(SPRING, solver="erk", relative_tolerance=tolerance)
+    return Configuration(request, Backend.NATIVE)
 
 
 @pytest.fixture(scope="module")
@@ -46,15 +51,14 @@ def study():
     return tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=2)
 
 
-def measured(cost, error, name="m"):
-    configuration = Configuration(name, False, "native", "erk", 1e-3)
+def measured(cost, error):
     return Measurement(
-        configuration, Outcome(), error, "x", {"x": error}, rhs_calls=cost,
+        erk(), Outcome(), {"x": error}, rhs_calls=cost,
         solver_time=Timing(cost, cost, cost, 1),
     )  # fmt: skip
 
 
-def test_notebook_shows_the_picture_and_the_front(study):
+def test_notebook_shows_the_picture_and_the_pareto_front(study):
     shown = study._repr_html_()
     content = base64.b64decode(re.search(r'src="data:image/png;base64,([^"]+)"', shown)[1])
     picture = np.asarray(Image.open(io.BytesIO(content)).convert("L"))
@@ -78,14 +82,14 @@ def test_error_is_the_largest_difference_in_nominal_values():
     """A run that is off by known amounts, at known times."""
     truth = reference(bar())
     values = truth.run.values.copy()
-    kept = ("theta", "tk_G_F")
+    outputs = ("theta", "tk_G_F")
     shift = {"theta": 3e-4, "tk_G_F": -2e-2}
     for name, amount in shift.items():
         values[40, truth.run.names.index(name)] += amount
     run = type(truth.run)("bar", truth.run.time, truth.run.columns, values, {"wall_time": 1.0})
-    event = observed_event(Configuration("bar", False, "native", "erk"), run, truth, kept, ())
+    measurement = measurement_of(erk(), run, truth, outputs, ())
     expected = {n: abs(a) / truth.run.column(n).nominal for n, a in shift.items()}
-    assert event.errors == pytest.approx(expected, rel=1e-9)
+    assert measurement.errors == pytest.approx(expected, rel=1e-9)
 
 
 def test_longer_steps_are_compared_where_they_have_output_and_do_not_compete(study):
@@ -103,11 +107,15 @@ def test_error_falls_in_proportion_to_the_tolerance(study):
     assert fit.slope == pytest.approx(1.0, abs=0.15)  # measured 1.04
 
 
+def front_of(points, floor):
+    return pareto_front(points, lambda m: m.rhs_calls, lambda m: m.error, floor)
+
+
 @pytest.mark.parametrize("seed", range(20))
-def test_nothing_beats_a_point_of_the_front(seed):
+def test_nothing_beats_a_point_of_the_pareto_front(seed):
     random = np.random.default_rng(seed)
     points = [measured(c, e) for c, e in random.integers(1, 15, (30, 2)).astype(float)]
-    front = pareto_front(points, "rhs_calls", 0.0)
+    front = front_of(points, 0.0)
     for on, other in product(front, points):
         assert not (other.rhs_calls <= on.rhs_calls and other.error < on.error)
         assert not (other.rhs_calls < on.rhs_calls and other.error <= on.error)
@@ -117,13 +125,13 @@ def test_nothing_beats_a_point_of_the_front(seed):
 
 def test_errors_below_the_floor_win_nothing():
     points = [measured(1.0, 1e-12), measured(2.0, 1e-13), measured(3.0, 1e-16)]
-    assert pareto_front(points, "rhs_calls", 1e-12) == (points[0],)
+    assert front_of(points, 1e-12) == (points[0],)
 
 
-def test_fit_leaves_out_what_the_reference_cannot_tell():
+def test_fit_leaves_out_errors_near_that_of_the_reference():
     def at(tolerance, error):
-        configuration = Configuration("m", False, "native", "erk", tolerance)
-        return Measurement(configuration, Outcome(), error, "x", {"x": error})
+        configuration = erk(tolerance)
+        return Measurement(configuration, Outcome(), {"x": error})
 
     points = [at(10.0**-k, max(3 * 10.0**-k, 1e-9)) for k in range(2, 12)]
     (fit,) = proportionality(points, 1e-9)
@@ -132,57 +140,22 @@ def test_fit_leaves_out_what_the_reference_cannot_tell():
 
 
 def test_what_the_equations_conserve_is_found():
-    scene = Scene("p", load("double_pendulum/quaternion"), settings=Settings(stop_time=1.0))
-    found = set(invariants(reference(scene)))
+    request = cosim.requested("double_pendulum/quaternion", stop_time=1.0)
+    found = set(invariants(reference(request)))
     conserved = {"energy", "angular_momentum_z", "w1_z", "w2_z"}
     assert conserved - found <= {"w1_z", "w2_z"}  # without any rounding they are no residuals
     assert not found & {"w1_x", "x_tip", "kinetic_energy", "q1_w", "fz_O"}
 
 
-def test_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
-    lines = []
-
-    def interrupt(line):
-        lines.append(line)
-        if sum("error" in text and "/" in text for text in lines) == 3:
-            raise KeyboardInterrupt
-
-    arguments = {"selection": SMALL, "every_formulation": False, "repeats": 1}
-    with pytest.raises(KeyboardInterrupt):
-        tradeoff(bar(), tell=interrupt, **arguments)
-    record = study_record(reference(bar()))
-    kept = record.path.read_text()
-    with record.path.open("a") as stream:
-        stream.write('{"key": "cut off by the interru')
-    said = []
-    study = tradeoff(bar(), tell=said.append, resume=True, **arguments)
-    assert record.path.read_text().startswith(kept)
-    assert sum(": error" in line for line in said) == 7 - kept.count("\n")
-    assert len(study.measurements) == 7
-    assert all(m.total_time.repeats == 1 for m in study.measurements)
-
-
-def test_study_that_is_not_resumed_begins_anew(tmp_path):
-    record = Record(tmp_path / "runs.jsonl", "key")
-    record.begin(resume=False)
-    event = Event(Configuration("m", False, "native", "erk", 1e-3), errors={"x": 0.1})
-    record.append(event)
-    assert record.begin(resume=True) == [event]
-    assert Record(record.path, "another model").begin(resume=True) == []
-    record.append(event)
-    assert record.begin(resume=False) == []
-
-
 def test_failed_configuration_says_why_and_stops_nothing(monkeypatch):
-    original = Workshop.run
+    original = Runner.run
 
     def failing(self, configuration):
         if configuration.tolerance == 1e-5:
             raise SolverError("it gave up")
         return original(self, configuration)
 
-    monkeypatch.setattr(Workshop, "run", failing)
+    monkeypatch.setattr(Runner, "run", failing)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
     failed = [m for m in study.measurements if m.outcome.reason]
     assert [(m.configuration.tolerance, str(m.outcome)) for m in failed] == [
@@ -192,66 +165,63 @@ def test_failed_configuration_says_why_and_stops_nothing(monkeypatch):
     assert len(study.measurements) == 7
 
 
-def test_tighter_tolerances_are_left_out_where_a_looser_one_was_slow(monkeypatch):
-    monkeypatch.setattr("cosim.study.tradeoff.rounds.SLOW", 0.0)
+def test_tighter_tolerances_are_left_out_if_a_looser_one_was_slow(monkeypatch):
+    monkeypatch.setattr("cosim.study.tradeoff.study.SLOW", 0.0)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
     ran = {m.configuration for m in study.measurements if m.outcome == Outcome()}
     assert {(c.tolerance, c.step) for c in ran} == {(TOLERANCES[0], None), (None, 0.02)}
     assert "more than 0 s" in study.measurements[1].outcome.reason
-    told = {row["configuration"] for row in study.missing()}
-    assert told == {
+    reasons = {row["configuration"] for row in study.missing()}
+    assert reasons == {
         "bar_on_frame/reduced native erk 1e-05 ... 1e-09",
         "bar_on_frame/reduced native rk4 0.01 s ... 0.005 s",
     }
 
 
 def test_time_to_compile_does_not_make_a_run_slow(monkeypatch):
-    original = Workshop.run
+    original = Runner.run
 
     def compiling(self, configuration):
         run = original(self, configuration)
-        return replace(run, stats={**run.stats, "wall_time": 1000.0})
+        return replace(run, stats=replace(run.stats, wall_time=1000.0))
 
-    monkeypatch.setattr(Workshop, "run", compiling)
+    monkeypatch.setattr(Runner, "run", compiling)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
     assert {m.outcome for m in study.measurements} == {Outcome()}
     assert {m.total_time.repeats for m in study.measurements} == {1}
 
 
-def test_interpreted_runs_are_left_out_where_their_compiled_twin_was_slow(monkeypatch):
-    monkeypatch.setattr("cosim.study.tradeoff.rounds.SLOW", 0.0)
-    selection = Selection(("erk",), (1e-3,), roads=("native", "native-interpreted"))
+def test_interpreted_runs_are_left_out_if_the_compiled_run_was_slow(monkeypatch):
+    monkeypatch.setattr("cosim.study.tradeoff.study.SLOW", 0.0)
+    selection = Selection(("erk",), (1e-3,), backends=("native", "native-interpreted"))
     study = tradeoff(bar(), selection=selection, every_formulation=False, repeats=0)
     assert [m.error is None for m in study.measurements] == [False, True]
     assert "reduced native erk 1e-03 took" in study.measurements[1].outcome.reason
 
 
-def test_study_without_time_lists_what_it_left_out_and_runs_it_when_resumed():
-    arguments = {"selection": SMALL, "every_formulation": False, "repeats": 1}
-    study = tradeoff(bar(), seconds=0.0, **arguments)
+def test_study_without_time_lists_what_it_left_out():
+    study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1, seconds=0.0)
     assert {str(m.outcome) for m in study.measurements} == {
-        "left out: no time was left; resume the study"
+        "left out: the time limit was reached; increase seconds"
     }
-    again = tradeoff(bar(), resume=True, **arguments)
-    assert {m.outcome for m in again.measurements} == {Outcome()}
 
 
-def test_failure_that_took_long_keeps_tighter_tolerances_from_running(monkeypatch):
+def test_slow_failure_prevents_runs_at_tighter_tolerances(monkeypatch):
     def failing(self, configuration):
         run = reference(bar()).run
         raise SolverError("it gave up", replace(run, stats={"solve_time": 6.0}))
 
-    monkeypatch.setattr(Workshop, "run", failing)
+    monkeypatch.setattr(Runner, "run", failing)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
     reasons = [m.outcome.kind for m in study.measurements]
     assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]
 
 
 def test_what_cannot_be_measured_is_listed_with_its_reason():
-    selection = Selection(("erk", "dop853"), (1e-4,), roads=("native", "native-interpreted"))
+    selection = Selection(("erk", "dop853"), (1e-4,), backends=("native", "native-interpreted"))
     study = tradeoff("crank_shaft", selection=selection, repeats=0)
-    told = {row["configuration"]: row["reason"] for row in study.missing()}
-    assert told == {
+    reasons = {row["configuration"]: row["reason"] for row in study.missing()}
+    assert reasons == {
         "crank_shaft/driven native-interpreted dop853": "exists as compiled code only",
         "crank_shaft/multipliers erk": "cannot integrate algebraic unknowns",
         "crank_shaft/multipliers native-interpreted dop853": "exists as compiled code only",
@@ -259,10 +229,12 @@ def test_what_cannot_be_measured_is_listed_with_its_reason():
 
 
 def test_median_and_spread_leave_the_first_run_out():
-    configuration = Configuration("m", False, "native", "erk", 1e-3)
+    configuration = erk()
     times = (9.0, 1.0, 3.0, 2.0)  # the first run may have compiled
-    events = [Event(configuration, errors={"x": 0.1}, solver_time=t, total_time=t) for t in times]
-    (measurement,) = gather(events)
+    plain = Measurement(configuration, errors={"x": 0.1})
+    timings = [Timing(t, t, t, 1) for t in times]
+    runs = [replace(plain, solver_time=t, total_time=t, first_time=t.median) for t in timings]
+    measurement = combined(runs)
     assert measurement.solver_time == Timing(2.0, 1.0, 3.0, 3)
     assert measurement.first_time == 9.0
 
@@ -271,19 +243,20 @@ def test_median_and_spread_leave_the_first_run_out():
     ("arguments", "error"),
     [
         ({"solvers": ("erkk",)}, UnknownName),
-        ({"roads": ("fmi",)}, UnknownName),
+        ({"backends": ("fmi",)}, UnknownName),
         ({"tolerances": (0.5,)}, ParameterError),
         ({"tolerances": (0.0,)}, ParameterError),
         ({"steps": (0.0,)}, ParameterError),
         ({"steps": (float("nan"),)}, ParameterError),
     ],
 )
-def test_selection_refuses_what_does_not_exist(arguments, error):
+def test_selection_rejects_unknown_names(arguments, error):
     with pytest.raises(error):
         Selection(**arguments)
 
 
-def test_selection_that_fits_nothing_is_refused():
+@pytest.mark.slow
+def test_selection_that_fits_no_formulation_is_rejected():
     with pytest.raises(UsageError, match="nothing to measure with solvers erk"):
         tradeoff("crank_shaft/multipliers", selection=Selection(("erk",)))
 
@@ -292,31 +265,32 @@ def test_without_a_compiler_only_interpreted_equations_are_measured(monkeypatch)
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", "")
     monkeypatch.setattr("cosim.codegen.compiler.find_spec", lambda _: None)
-    said = []
+    lines = []
     selection = Selection(("rk4",), steps=(0.01,))
     study = tradeoff(
-        bar(), selection=selection, every_formulation=False, repeats=0, tell=said.append
+        bar(), selection=selection, every_formulation=False, repeats=0, progress=lines.append
     )
-    assert "no C compiler: interpreted equations only" in said
-    assert {m.configuration.road for m in study.measurements} == {"native-interpreted"}
+    assert "no C compiler: interpreted equations only" in lines
+    assert {m.configuration.backend for m in study.measurements} == {"native-interpreted"}
     assert ("native, fmu-me, fmu-cs", "no C compiler") in study.impossible
     with pytest.raises(MissingTool, match="no C compiler found"):
-        tradeoff(bar(), selection=Selection(roads=("native",)))
+        tradeoff(bar(), selection=Selection(backends=("native",)))
 
 
-def test_wanted_outputs_are_measured_on_the_full_and_on_the_reduced_model():
+@pytest.mark.slow
+def test_requested_outputs_are_measured_on_the_full_and_on_the_reduced_model():
     selection = Selection((), (1e-6,), (0.01,), ("native", "fmu-me"))
     study = tradeoff(
-        bar(outputs=("theta",)), selection=selection, every_formulation=False, repeats=0
+        bar(outputs=["theta"]), selection=selection, every_formulation=False, repeats=0
     )
-    found = {(m.configuration.road, m.configuration.reduced) for m in study.measurements}
+    found = {(m.configuration.backend, m.configuration.reduced) for m in study.measurements}
     assert found == set(product(("native", "fmu-me"), (False, True)))
     assert {tuple(m.errors) for m in study.measurements} == {("theta",)}
 
 
 def test_command_writes_table_file_and_figure(tmp_path, capsys):
     table, data, figure = (str(tmp_path / name) for name in ("t.csv", "t.json", "t.png"))
-    words = "tradeoff bar_on_frame/reduced --stop-time 1 --solvers erk --roads compiled"
+    words = "tradeoff bar_on_frame/reduced --stop-time 1 --solvers erk --backends native"
     common = [*words.split(), "--tolerances", "1e-3,1e-6", "--repeats", "1"]
     assert main([*common, "-v", "--output-file", table, "--figure", figure]) == 0
     captured = capsys.readouterr()
@@ -332,37 +306,41 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
         "measurements": facts["measurements"]
     }
     assert {"casadi", "fmpy", "cosim-rigid", "platform", "compiler"} <= set(facts["provenance"])
-    assert set(facts["fronts"]) == set(COSTS)
+    assert set(facts["pareto_fronts"]) == set(COSTS)
 
 
-def test_plain_figure_shows_the_front_and_one_line_for_each_solver(study):
-    figure = draw_front(study)
+def test_plain_figure_shows_the_pareto_front_and_one_line_for_each_solver(study):
+    figure = draw_pareto_front(study)
     axis = figure.axes[0]
     labels = [line.get_label() for line in axis.lines]
     solvers = {m.configuration.solver for m in study.competing}
     assert sorted(label.partition(",")[0] for label in labels[:-1]) == sorted(solvers)
     assert labels[-1] == "Pareto front"
     looks = {(line.get_color(), line.get_marker()) for line in axis.lines}
-    assert len(looks) == len(axis.lines)  # no two alike in the legend
+    assert len(looks) == len(axis.lines)  # every entry of the legend is different
     notes = [text.get_text() for text in figure.legends[1].get_texts()]
     assert 1 <= len(notes) <= 10
     assert [note.partition(" ")[0] for note in notes] == [t.get_text() for t in axis.texts]
-    front = {m.configuration.solver for m in study.front("solver_time")}
+    front = {m.configuration.solver for m in study.pareto_front("solver_time")}
     assert {note.split()[1].rstrip(",") for note in notes} <= front
-    assert any(patch.get_y() + patch.get_height() == study.floor for patch in axis.patches)
+    tops = [patch.get_y() + patch.get_height() for patch in axis.patches]
+    assert study.reference_error in tops
 
 
-def test_figure_names_the_front_and_shows_the_floor(study):
+def test_figure_names_the_pareto_front_and_shows_the_reference_error(study):
     figure = draw_tradeoff(study)
     for axis, cost in zip(figure.axes, COSTS, strict=False):
-        front = [m.configuration for m in study.front(cost)]
-        named = [text.get_text() for text in axis.texts]
-        assert named[0].startswith(front[0].short)
+        front = [m.configuration for m in study.pareto_front(cost)]
+        named = [text.get_text() for text in axis.get_legend().get_texts()]
+        assert [name.partition(" ")[0] for name in named] == [t.get_text() for t in axis.texts]
+        assert named[0].startswith(f"1  {front[0].solver}, ")
+        assert front[0].setting in named[0]
         assert named[-1].endswith(front[-1].setting)
         for configuration in front:
             assert any(configuration.solver in name for name in named)
-        assert any(patch.get_y() + patch.get_height() == study.floor for patch in axis.patches)
-        assert f"{study.floor:.0e}" in axis.get_title()
+        tops = [patch.get_y() + patch.get_height() for patch in axis.patches]
+        assert study.reference_error in tops
+        assert f"{study.reference_error:.0e}" in axis.get_title()
 
 
 @pytest.mark.parametrize(
@@ -376,14 +354,16 @@ def test_figure_names_the_front_and_shows_the_floor(study):
         ("--outputs thetta", 3),
     ],
 )
-def test_wrong_options_are_refused_before_anything_runs(words, code, capsys):
+def test_wrong_options_are_rejected_before_any_run(words, code, capsys):
     assert main(["tradeoff", "bar_on_frame/reduced", *words.split()]) == code
     assert "reference" not in capsys.readouterr().err
 
 
 def test_one_relative_tolerance_is_the_only_one_that_is_measured(tmp_path):
     path = tmp_path / "t.json"
-    words = "--relative-tolerance 1e-5 --solvers erk --roads native --repeats 1 --stop-time 0.5 -q"
+    words = (
+        "--relative-tolerance 1e-5 --solvers erk --backends native --repeats 1 --stop-time 0.5 -q"
+    )
     call = ["tradeoff", "bar_on_frame/reduced", *words.split(), "--output-file", str(path)]
     assert main(call) == 0
     assert {row["tolerance"] for row in json.loads(path.read_text())["measurements"]} == {1e-5}

@@ -1,24 +1,55 @@
-"""`cosim info MODEL|SCENE.toml|FILE.fmu`: variables with their numbers, size of the equations."""
+"""`cosim info [SUBJECT]`: a list of all models and scenes, or the facts of one."""
 
 import argparse
 import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
-from cosim.cli.options import Parser, add_timeout
-
-
-def add_options(parser: Parser) -> None:
-    """Declare the verb."""
-    parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
-    add_timeout(parser)
+import cosim.scene
+from cosim.cli.tables import show_table, terminal_width
+from cosim.model.catalogue import summary
+from cosim.toml_file import read_toml
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the variables and the size of the equations."""
-    from cosim.cli.running import refuse_timeout
-    from cosim.cli.tables import terminal_width
+    """Show a list, or the variables and the size of the equations."""
+    if args.model is None:
+        _list(args)
+        return 0
+    from cosim.coupling.files import is_system, read_system  # these load casadi
     from cosim.present.info import info
 
-    refuse_timeout(args)
+    if is_system(args.model) and not args.json:
+        system = read_system(args.model)
+        print(system)
+        if not system.is_model:
+            return 0
+        print()
     found = info(args.model)
     print(json.dumps(found.to_dict(), indent=1) if args.json else found.text(terminal_width()))
     return 0
+
+
+def _list(args: argparse.Namespace) -> None:
+    models, scenes = summary(), list(_scenes())
+    if args.json:
+        print(json.dumps({"models": models, "scenes": scenes}, indent=1))
+        return
+    show_table(models)
+    print("\nscenes, for simulate, export, crosscheck, tradeoff, plot and info")
+    show_table(scenes)
+
+
+def _scenes() -> Iterator[dict[str, Any]]:
+    """Yield the facts of each shipped scene without loading its model."""
+    folder = Path(cosim.scene.__path__[0]) / "shipped"
+    for path in sorted(folder.glob("*.toml")):
+        data = read_toml(path).data
+        yield {
+            "scene": path.name,
+            "model": data["model"],
+            "outputs": len(data.get("outputs", ())) or "all",
+            "figures": len(data.get("figures", ())),
+            "title": data["title"],
+        }

@@ -1,46 +1,27 @@
 """`cosim simulate MODEL|SCENE.toml|FILE.fmu`: one run."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cosim.cli.options import Parser, add_output_file, add_single_run
-
-if TYPE_CHECKING:
-    from cosim.trajectory import Trajectory
-
-
-def add_options(parser: Parser) -> None:
-    """Declare the verb."""
-    add_single_run(parser)
-    parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
-    add_output_file(parser, "FILE", "CSV; standard output by default")
-    parser.add_argument(
-        "--units", default="si", metavar="KIND", help="si, or book: display units, and their names"
-    )
-    parser.add_argument("--at", metavar="T1,T2", help="values at these times, as a table")
-    parser.add_argument(
-        "--master", metavar="NAME", help="who drives an FMU: fmpy (default), or c, compiled"
-    )
+from cosim.cli.arguments import runs_natively, times_in
+from cosim.cli.runs import run_or_partial, scene_or_none
+from cosim.cli.tables import show_table, write_text
+from cosim.errors import UnknownName, UsageError
+from cosim.series.csv_file import UNIT_KINDS
+from cosim.trajectory import Trajectory
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a model or an FMU."""
-    from cosim.cli.arguments import times_in
-    from cosim.cli.running import run_or_partial, scene_or_none
-    from cosim.cli.tables import show_table, write_text
-    from cosim.errors import UnknownName
-    from cosim.scene.roads import scene_dae
-    from cosim.series.csv_file import UNIT_KINDS
-
-    scene = scene_or_none(args)
-    run, code = run_or_partial(args, scene)
+    """Run a model, a scene or an FMU."""
     if args.units not in UNIT_KINDS:
         raise UnknownName.among("cosim simulate", "kind of units", args.units, UNIT_KINDS)
-    if args.at is not None and scene is None:
+    if (args.output_file or "").lower().endswith(".csv" if args.json else ".json"):
+        raise UsageError(f"{args.output_file}: .json is for --json, and .csv for runs without it")
+    scene = scene_or_none(args)
+    run, code = run_or_partial(args, scene)
+    if args.at is not None and (scene is None or not runs_natively(args)):
         run = run.at(sorted(times_in("--at", args.at)))
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
@@ -48,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
         text = json.dumps(head | {"stats": dict(run.stats), "values": columns}) + "\n"
         write_text(args.output_file, text)
     elif args.at is not None and args.output_file is None:
-        show_table(_at_times(run, args.units), as_json=False, digits=10)
+        show_table(_at_times(run, args.units), digits=10)
     elif args.output_file is None and sys.stdout.isatty():
         print(run.summary())
         print("every output time: -o FILE.csv, or cosim simulate ... > FILE.csv", file=sys.stderr)
@@ -57,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if "stop" in run.stats and not args.quiet:
         print(f"stopped where {run.stats['stop']}", file=sys.stderr)
     if args.verbose:
-        for line in scene_dae(scene).report if scene else ():
+        for line in scene.request.reduced().dae.report if scene else ():
             print(line, file=sys.stderr)
         print(", ".join(f"{key} {value}" for key, value in run.stats.items()), file=sys.stderr)
     return code

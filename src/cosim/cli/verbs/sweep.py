@@ -1,87 +1,45 @@
-"""`cosim sweep MODEL|SCENE.toml|FILE.fmu`: many runs, as a table of runs and a folder."""
-
-from __future__ import annotations
+"""`cosim sweep`: many runs of a model, a scene or an FMU, and the table of them."""
 
 import argparse
+import re
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
-from cosim.cli.options import Parser, add_error_control, add_output_file, add_outputs, add_run
+import numpy as np
 
-if TYPE_CHECKING:
-    from cosim.study.sweep.samples import Samples
+from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, value_in
+from cosim.cli.tables import write_text
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
+from cosim.study.sweep.samples import Samples, chosen_samples
+from cosim.study.sweep.subject import Subject, open_subject
+from cosim.study.sweep.sweep import sweep
 
-_RUN_OPTIONS = (
-    *("start_time", "stop_time", "output_interval", "relative_tolerance", "absolute_tolerance"),
-    *("step_size", "solver", "on_invalid"),
+_OF_SWEEP = ("keep", "store", "resume", "scheduler", "workers")
+_OF_RUNS = (
+    *(*TIMES, "solver", "relative_tolerance", "absolute_tolerance"),
+    *("step_size", "max_step", "on_invalid"),
 )
-
-
-def add_options(parser: Parser) -> None:
-    """Declare the verb."""
-    add_run(parser)
-    parser.add_argument("model", metavar="MODEL|SCENE.toml|FILE.fmu")
-    _add_samples(parser)
-    add_outputs(parser)
-    parser.add_argument(
-        "--keep",
-        nargs="+",
-        metavar="WORD",
-        default=["final"],
-        help='trajectories, statistics, final, max, min, mean, rms, "max(phi)", "first(phi, 0.5)"',
-    )
-    parser.add_argument("--times", metavar="T1,T2", help="output times, s, not an interval")
-    parser.add_argument("--solver", metavar="NAME", help="dop853 in lanes where that is possible")
-    add_error_control(parser)
-    parser.add_argument("--store", metavar="FOLDER", help="keeps everything, as it finishes")
-    parser.add_argument("--resume", action="store_true", help="go on with a store")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; one per processor")
-    parser.add_argument(
-        "--scheduler", metavar="local|ADDRESS", help="of a dask.distributed cluster"
-    )
-    parser.add_argument("--chunk", type=int, metavar="N", help="runs of a task; about a second")
-    add_output_file(parser, "FILE", "the table of runs as CSV; standard output without a store")
-
-
-def _add_samples(parser: Parser) -> None:
-    parser.add_argument("--samples", metavar="FILE.csv", help="one row per run, names first, SI")
-    parser.add_argument(
-        "--sample", metavar="KIND:N", help="a design over ranges: sobol, lhs, halton or random"
-    )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of a design; 0")
-    parser.add_argument(
-        "-p",
-        dest="values",
-        action="append",
-        default=[],
-        metavar="NAME=...",
-        help="A,B values; A:B:N evenly spaced; with --sample A:B or normal(0,1); A for all",
-    )
+_DISTRIBUTION = re.compile(r"(\w+)\((.*)\)")
+_DISTRIBUTIONS = {  # names of their two arguments
+    "normal": ("mean", "deviation"),
+    "uniform": ("low", "high"),
+    "loguniform": ("low", "high"),
+}
+_AXIS_FORMS = "A,B,C or A:B:N or A"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sweep, and show its table of runs."""
-    from cosim.cli.arguments import names_in, numbers_in
-    from cosim.cli.tables import write_text
-    from cosim.study.sweep.sweep import sweep
-
-    settings: dict[str, Any] = {
-        name: getattr(args, name) for name in _RUN_OPTIONS if getattr(args, name) is not None
-    }
-    if args.times is not None:
-        settings["times"] = numbers_in("--times", args.times)
+    """Run the sweep and write its table of runs."""
+    subject = open_subject(args.model)
     result = sweep(
-        args.model,
-        _asked_samples(args),
-        outputs=None if args.outputs is None else names_in(args.outputs),
-        keep=args.keep,
-        workers=args.workers,
-        scheduler=args.scheduler,
-        chunk=args.chunk,
-        store=args.store,
-        resume=args.resume,
+        subject,
+        samples=_samples(subject, args),
         progress=False if args.quiet else None,
-        **settings,
+        outputs=None if args.outputs is None else names_in(args.outputs),
+        output_times=None if args.times is None else numbers_in("--times", args.times),
+        **options_in(args, *_OF_SWEEP, *_OF_RUNS),
     )
     if args.output_file is not None or args.store is None:
         write_text(args.output_file, result.csv_text())
@@ -90,32 +48,66 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result.complete.all() else 1
 
 
-def _asked_samples(args: argparse.Namespace) -> Samples | None:
-    """Return the samples that a command line asks for; None for the stored ones."""
-    from cosim.cli.axes import read_axes
-    from cosim.errors import UsageError
-    from cosim.study.sweep.samples import Samples, design, grid, read_samples
+def _samples(subject: Subject, args: argparse.Namespace) -> Samples | None:
+    """Return the samples of a command line; None for those in the store."""
+    if args.samples is None and args.design is None and not args.values:
+        if args.resume:
+            return None
+        raise UsageError("nothing varies; give --samples FILE.csv, -p NAME=A,B, or --design KIND:N")
+    axes = _axes(subject, args.values, ranges=args.design is not None)
+    if args.samples is None:
+        return chosen_samples(axes, None, args.design or "grid", seed=args.seed)
+    fixed = {name: values[0] if len(values) == 1 else values for name, values in axes.items()}
+    return chosen_samples(fixed, args.samples, args.design)
 
-    if args.samples is not None:
-        if args.sample is not None:
-            raise UsageError("give --samples or --sample, not both")
-        table = read_samples(args.samples)
-        fixed = read_axes(args.model, args.values, ranges=False)
-        both = next((name for name in fixed if name in table.columns), None)
-        if both is not None:
-            raise UsageError(f"{both} is in {args.samples} and in -p; give it once")
-        several = next((name for name, values in fixed.items() if len(values) > 1), None)
-        if several is not None:
-            raise UsageError(f"-p {several}: beside --samples give one value for all runs")
-        return Samples({**table.columns, **{n: v[0] for n, v in fixed.items()}}, table.origin)
-    if args.sample is not None:
-        kind, _, count = args.sample.partition(":")
-        if not count.isdecimal():
-            raise UsageError(f"--sample {args.sample}: write KIND:N, e.g. sobol:1024")
-        ranges = read_axes(args.model, args.values, ranges=True)
-        return design(kind, int(count), ranges, seed=args.seed)
-    if args.values:
-        return grid(read_axes(args.model, args.values, ranges=False))
-    if args.resume:
-        return None
-    raise UsageError("nothing varies; give --samples FILE.csv, --sample KIND:N, or -p NAME=A,B")
+
+def _axes(subject: Subject, items: Sequence[str], *, ranges: bool) -> dict[str, Any]:
+    """Read `-p NAME=...`: ranges and distributions of a design, otherwise lists of values."""
+    axes: dict[str, Any] = {}
+    for name, text in assigned("-p", items, _AXIS_FORMS):
+        if name in axes:
+            raise UsageError(f"{name} is given twice; give it once")
+        axes[name] = _range(subject, name, text) if ranges else _values(subject, name, text)
+    return axes
+
+
+def _values(subject: Subject, name: str, text: str) -> list[float]:
+    parts = text.split(":")
+    if len(parts) == 3:
+        low, high = (_si_value(subject, name, part) for part in parts[:2])
+        if not parts[2].strip().isdecimal() or int(parts[2]) < 2:
+            raise ParameterError(f"-p {name}={text}: write {name}=A:B:N with N of 2 or more")
+        return [float(value) for value in np.linspace(low, high, int(parts[2]))]
+    if len(parts) != 1 or _DISTRIBUTION.fullmatch(text):
+        raise UsageError(f"-p {name}={text}: write {_AXIS_FORMS}; ranges are for --design KIND:N")
+    return [_si_value(subject, name, part) for part in text.split(",")]
+
+
+def _range(subject: Subject, name: str, text: str) -> Any:
+    if call := _DISTRIBUTION.fullmatch(text):
+        return _distribution(subject, name, call[1], call[2].split(","))
+    parts = text.split(":")
+    numbers = tuple(_si_value(subject, name, part) for part in parts)
+    if len(numbers) > 2:
+        raise UsageError(f"-p {name}={text}: a design needs A:B, a distribution, or one value")
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _distribution(subject: Subject, name: str, kind: str, words: Sequence[str]) -> Any:
+    if kind not in _DISTRIBUTIONS:
+        raise UnknownName.among(f"-p {name}", "distribution", kind, _DISTRIBUTIONS)
+    if len(words) != 2:
+        raise UsageError(f"-p {name}: write {kind}({', '.join(_DISTRIBUTIONS[kind])})")
+    first, second = (_si_value(subject, name, word) for word in words)
+    stats = optional_module("scipy.stats", "sweep")
+    if kind == "normal":
+        if second <= 0:
+            raise ParameterError(f"-p {name}: the deviation {second:g} is not positive")
+        return stats.norm(first, second)
+    if not first < second or (kind == "loguniform" and first <= 0):
+        raise ParameterError(f"-p {name}: {kind}({first:g}, {second:g}) is no range")
+    return stats.loguniform(first, second) if kind == "loguniform" else (first, second)
+
+
+def _si_value(subject: Subject, name: str, text: str) -> float:
+    return value_in(name, text.strip(), subject.unit(name))

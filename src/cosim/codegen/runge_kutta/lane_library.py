@@ -1,4 +1,4 @@
-"""A solver that runs many variants of one model in SIMD lanes, compiled around its equations."""
+"""Compiled solver that runs many variants of one model in SIMD lanes."""
 
 import ctypes
 import hashlib
@@ -6,7 +6,6 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import log2
 
 import casadi as ca
 
@@ -15,27 +14,26 @@ from cosim.codegen.c_sources import solver_source
 from cosim.codegen.compiler import cached_library, processor_abilities
 from cosim.codegen.initialization import start_function
 from cosim.codegen.runge_kutta.lanes import vector_text
-from cosim.codegen.runge_kutta.stage_sums import LANES, Names, dop853_sums, numbers
+from cosim.codegen.runge_kutta.stage_sums import LANES, NAMES, dop853_sums
 from cosim.errors import UsageError
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 
-RUN_REPORT = 8  # numbers in the report of a run
-SIZES = (1, 2, 4, 8)  # numbers of lanes
+SIZES = (1, 2, 4, 8)  # possible numbers of lanes
 
-_NAMES = Names("model_node", "stage_sum", "dense_sum", "error_5", "error_3")
 _LONG = ctypes.c_longlong
 _ARRAY = ctypes.c_void_p
 
 
 class Batch(ctypes.Structure):
-    """What `lanes_run` is given; see fmu/solvers/lanes_dop853.h."""
+    """Argument of `lanes_run`; see fmu/solvers/lanes_dop853.h."""
 
     _fields_ = (
         ("runs", _LONG),
         ("points", _LONG),
-        *((name, _ARRAY) for name in ("x0", "u", "p", "grid")),
+        *((name, _ARRAY) for name in ("x0", "nominal", "u", "p", "grid")),
         ("relative", ctypes.c_double),
         ("absolute", ctypes.c_double),
+        ("largest", ctypes.c_double),
         *((name, _ARRAY) for name in ("out", "report", "next", "stop")),
         ("stop_outside", _LONG),
     )
@@ -43,7 +41,7 @@ class Batch(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class LaneLibrary:
-    """A compiled solver: `run(Batch)`; `start(runs, t, x, u, p, defect)` calculates starts."""
+    """A compiled solver: `lanes_run(Batch)` integrates, `lanes_start` solves initial values."""
 
     lanes: int
     library: ctypes.CDLL
@@ -51,31 +49,26 @@ class LaneLibrary:
 
 @cache
 def processor_lanes() -> int:
-    """Return how many doubles this processor takes at once: 8 or 4; 1 where that is not known."""
+    """Return the number of doubles in a vector register: 8 or 4; 1 if it is unknown."""
     abilities = processor_abilities().split()
     return 8 if "avx512f" in abilities else 4 if "avx2" in abilities else 1
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
-    """Compile a model's equations for lanes, or take them from the cache.
-
-    Args:
-        dae: An explicit form: no algebraic unknowns, at least one state.
-        outputs: States and outputs to record.
-        lanes: One of `SIZES`.
+    """Return the compiled solver of a model for SIMD lanes, from the cache if possible.
 
     Raises:
-        UsageError: The model has algebraic unknowns, or `lanes` is another number.
+        UsageError: The model has algebraic unknowns, or `lanes` is not in `SIZES`.
         MissingTool: There is no compiler, or it fails.
     """
     if dae.algebraics or not dae.states:
-        raise UsageError(f"{dae.full_name}: lanes take explicit forms; use another formulation")
+        raise UsageError(
+            f"{dae.full_name}: SIMD lanes need an explicit ODE; use another formulation"
+        )
     if lanes not in SIZES:
         raise UsageError(f"lanes = {lanes}; give one of {', '.join(map(str, SIZES))}")
-    text = _library_source(dae, outputs, lanes)
-    key = "lanes " + hashlib.sha256(text.encode()).hexdigest()
-    library = ctypes.CDLL(str(cached_library(key, lambda: text)))
+    library = _compiled("lanes", _library_source(dae, outputs, lanes))
     if found := _elementary(lanes):
         library.lanes_use(*found)
     library.lanes_run.argtypes = [ctypes.POINTER(Batch)]
@@ -84,7 +77,7 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
 
 
 class Watched(ctypes.Structure):
-    """What `lanes_outputs` is given; see fmu/solvers/lanes_outputs.h."""
+    """Argument of `lanes_outputs`; see fmu/solvers/lanes_outputs.h."""
 
     _fields_ = (
         ("points", _LONG),
@@ -95,66 +88,72 @@ class Watched(ctypes.Structure):
     )
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def lane_outputs(dae: Dae, lanes: int, *, limits_only: bool = False) -> ctypes.CDLL:
-    """Compile `lanes_outputs(Watched)`, or take it from the cache.
+    """Return the library with `lanes_outputs(Watched)`, from the cache if possible.
 
     Args:
-        dae: Without algebraic unknowns.
-        lanes: One of `SIZES`.
-        limits_only: Whether to leave out the outputs, which then nobody can record.
+        limits_only: Whether to evaluate the validity conditions only, without the outputs.
 
     Raises:
-        UsageError: An output has an operation that lanes do not have.
+        UsageError: An output has an operation without a vector form.
         MissingTool: There is no compiler, or it fails.
     """
     shown = ca.SX(0, 1) if limits_only else dae.outputs
     rows = ca.vertcat(ca.SX(0, 1), shown, dae.margins)
-    (every,), symbols, values = ca.extract_parametric([rows], dae.p)
-    c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
-    cse = {"cse": True}
-    constants = ca.Function("f", [dae.p], [ca.densify(ca.vertcat(dae.p, *values))], cse)
-    observe = ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every)], cse)
+    every, c, constants = _prepared(dae, rows)
+    observe = ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every)], _CSE)
     sizes = {"LANES": lanes, "NX": dae.x.numel(), "NU": dae.u.numel(), "NP": dae.p.numel()}
     sizes |= {"NC": c.numel(), "NY": shown.numel(), "NL": len(dae.limits)}
-    text = "\n".join(
-        (
-            *(f"#define {name} {size}" for name, size in sizes.items()),
-            solver_source("lanes_outputs.h"),
-            vector_text(constants, "constants"),
-            vector_text(observe, "observe"),
-            "static const LaneOutputs outputs = {constants, observe};\n",
-        )
+    text = (
+        *(f"#define {name} {size}" for name, size in sizes.items()),
+        solver_source("lanes_outputs.h"),
+        vector_text(constants, "constants"),
+        vector_text(observe, "observe"),
+        "static const LaneOutputs outputs = {constants, observe};\n",
     )
-    key = "outputs " + hashlib.sha256(text.encode()).hexdigest()
-    library = ctypes.CDLL(str(cached_library(key, lambda: text)))
+    library = _compiled("outputs", "\n".join(text))
     library.lanes_outputs.argtypes = [ctypes.POINTER(Watched)]
     library.lanes_outputs.restype = None
     return library
+
+
+_CSE = {"cse": True}
+
+
+def _compiled(kind: str, text: str) -> ctypes.CDLL:
+    """Return the library of C code, from the cache if possible."""
+    key = f"{kind} {hashlib.sha256(text.encode()).hexdigest()}"
+    return ctypes.CDLL(str(cached_library(key, lambda: text)))
+
+
+def _prepared(dae: Dae, rows: ca.SX) -> tuple[ca.SX, ca.SX, ca.Function]:
+    """Return expressions of c, the symbols c, and the function that computes c of p once."""
+    every, symbols, values = ca.extract_parametric(rows, dae.p)
+    c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
+    return every, c, ca.Function("f", [dae.p], [ca.densify(ca.vertcat(dae.p, *values))], _CSE)
 
 
 def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     known = dict(zip((v.name for v in dae.states), ca.vertsplit(dae.x), strict=True))
     rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
     known |= dict(rows)
-    wanted = ca.vertcat(ca.SX(0, 1), *(known[name] for name in outputs))
-    observed = ca.vertcat(wanted, dae.margins)
+    recorded = ca.vertcat(ca.SX(0, 1), *(known[name] for name in outputs))
+    observed = ca.vertcat(recorded, dae.margins)
     sparsity = ca.jacobian_sparsity(observed, dae.x)
     _, columns = sparsity.get_triplet()
     needed = sorted(set(columns))
-    every, symbols, values = ca.extract_parametric(ca.vertcat(dae.ode, observed), dae.p)
-    nx, ny = dae.x.numel(), wanted.numel()
-    c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
-    kept = dae.x[needed] if needed else ca.SX(0, 1)
-    cse = {"cse": True}
+    every, c, constants = _prepared(dae, ca.vertcat(dae.ode, observed))
+    nx, ny = dae.x.numel(), recorded.numel()
+    read = dae.x[needed] if needed else ca.SX(0, 1)
     functions = {
-        "constants": ca.Function("f", [dae.p], [ca.densify(ca.vertcat(dae.p, *values))], cse),
-        "rhs": ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every[:nx])], cse),
+        "constants": constants,
+        "rhs": ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every[:nx])], _CSE),
         "observe": ca.Function(
             "f",
-            [dae.t, kept, dae.u, c],
+            [dae.t, read, dae.u, c],
             [ca.densify(every[nx : nx + ny]), ca.densify(every[nx + ny :])],
-            cse,
+            _CSE,
         ),
     }
     sizes = {"NX": nx, "NU": dae.u.numel(), "NP": dae.p.numel(), "NC": c.numel()}
@@ -168,18 +167,17 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             solver_source("lanes_dop853.h"),
             f"static const int model_needed[] = {{{places}}};",
             *(vector_text(function, name) for name, function in functions.items()),
-            numbers("model_nominal", [2.0 ** round(log2(v.nominal)) for v in dae.states]),
-            dop853_sums(_NAMES, LANES),
+            dop853_sums(LANES),
             "static const LaneModel model = {",
-            "    constants, rhs, observe, model_needed, model_nominal,",
-            f"    {', '.join(_NAMES)}",
+            "    constants, rhs, observe, model_needed,",
+            f"    {', '.join(NAMES)}",
             "};",
         )
     )
 
 
 def _start_text(dae: Dae) -> str:
-    """Return `lanes_start`: the calculated start values of every run, and what they leave."""
+    """Return the C text of `lanes_start`: initial values of every run, and their defects."""
     function = start_function(dae)
     generator = ca.CodeGenerator("start", {"with_header": False})
     generator.add(function)
@@ -206,12 +204,12 @@ CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double t, double *x, const
 
 @cache
 def _elementary(lanes: int) -> tuple[ctypes.c_void_p, ctypes.c_void_p] | None:
-    """Return sine and cosine of vectors from glibc's libmvec, where the machine has them."""
+    """Return vector sine and cosine of glibc's libmvec; None if the machine has none."""
     kind = {2: "b", 4: "d", 8: "e"}.get(lanes)
     if kind is None or platform.machine() != "x86_64" or platform.system() != "Linux":
         return None
     if lanes > processor_lanes():
-        return None  # AVX code would end the process
+        return None  # an unsupported instruction would end the process
     try:
         library = ctypes.CDLL("libmvec.so.1")
         sine, cosine = (getattr(library, f"_ZGV{kind}N{lanes}v_{name}") for name in ("sin", "cos"))

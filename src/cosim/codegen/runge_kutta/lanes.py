@@ -1,58 +1,25 @@
-"""CasADi functions printed once more, for vectors of doubles: one system in each lane.
+"""C code of CasADi functions for SIMD vectors: each lane evaluates another system.
 
-What is printed stands behind fmu/solvers/lanes.h. Every operation works on each lane by itself.
+The code needs fmu/solvers/lanes.h. Every operation treats each lane separately.
 """
+
+import json
+from pathlib import Path
 
 import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.errors import UsageError
-from cosim.memo import kept_per_thread
+from cosim.memo import cached_per_thread
 
-_LANE_FORMS = {
-    ca.OP_ASSIGN: "{0}",
-    ca.OP_ADD: "{0} + {1}",
-    ca.OP_SUB: "{0} - {1}",
-    ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "every(1) / {0}",
-    ca.OP_SQRT: "root({0})",
-    ca.OP_SIN: "vector_sin({0})",
-    ca.OP_COS: "vector_cos({0})",
-    ca.OP_FABS: "magnitude({0})",
-    ca.OP_SIGN: "sign_of({0})",
-    ca.OP_COPYSIGN: "with_sign({0}, {1})",
-    ca.OP_FMIN: "smaller({0}, {1})",
-    ca.OP_FMAX: "larger({0}, {1})",
-    ca.OP_LT: "truth({0} < {1})",
-    ca.OP_LE: "truth({0} <= {1})",
-    ca.OP_EQ: "truth({0} == {1})",
-    ca.OP_NE: "truth({0} != {1})",
-    ca.OP_NOT: "truth({0} == every(0))",
-    ca.OP_AND: "truth(({0} != every(0)) & ({1} != every(0)))",
-    ca.OP_OR: "truth(({0} != every(0)) | ({1} != every(0)))",
-    ca.OP_IF_ELSE_ZERO: "pick({0} != every(0), {1}, every(0))",
-    ca.OP_LIFT: "{0}",
-}
+_FORMS = json.loads(Path(__file__).with_name("lane_forms.json").read_text())
+_LANE_FORMS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
 _PARTNER = {ca.OP_SIN: ca.OP_COS, ca.OP_COS: ca.OP_SIN}
-_ONE_BY_ONE = (
-    *("tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
-    *("exp", "expm1", "log", "log1p", "erf", "floor", "ceil"),
-)
-_TWO_BY_TWO = ("pow", "fmod", "remainder", "atan2", "hypot")
-_LANE_FORMS |= {getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}})" for name in _ONE_BY_ONE}
-_LANE_FORMS |= {
-    getattr(ca, f"OP_{name.upper()}"): f"each_{name}({{0}}, {{1}})" for name in _TWO_BY_TWO
-}
-_LANE_FORMS[ca.OP_CONSTPOW] = _LANE_FORMS[ca.OP_POW]
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def fits_lanes(dae: Dae) -> bool:
-    """Tell whether lanes have every operation of a model: calls of functions they do not."""
+    """Return whether every operation of a model has a vector form; function calls have none."""
     laws = [dae.ode, dae.outputs, dae.margins]
     function = ca.Function("laws", dae.arguments, [ca.vertcat(*laws)])
     codes = {function.instruction_id(i) for i in range(function.n_instructions())}
@@ -63,40 +30,39 @@ def vector_text(function: ca.Function, name: str) -> str:
     """Return `static void name(const V *const *in, V *const *out)` with a function's equations.
 
     Args:
-        function: Of dense columns, made of `SX`.
-        name: Of the C function.
+        function: An `SX` function of dense columns.
 
     Raises:
-        UsageError: It has an operation that lanes do not have.
+        UsageError: An operation has no vector form.
     """
-    held: dict[int, str] = {}  # what each place of CasADi's work space stands for now
-    waiting: dict[tuple[int, str], tuple[int, int]] = {}  # angular ones: line, instruction
+    current: dict[int, str] = {}  # C expression of each element of CasADi's work vector
+    waiting: dict[tuple[int, str], tuple[int, int]] = {}  # sin or cos: line, instruction
     lines: list[str] = []
     for i in range(function.n_instructions()):
         code = function.instruction_id(i)
         into, of = function.instruction_output(i), function.instruction_input(i)
         if code == ca.OP_OUTPUT:
-            lines.append(f"    out[{into[0]}][{into[1]}] = {held[of[0]]};")
+            lines.append(f"    out[{into[0]}][{into[1]}] = {current[of[0]]};")
             continue
         if code == ca.OP_CONST:
             text = f"every({_literal(function.instruction_constant(i))})"
         elif code == ca.OP_INPUT:
             text = f"in[{of[0]}][{of[1]}]"
         elif code in _LANE_FORMS:
-            text = _LANE_FORMS[code].format(*(held[place] for place in of))
+            text = _LANE_FORMS[code].format(*(current[place] for place in of))
         else:
-            raise UsageError(f"{name}: lanes have no operation with CasADi's number {code}")
+            raise UsageError(f"{name}: CasADi's operation {code} has no form for SIMD lanes")
         if code in _PARTNER:
-            angle = held[of[0]]
+            angle = current[of[0]]
             if found := waiting.pop((_PARTNER[code], angle), None):
                 line, other = found
                 sine, cosine = (i, other) if code == ca.OP_SIN else (other, i)
                 call = f"sine_and_cosine({angle}, &a{sine}, &a{cosine});"
                 lines[line] = f"    V a{sine}, a{cosine};\n    {call}"
-                held[into[0]] = f"a{i}"
+                current[into[0]] = f"a{i}"
                 continue
             waiting[code, angle] = len(lines), i
-        held[into[0]] = f"a{i}"
+        current[into[0]] = f"a{i}"
         lines.append(f"    const V a{i} = {text};")
     body = "\n".join(lines)
     return (

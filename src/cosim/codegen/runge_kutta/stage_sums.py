@@ -1,4 +1,4 @@
-"""Weighted sums of the slopes of an explicit Runge-Kutta method, as straight-line C code."""
+"""C code for the weighted stage sums of explicit Runge-Kutta methods."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from cosim.codegen.runge_kutta.dop853 import Row
 
 
 class Arithmetic(NamedTuple):
-    """What is summed: C types of a slope and of the sum, and how a weight is written."""
+    """C types of a slope and of a sum, and the format of a weight."""
 
     slope: str
     sum: str
@@ -19,45 +19,36 @@ SCALAR = Arithmetic("const double", "double", "{!r}")
 LANES = Arithmetic("V", "V", "every({!r})")  # see fmu/solvers/lanes.h
 
 
-class Names(NamedTuple):
-    """What the parts of `dop853` are called in C."""
-
-    nodes: str
-    stage: str
-    dense: str
-    error_5: str
-    error_3: str
+# C names of the nodes and of the functions for the sums of `dop853`
+NAMES = ("pair_node", "pair_stage", "pair_dense", "pair_error_5", "pair_error_3")
 
 
-def dop853_sums(names: Names, arithmetic: Arithmetic) -> str:
-    """Return the coefficients of `dop853` as C: the array of nodes, a function for each sum."""
+def dop853_sums(arithmetic: Arithmetic) -> str:
+    """Return the C code of `dop853`: the array of nodes and functions for the sums (`NAMES`)."""
+    nodes, stage, dense, error_5, error_3 = NAMES
     return "\n".join(
         (
-            numbers(names.nodes, dop853.NODES),
-            sums(names.stage, dop853.A, arithmetic),
-            sums(names.dense, dop853.DENSE, arithmetic),
-            _sum(names.error_5, dop853.ERROR_5, arithmetic),
-            _sum(names.error_3, dop853.ERROR_3, arithmetic),
+            numbers(nodes, dop853.NODES),
+            sums(stage, dop853.A, arithmetic),
+            sums(dense, dop853.DENSE, arithmetic),
+            _sum(error_5, dop853.ERROR_5, arithmetic),
+            _sum(error_3, dop853.ERROR_3, arithmetic),
         )
     )
 
 
 def dop853_coefficients() -> str:
-    """Return dop853_coefficients.h: what fmu/solvers/dop853.h wants beside it."""
-    names = Names("pair_node", "pair_stage", "pair_dense", "pair_error_5", "pair_error_3")
-    return "\n".join(
-        (
-            "/* Generated: the coefficients of dop853.h. */",
-            "#ifndef DOP853_COEFFICIENTS_H",
-            "#define DOP853_COEFFICIENTS_H",
-            '#include "dop853.h"',
-            dop853_sums(names, SCALAR),
-            "static const Pair pair = {",
-            f"    {', '.join(names)}",
-            "};",
-            "#endif\n",
-        )
-    )
+    """Return dop853_coefficients.h, the coefficients that fmu/solvers/dop853.h needs."""
+    return f"""/* Generated: the coefficients of dop853.h. */
+#ifndef DOP853_COEFFICIENTS_H
+#define DOP853_COEFFICIENTS_H
+#include "dop853.h"
+{dop853_sums(SCALAR)}
+static const Pair pair = {{
+    {", ".join(NAMES)}
+}};
+#endif
+"""
 
 
 def numbers(name: str, values: Sequence[float]) -> str:
@@ -66,7 +57,7 @@ def numbers(name: str, values: Sequence[float]) -> str:
 
 
 def sums(name: str, rows: Sequence[Row], arithmetic: Arithmetic = SCALAR) -> str:
-    """Return a function `name(row, k, sum)`: of each row the weighted sum of slopes."""
+    """Return a C function `name(row, k, sum)`: the weighted sum of slopes of a row."""
     cases = "".join(
         f"    case {i}: {_loop(row, arithmetic)} break;\n" for i, row in enumerate(rows)
     )

@@ -1,1 +1,1 @@
-"""What is wrong with an FMU."""
+"""The FMU checker: static checks and trials that run the FMU."""

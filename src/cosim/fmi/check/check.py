@@ -1,4 +1,7 @@
-"""Checks of a finished FMU, above all of what `fmpy validate` does not look at."""
+"""The static check of an FMU: its archive, description, sources and libraries; no code of it runs.
+
+`check_fmu` also applies this project's rules for its own exports; `examine` applies only the FMI's.
+"""
 
 import re
 import zipfile
@@ -7,13 +10,28 @@ from functools import cache
 from pathlib import PurePosixPath
 
 from cosim.fmi.archive import DESCRIPTION, Source, entry_content, opened
-from cosim.fmi.check import rules
-from cosim.fmi.check.description import description_findings
-from cosim.fmi.check.finding import Finding, Rule
+from cosim.fmi.check.description import description_findings, schema_findings
+from cosim.fmi.check.finding import OWN, RULES, Finding, Rule
+from cosim.fmi.check.libraries import folder_findings, library_findings
 from cosim.fmi.check.parsed import Description, fmi_version, listed_sources, parse
 from cosim.fmi.export.build import fmi_headers
 from cosim.fmi.platforms import PLATFORMS, Target
 from cosim.fmi.shared_library import read_libraries
+
+
+def examine(source: Source) -> tuple[Finding, ...]:
+    """Return the findings about an FMU without running any of its code.
+
+    Raises:
+        FmuError, SecurityError: The file is no FMU or dangerous, see `cosim.fmi.archive`.
+    """
+    with opened(source) as archive:
+        version = fmi_version(entry_content(archive, DESCRIPTION))[:1]
+        every = [*findings_of(archive), *library_findings(archive)]
+        if version in ("2", "3"):
+            every += [*schema_findings(archive, version), *folder_findings(archive, version)]
+        return tuple(finding for finding in every if finding.level != OWN)
+
 
 _ONLY = {
     "ModelExchange": r"NewDiscreteStates|EnterContinuousTimeMode|CompletedIntegratorStep|SetTime|"
@@ -26,12 +44,9 @@ _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # all that FMI allow
 
 
 def check_fmu(source: Source) -> list[str]:
-    """Return the problems of an FMU, one sentence each; none when it is sound.
+    """Return the problems of an FMU, one sentence each; an empty list if there is none.
 
     No code of the FMU runs: libraries are read as files.
-
-    Args:
-        source: The file, by name or open for reading.
 
     Raises:
         FmuError, SecurityError: The file is no FMU or dangerous, see `cosim.fmi.archive`.
@@ -46,17 +61,20 @@ def check_fmu(source: Source) -> list[str]:
 
 
 def findings_of(archive: zipfile.ZipFile) -> Iterator[Finding]:
-    """Tell what is wrong with an opened FMU, by the FMI and by the rules of this house."""
+    """Return the findings about an opened FMU, by the FMI and by this project's own rules."""
     yield from _archive(archive)
     content = entry_content(archive, DESCRIPTION)
     try:
         described = parse(content)
     except ValueError as error:
-        rule = rules.VERSION if fmi_version(content) else rules.XML
+        rule = RULES["version"] if fmi_version(content) else RULES["xml"]
         yield rule.about(DESCRIPTION, str(error)).within(DESCRIPTION)
         return
     yield from (finding.within(DESCRIPTION) for finding in description_findings(described))
-    yield from _sources(archive, described)
+    for name in dict.fromkeys(listed_sources(archive, described)):
+        if f"sources/{name}" not in archive.namelist():
+            found = f"source file '{name}' is listed, but missing"
+            yield RULES["sources"].about("archive", found)
     yield from _binaries(archive, described)
 
 
@@ -65,48 +83,40 @@ def _archive(archive: zipfile.ZipFile) -> Iterator[Finding]:
         name = entry.orig_filename
         place = f"entry '{name}'"
         if "\\" in name or not name.isascii():
-            told = "has a backslash or is not ASCII"
-            yield rules.ENTRY_NAME.at(place, told, f"{place} {told}")
+            found = "has a backslash or is not ASCII"
+            yield RULES["entry-name"].at(place, found, f"{place} {found}")
         if entry.compress_type not in _COMPRESSIONS:
-            told = "is neither stored nor deflated"
-            yield rules.COMPRESSION.at(place, told, f"{place} {told}")
+            found = "is neither stored nor deflated"
+            yield RULES["compression"].at(place, found, f"{place} {found}")
     try:
         damaged = archive.testzip()
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-        yield rules.ARCHIVE.about("archive", f"the archive is damaged: {error}")
+        yield RULES["archive"].about("archive", f"the archive is damaged: {error}")
         return
     if damaged:
         place = f"entry '{damaged}'"
-        yield rules.ARCHIVE.at(place, "is damaged", f"{place} is damaged")
-
-
-def _sources(archive: zipfile.ZipFile, described: Description) -> Iterator[Finding]:
-    listed = listed_sources(archive, described)
-    for name in dict.fromkeys(name for names in listed.values() for name in names):
-        if f"sources/{name}" not in archive.namelist():
-            told = f"source file '{name}' is listed, but missing"
-            yield rules.SOURCES.about("archive", told)
+        yield RULES["archive"].at(place, "is damaged", f"{place} is damaged")
 
 
 def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Finding]:
-    """Every library exports all functions and holds the token that importers will pass."""
+    """Check that every library exports all functions and holds the token that importers pass."""
     identifiers = sorted({a.get("modelIdentifier", "") for a in described.interfaces.values()})
     present = {PurePosixPath(name).parent.as_posix() for name in archive.namelist()}
     known = {t.folder(int(described.version)): t for ts in PLATFORMS.values() for t in ts}
-    for folder, target in known.items():  # what lies in other folders is the exporter's business
+    for folder, target in known.items():  # other folders are not specified by the FMI
         for identifier in identifiers if f"binaries/{folder}" in present else ():
             name = f"binaries/{folder}/{identifier}{target.suffix}"
             if name not in archive.namelist():
-                yield rules.BINARY.at(name, "is missing", f"{name} is missing")
+                yield RULES["binary"].at(name, "is missing", f"{name} is missing")
                 continue
             content = entry_content(archive, name)
             if described.token.encode() not in content:
-                told = "the library does not hold the GUID or token: "
-                told += "it reads it elsewhere, or is another's"
+                found = "the library does not hold the GUID or token: "
+                found += "it reads it elsewhere, or is another's"
                 whole = f"{name} was compiled for another GUID or instantiation token"
-                yield rules.TOKEN_ELSEWHERE.at(name, told, whole)
-            for rule, told in _library_faults(content, target, described):
-                yield rule.at(name, told)
+                yield RULES["token-elsewhere"].at(name, found, whole)
+            for rule, found in _library_faults(content, target, described):
+                yield rule.at(name, found)
 
 
 def _library_faults(
@@ -116,22 +126,22 @@ def _library_faults(
     try:
         libraries = read_libraries(content)
     except ValueError as error:
-        yield rules.BINARY, str(error)
+        yield RULES["binary"], str(error)
         return
     for library in libraries:
         # FMI 2.0 names no processor but x86; others share its folders
         processors = ("x86_64", "aarch64") if version == "2" else (target.processor,)
         if library.system != target.system or library.processor not in processors:
-            yield rules.PLATFORM, f"it is for {library.processor}-{library.system}"
+            yield RULES["platform"], f"it is for {library.processor}-{library.system}"
         missing = sorted(_needed_functions(described) - library.exports)
         if missing:
-            yield rules.FUNCTIONS, f"{library.processor} lacks {', '.join(missing)}"
+            yield RULES["functions"], f"{library.processor} lacks {', '.join(missing)}"
 
 
 def _needed_functions(described: Description) -> frozenset[str]:
     """Return what importers may call: the functions of interfaces not offered may be missing."""
-    spare = [name for name in _ONLY if name not in described.interfaces]
-    only = [re.compile(rf"fmi\d({_ONLY[name]})") for name in spare]
+    missing = [name for name in _ONLY if name not in described.interfaces]
+    only = [re.compile(rf"fmi\d({_ONLY[name]})") for name in missing]
     every = required_functions(described.version)
     return frozenset(f for f in every if not any(one.fullmatch(f) for one in only))
 

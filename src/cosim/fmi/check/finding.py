@@ -1,24 +1,27 @@
-"""One thing to be said of an FMU, and the rules that say it."""
+"""`Finding`: a fault of an FMU, and `Rule`: the rule that it breaks."""
 
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
-WRONG, ADVICE, HOUSE = "wrong", "advice", "house"
+WRONG, ADVICE, OWN = "wrong", "advice", "own"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about an FMU.
+    """A fault of an FMU.
 
     Attributes:
-        level: "wrong" where the FMI is broken or a run fails; "advice" where the FMI leaves it
-            open, but others stumble over it; "house" where only our own files are held to it.
-        rule: A short name, the same for all findings of a kind.
-        place: File within the FMU, variable, section or interface.
-        found: What is there.
-        cure: What its author can do.
-        importers: What importers do with it.
-        sentence: Place and finding in one; not in `row`.
+        level: "wrong" if the FMI is violated or a run fails; "advice" if the FMI leaves it open,
+            but importers have trouble with it; "own" for this project's exports only.
+        rule: The rule's short name.
+        place: File in the FMU, variable, section or interface.
+        found: The fault.
+        cure: The remedy for the FMU's author.
+        importers: The effect on importers.
+        sentence: Place and fault in one sentence; not in `row`.
     """
 
     level: str
@@ -30,7 +33,7 @@ class Finding:
     sentence: str = field(default="", compare=False)
 
     def row(self) -> dict[str, Any]:
-        """Return the finding as a line of a table."""
+        """Return the finding as a row of a table."""
         shown = (one.name for one in fields(self) if one.name != "sentence")
         return {name: getattr(self, name) for name in shown}
 
@@ -41,7 +44,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rule:
-    """What an FMU must keep, or should.
+    """A rule for FMUs.
 
     Attributes:
         name, level, cure, importers: Of each finding, see `Finding`.
@@ -53,10 +56,19 @@ class Rule:
     cure: str
 
     def at(self, place: str, found: str, sentence: str | None = None) -> Finding:
-        """Return what is found at a place; the sentence is both of them unless it is given."""
-        told = f"{place}: {found}" if sentence is None else sentence
-        return Finding(self.level, self.name, place, found, self.cure, self.importers, told)
+        """Return a finding at a place; its sentence is "place: found" by default."""
+        text = f"{place}: {found}" if sentence is None else sentence
+        return Finding(self.level, self.name, place, found, self.cure, self.importers, text)
 
     def about(self, place: str, found: str) -> Finding:
-        """Return what is found, as a whole sentence by itself, at a place."""
+        """Return a finding at a place, described by a whole sentence."""
         return self.at(place, found, found)
+
+
+def _rules(table: Mapping[str, Mapping[str, str]]) -> Mapping[str, Rule]:
+    return {key: Rule(**facts) for key, facts in table.items()}
+
+
+_TABLES = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
+RULES = _rules(_TABLES["static"])
+TRIAL_RULES = _rules(_TABLES["trials"])

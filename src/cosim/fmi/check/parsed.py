@@ -12,13 +12,10 @@ from xml.etree import ElementTree as ET
 from cosim.fmi.archive import entry_content
 
 BUILD = "sources/buildDescription.xml"
-_SECTIONS = {
-    "2": {"Outputs": "Outputs", "Derivatives": "Derivatives", "InitialUnknowns": "InitialUnknowns"},
-    "3": {
-        "Outputs": "Output",
-        "Derivatives": "ContinuousStateDerivative",
-        "InitialUnknowns": "InitialUnknown",
-    },
+_SECTIONS = {  # paths of their entries in the model structure of FMI 2.0 and 3.0
+    "Outputs": ("Outputs/Unknown", "Output"),
+    "Derivatives": ("Derivatives/Unknown", "ContinuousStateDerivative"),
+    "InitialUnknowns": ("InitialUnknowns/Unknown", "InitialUnknown"),
 }
 REAL = ("Real", "Float64", "Float32")
 
@@ -89,23 +86,16 @@ def fmi_version(content: bytes) -> str:
         return ""
 
 
-def listed_sources(archive: zipfile.ZipFile, described: Description) -> dict[str, list[str]]:
-    """Return the source files that an FMU lists by the identifier of their model."""
+def listed_sources(archive: zipfile.ZipFile, described: Description) -> list[str]:
+    """Return the source files that an FMU lists."""
     if described.version == "2":
-        return {
-            interface.get("modelIdentifier", ""): [
-                file.get("name", "") for file in interface.iterfind("SourceFiles/File")
-            ]
-            for interface in described.root
-            if interface.tag in described.interfaces
-        }
-    if BUILD not in archive.namelist():
-        return {}
-    build = ET.fromstring(entry_content(archive, BUILD))
-    return {
-        one.get("modelIdentifier", ""): [e.get("name", "") for e in one.iter("SourceFile")]
-        for one in build.iter("BuildConfiguration")
-    }
+        interfaces = (i for i in described.root if i.tag in described.interfaces)
+        files = (file for i in interfaces for file in i.iterfind("SourceFiles/File"))
+    elif BUILD in archive.namelist():
+        files = ET.fromstring(entry_content(archive, BUILD)).iter("SourceFile")
+    else:
+        return []
+    return [file.get("name", "") for file in files]
 
 
 def parse(content: bytes) -> Description:
@@ -159,12 +149,10 @@ def parse(content: bytes) -> Description:
             texts,
         )
 
-    structure = root.find("ModelStructure")
-    tables: dict[str, tuple[Unknown, ...]] = {}
-    for name, tag in _SECTIONS[major].items():
-        path = f"{tag}/Unknown" if major == "2" else tag
-        elements = [] if structure is None else structure.findall(path)
-        tables[name] = tuple(unknown(element) for element in elements)
+    tables = {
+        name: tuple(map(unknown, root.findall(f"ModelStructure/{paths[int(major) - 2]}")))
+        for name, paths in _SECTIONS.items()
+    }
     return Description(
         major,
         root,

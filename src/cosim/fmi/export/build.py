@@ -1,16 +1,16 @@
-"""The binaries of an FMU: compiled for each platform, kept in the cache."""
+"""Binaries of an FMU: compiled for each platform and stored in the cache."""
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
-from cosim.codegen.cache import content_of, keep, private_folder
-from cosim.codegen.compiler import FLAGS, compile_with_less, find_compiler
+from cosim.codegen.cache import content_of, private_folder, store
+from cosim.codegen.compiler import FLAGS, compile_library, find_compiler
 from cosim.errors import CacheError, ExportError
 from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
@@ -22,11 +22,6 @@ def binaries(
     sources: Mapping[str, bytes], name: str, chosen: Mapping[str, tuple[Target, ...]]
 ) -> dict[str, bytes]:
     """Return the content of an FMU's `binaries/` by path.
-
-    Args:
-        sources: C files and headers by name.
-        name: Of the libraries, without suffix.
-        chosen: What to compile by folder, see `targets`.
 
     Raises:
         MissingTool: A compiler is missing or fails.
@@ -57,11 +52,7 @@ def binaries(
 
 
 def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) -> bytes:
-    """Return a shared library for one target, compiled unless the cache has it.
-
-    Raises:
-        MissingTool, ExportError: See `binaries`.
-    """
+    """Return a shared library for one target, compiled if it is not in the cache."""
     library = f"{name}{target.suffix}"
     given = target.command()
     command = given or find_compiler()
@@ -76,43 +67,33 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
     try:
         folder = private_folder()
         with temporary_folder(folder) as build:
-            content = _compile(sources, build, library, command, options).read_bytes()
-        keep(entry, content)
+            for file, text in sources.items():
+                (build / file).write_bytes(text)
+            content = compile_library(
+                sorted(build.glob("*.c")),
+                build / library,
+                include=[fmi_headers()],
+                options=[f"-ffile-prefix-map={build}=.", *options],
+                command=command,
+            ).read_bytes()
+        store(entry, content)
     except CacheError as error:
         raise ExportError(f"cannot compile in {cache_folder()}: {error}") from error
     except OSError as error:
         raise ExportError(
             f"cannot compile in {cache_folder()}: {error.strerror or error}; set COSIM_CACHE to a "
-            "folder that can be written and has room"
+            "folder that is writable and has free space"
         ) from error
     return content
 
 
-def _compile(
-    sources: Mapping[str, bytes],
-    build: Path,
-    library: str,
-    command: Sequence[str],
-    options: Sequence[str],
-) -> Path:
-    for file, content in sources.items():
-        (build / file).write_bytes(content)
-    return compile_with_less(
-        sorted(build.glob("*.c")),
-        build / library,
-        include=[fmi_headers()],
-        options=[f"-ffile-prefix-map={build}=.", *options],
-        command=command,
-    )
-
-
 def fmi_headers() -> Path:
-    """Return the folder of the FMI headers, which come with FMPy.
+    """Return the folder of the FMI headers, which are part of FMPy.
 
     Raises:
         ExportError: FMPy is missing.
     """
     found = find_spec("fmpy")
     if found is None or not found.submodule_search_locations:
-        raise ExportError("the FMI headers come with fmpy, which is missing; pip install fmpy")
+        raise ExportError("the FMI headers are part of fmpy, which is missing; pip install fmpy")
     return Path(found.submodule_search_locations[0]) / "c-code"

@@ -1,101 +1,191 @@
-"""`export_fmu`: generate, compile, zip; the file appears whole or not at all."""
+"""Export of a model as an FMU file: options, content, archive."""
 
 import hashlib
 import io
 import os
+import re
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
+from typing import TypedDict, Unpack
 
 from casadi_models.dae import Dae
 from cosim.codegen.c_sources import cache_folder, license_texts, runtime_sources, solver_sources
-from cosim.codegen.compiler import refuse_unlinked
+from cosim.codegen.compiler import reject_unlinked
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
+from cosim.drawing.diagram import diagram, icon
+from cosim.drawing.pose import start_pose
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
-from cosim.files import refuse_unwritable, write_atomically
+from cosim.files import reject_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.dependencies import structural_dependencies
-from cosim.fmi.export.description.build_description import build_description
-from cosim.fmi.export.description.fmi2_xml import FMI2
-from cosim.fmi.export.description.fmi3_xml import FMI3
-from cosim.fmi.export.description.model_description import Identity, model_description
-from cosim.fmi.export.description.structured_names import structured
-from cosim.fmi.export.documents.documentation import documentation_page
-from cosim.fmi.export.documents.pictures import DIAGRAM, pictures
-from cosim.fmi.export.identifier import model_identifier
-from cosim.fmi.export.margins import with_margins
-from cosim.fmi.export.solver_choice import solver_for, uses_dop853
-from cosim.fmi.export.sources.c_files import equations_c, model_header, variable_table
-from cosim.fmi.export.sources.equations import embedded_sources
-from cosim.fmi.export.sources.rank import has_rank
-from cosim.fmi.export.tunable import tunable_parameters
-from cosim.fmi.export.variables import fmu_variables
+from cosim.fmi.export.c_files import equations_c, model_header, variable_table
+from cosim.fmi.export.co_simulation import solver_for, uses_dop853
+from cosim.fmi.export.dependencies import (
+    structural_dependencies,
+    tunable_parameters,
+    without_modes,
+)
+from cosim.fmi.export.dialect import DIALECTS
+from cosim.fmi.export.documentation import documentation_page
+from cosim.fmi.export.equations import embedded_sources, has_rank
+from cosim.fmi.export.events import fmu_events
+from cosim.fmi.export.model_description import Identity, build_description, model_description
+from cosim.fmi.export.variables import fmu_variables, structured, with_margins
 from cosim.fmi.platforms import NATIVE, targets
 from cosim.fmi.trust import remember
+from cosim.memo import cached_per_thread
 from cosim.model.values import A_DAE, listed, number
 
+_C_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
+# C11 keywords, then names that Windows keeps for devices
+_RESERVED = (
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while main "
+    "con prn aux nul com1 com2 com3 com4 com5 com6 com7 com8 com9 "
+    "lpt1 lpt2 lpt3 lpt4 lpt5 lpt6 lpt7 lpt8 lpt9"
+)
+
+
+def model_identifier(name: str) -> str:
+    """Return the identifier of `MODEL/FORMULATION`: the slash becomes an underscore.
+
+    Raises:
+        ExportError: The result is no C name of at most 100 characters, or is a reserved word.
+    """
+    identifier = name.replace("/", "_", 1)
+    if not _C_NAME.fullmatch(identifier):
+        raise ExportError(
+            f"'{name}' cannot name an FMU: use at most 100 ASCII letters, digits and _, "
+            "beginning with a letter or _"
+        )
+    if identifier.lower() in _RESERVED.split():
+        raise ExportError(f"'{name}' cannot name an FMU: it is a reserved word; choose another")
+    return identifier
+
+
+DIAGRAM = "documentation/diagram.png"
+ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
+
+
+@cached_per_thread(8)
+def pictures(dae: Dae, fmi: int) -> Mapping[str, bytes]:
+    """Return diagram and icon, at the start values, by their paths; none without shapes."""
+    pose = start_pose(dae)
+    return {} if pose is None else {DIAGRAM: diagram(pose), ICONS[fmi]: icon(pose)}
+
+
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
-VERSIONS = {2: FMI2, 3: FMI3}
 ABOUT = {"author": "author", "license": "license", "date": "generationDateAndTime"}
-NAMES = FLAT, STRUCTURED = ("flat", "structured")
+_OF_EVENTS = ("modes.c", "crossing.c", "time_events.c", "events.c")  # empty without events
 _DOP853 = ("dop853.h", "interpolant.h", "ode.h")
+_EVENTS = ("crossings.h",)
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
 
-def export_fmu(
-    dae: Dae,
-    target: str | os.PathLike[str],
-    *,
-    fmi: int = 2,
-    identifier: str | None = None,
-    outputs: Sequence[str] | None = None,
-    platforms: Sequence[str] = (NATIVE,),
-    tolerance: float = TOLERANCE,
-    solver: str | None = None,
-    tunable: Sequence[str] | None = None,
-    adjoint: bool = False,
-    about: Mapping[str, str] | None = None,
-    valid: bool = False,
-    names: str = FLAT,
-) -> Path:
+class NameStyle(StrEnum):
+    """How an FMU names the components of vectors: `fx_A` or `A.f[1]`."""
+
+    FLAT = "flat"
+    STRUCTURED = "structured"
+
+
+class FmuKeywords(TypedDict, total=False):
+    """The keywords of `export_fmu`, which documents them."""
+
+    fmi: int
+    identifier: str | None
+    outputs: Sequence[str] | None
+    platforms: Sequence[str]
+    tolerance: float
+    solver: str | None
+    tunable: Sequence[str] | None
+    adjoint: bool
+    about: Mapping[str, str] | None
+    valid: bool
+    names: str
+
+
+@dataclass(frozen=True)
+class FmuOptions:
+    """Export options that hold for any model, checked when they are created; see `export_fmu`."""
+
+    fmi: int = 2
+    identifier: str | None = None
+    outputs: Sequence[str] | None = None
+    platforms: Sequence[str] = (NATIVE,)
+    tolerance: float = TOLERANCE
+    solver: str | None = None
+    tunable: Sequence[str] | None = None
+    adjoint: bool = False
+    about: Mapping[str, str] | None = None
+    valid: bool = False
+    names: str = NameStyle.FLAT
+
+    def __post_init__(self) -> None:
+        """Check every option that does not depend on the model."""
+        if type(self.fmi) is not int or self.fmi not in DIALECTS:
+            raise UnknownName.among("cosim", "FMI version", str(self.fmi), map(str, DIALECTS))
+        if isinstance(self.platforms, str):
+            raise UsageError.of_type("export_fmu", self.platforms, "a list of platforms")
+        if not 1e-13 <= number("export", "tolerance", self.tolerance) <= 0.1:
+            raise ParameterError(
+                f"export: tolerance = {self.tolerance:g} is not within 1e-13 ... 0.1"
+            )
+        for key in self.about or {}:
+            if key not in ABOUT:
+                raise UnknownName.among("export", "fact about an FMU", key, ABOUT)
+        if self.adjoint and self.fmi == 2:
+            raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
+        if self.names not in tuple(NameStyle):
+            raise UnknownName.among("export", "kind of names", self.names, NameStyle)
+
+    def identifier_of(self, dae: Dae) -> str:
+        """Return the C identifier of a model's FMU."""
+        return model_identifier(self.identifier or dae.full_name)
+
+
+def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuKeywords]) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
 
     Args:
         dae: The model.
         target: The file, replaced when everything has succeeded.
-        fmi: Version of FMI: 2 (FMI 2.0) or 3 (FMI 3.0).
-        identifier: Model name in the FMU; `MODEL_FORMULATION` when None.
-        outputs: What importers record; everything observable when None.
-        platforms: What it runs on: "native" (this machine), "linux64", "win64", "darwin64",
-            "aarch64-linux" (FMI 3.0) or "all".
-        tolerance: Relative tolerance that the FMU recommends.
-        solver: Of co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock" (the
-            default of models that are stiff at their start) or "erk" (explicit, order 5, ODEs).
-        tunable: Parameters that may change during a run, or `["all"]`; when None, all but inertias
-            and those that start values follow from.
-        adjoint: Whether the FMU says that it has adjoint derivatives (FMI 3.0). CasADi up to
-            3.8.2 gets wrong Jacobians from them: it writes all directions over the first.
-        about: What the description says besides: "author", "license", "date" (ISO 8601). Without a
-            date, the same model gives the same bytes at any time.
-        valid: Whether there is a Boolean output `valid`, true while every limit of the model
-            holds; the margins of the limits are then event indicators.
-        names: "flat" (`fx_A`) or "structured" (`A.f[1]`); the tools here know both.
+        fmi: Version of FMI: 2 (FMI 2.0, the default) or 3 (FMI 3.0).
+        identifier: Model name in the FMU; `MODEL_FORMULATION` by default.
+        outputs: Names of the variables that importers record; all observable ones by default.
+        platforms: Where the FMU runs: "native" (this machine, the default), "linux64", "win64",
+            "darwin64", "aarch64-linux" (FMI 3.0) or "all".
+        tolerance: Relative tolerance that the FMU recommends; 1e-9 by default.
+        solver: Solver for co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock"
+            (the default for models that are stiff at their start values) or "erk" (explicit,
+            order 5, for ODEs).
+        tunable: Names of the parameters that may change during a run, or `["all"]`; by default all
+            but inertias and those that start values are calculated from.
+        adjoint: Whether the FMU declares adjoint derivatives (FMI 3.0). CasADi up to 3.8.2
+            computes wrong Jacobians from them: it writes all directions over the first.
+        about: Further facts in the description: "author", "license", "date" (ISO 8601). Without a
+            date, the same model always gives the same bytes.
+        valid: Whether there is a Boolean output `valid`, true while every validity condition of
+            the model holds; the margins of the conditions are then event indicators.
+        names: "flat" (`fx_A`, the default) or "structured" (`A.f[1]`); `cosim` reads both.
 
     Returns:
         Path of the FMU.
 
     Raises:
         ExportError: The name is no C name, or the file cannot be written.
-        UnknownName: The model has no such output, or FMI no such version, platform or solver.
+        UnknownName: The model has no such output, or there is no such FMI version, platform,
+            solver or kind of names.
         UsageError: The solver cannot solve for algebraic unknowns; a parameter cannot be tunable;
-            FMI 2.0 has no adjoint derivatives; the model has no limits that `valid` could tell of,
-            or calls a library whose C code is not at hand;
-            or an argument is of a type that is of no use.
+            FMI 2.0 has no adjoint derivatives; the model has no validity conditions for `valid`;
+            the model calls a library whose C code is missing; or an argument has a wrong type.
         ParameterError: The tolerance is not within 1e-13 ... 0.1.
         MissingTool: There is no C compiler, or it fails.
 
@@ -108,102 +198,85 @@ def export_fmu(
         raise UsageError.of_type("export_fmu", dae, A_DAE)
     if not isinstance(target, str | os.PathLike):
         raise UsageError.of_type("export_fmu", target, "a file name")
-    if type(fmi) is not int or fmi not in VERSIONS:
-        raise UnknownName.among("cosim", "FMI version", str(fmi), map(str, VERSIONS))
+    options = FmuOptions(**keywords)
     path = Path(target)
-    refuse_unwritable(path)  # before anything has been computed
-    name = model_identifier(identifier or dae.full_name)
-    if isinstance(platforms, str):
-        raise UsageError.of_type("export_fmu", platforms, "a list of platforms")
-    chosen = targets(platforms, fmi)
-    if not 1e-13 <= number("export", "tolerance", tolerance) <= 0.1:
-        raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
-    if outputs is not None:
-        dae = _observing(dae, listed(f"{dae.full_name}: outputs", outputs))
-    for key in about or {}:
-        if key not in ABOUT:
-            raise UnknownName.among("export", "fact about an FMU", key, ABOUT)
-    if tunable:
-        tunable = listed(f"{dae.full_name}: tunable", tunable)
-    if adjoint and fmi == 2:
-        raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
-    if names not in NAMES:
-        raise UnknownName.among("export", "kind of names", names, NAMES)
-    files = source_files(
-        dae,
-        name,
-        tolerance,
-        fmi,
-        solver,
-        tunable=tunable,
-        adjoint=adjoint,
-        about=about or {},
-        valid=valid,
-        names=names,
-    )
+    reject_unwritable(path)  # before anything is computed
+    platforms = targets(options.platforms, options.fmi)
+    files = source_files(dae, options)
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
-    content = zipped(files | binaries(sources, name, chosen))
+    content = zipped(files | binaries(sources, options.identifier_of(dae), platforms))
     if problems := check_fmu(io.BytesIO(content)):
         raise ExportError(
             f"{path} is not written, as it would not be sound: {'; '.join(problems)}; "
-            f"remove what {cache_folder()} holds and try again"
+            f"remove the cache in {cache_folder()} and try again"
         )
     remember(content)
     return write_atomically(path, content)
 
 
-def source_files(
-    dae: Dae,
-    name: str,
-    tolerance: float,
-    fmi: int,
-    solver: str | None = None,
-    *,
-    tunable: Sequence[str] | None = None,
-    adjoint: bool = False,
-    about: Mapping[str, str] = MappingProxyType({}),
-    valid: bool = False,
-    names: str = FLAT,
-) -> dict[str, bytes]:
-    """Return the content of the FMU by path, without binaries; see `export_fmu`."""
-    solver = solver_for(dae, solver)
-    dae = with_margins(dae) if valid else dae
-    variables = fmu_variables(dae, tunable_parameters(dae, tunable), valid=valid)
-    if names == STRUCTURED:
-        variables = structured(variables)
-    others = (f"fmi{5 - fmi}", f"integration_{'step' if uses_dop853(dae, solver) else 'dop853'}")
-    runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(others)}
+def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
+    """Return the content of an FMU by path, without binaries."""
+    name, fmi = options.identifier_of(dae), options.fmi
+    if options.outputs is not None:
+        dae = _observing(dae, listed(f"{dae.full_name}: outputs", options.outputs))
+    tunable = options.tunable and listed(f"{dae.full_name}: tunable", options.tunable)
+    solver = solver_for(dae, options.solver)
+    dae = with_margins(dae) if options.valid else dae
     embedded = embedded_sources(dae)
+    tunable = tunable_parameters(dae, tunable)
+    system = fmu_events(dae)
+    modes = len(system.relations) if system else 0
+    dae = system.dae if system else dae
+    variables = fmu_variables(dae, tunable, valid=options.valid, modes=modes)
+    if options.names == NameStyle.STRUCTURED:
+        variables = structured(variables)
+    other_solver = "step" if uses_dop853(dae, solver) else "dop853"
+    unused = (f"fmi{5 - fmi}", f"integration_{other_solver}", *(() if system else _OF_EVENTS))
+    runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(unused)}
     code = {
-        "model.c": variable_table(dae, variables).encode(),
-        "equations.c": equations_c(dae, name, fmi, solver).encode(),
+        "model.c": variable_table(dae, variables, system).encode(),
+        "equations.c": equations_c(dae, name, fmi, solver, system).encode(),
         **{file: text.encode() for file, text in embedded.items()},
     }
-    refuse_unlinked(code["equations.c"].decode(), embedded)
+    reject_unlinked(code["equations.c"].decode(), embedded)
+    shared = (*(_EVENTS if system else ()), *(_DOP853 if uses_dop853(dae, solver) else ()))
+    code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in shared}
     if uses_dop853(dae, solver):
-        code |= {e.name: e.read_bytes() for e in solver_sources() if e.name in _DOP853}
         code["dop853_coefficients.h"] = dop853_coefficients().encode()
-    compiled = tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c")))
-    tool = f"cosim-rigid {version('cosim-rigid')}"
-    told = {ABOUT[key]: text for key, text in about.items()}
-    indicators = len(dae.limits) if valid else 0
-    watched = has_rank(dae)
-    draft = Identity(name, "", tool, compiled, tolerance, adjoint, told, indicators, watched)
-    depends = structural_dependencies(dae)
-    unsigned = model_description(dae, draft, variables, depends, VERSIONS[fmi])
-    digest = hashlib.sha256()
-    for part in (unsigned, *code.values(), *runtime.values()):
-        digest.update(part)
-    signed = replace(draft, guid=f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}")
-    code["model.h"] = model_header(dae, signed, fmi, solver, valid=valid).encode()
-    code["buildDescription.xml"] = build_description(signed)
-    drawn = pictures(dae, fmi)
-    page = documentation_page(
-        dae, variables, solver, tolerance, DIAGRAM if DIAGRAM in drawn else None
+    unsigned = Identity(
+        name,
+        guid="",
+        tool=f"cosim-rigid {version('cosim-rigid')}",
+        sources=tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c"))),
+        tolerance=options.tolerance,
+        adjoint=options.adjoint,
+        about={ABOUT[key]: text for key, text in (options.about or {}).items()},
+        indicators=(len(dae.limits) if options.valid else 0)
+        + (system.of_time.count(False) if system else 0),
+        watches_steps=has_rank(dae),
     )
+    depends = structural_dependencies(dae)
+    describe = partial(
+        model_description,
+        dae,
+        variables=variables,
+        depends=without_modes(depends, system) if system else depends,
+        dialect=DIALECTS[fmi],
+    )
+    digest = hashlib.sha256()
+    for part in (describe(identity=unsigned), *code.values(), *runtime.values()):
+        digest.update(part)
+    identity = replace(unsigned, guid=f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}")
+    code["model.h"] = model_header(
+        dae, identity, fmi, solver, valid=options.valid, system=system
+    ).encode()
+    code["buildDescription.xml"] = build_description(identity)
+    drawn = pictures(dae, fmi)
+    diagram_path = DIAGRAM if DIAGRAM in drawn else None
+    page = documentation_page(dae, variables, solver, options.tolerance, diagram_path)
     return {
         **drawn,
-        "modelDescription.xml": model_description(dae, signed, variables, depends, VERSIONS[fmi]),
+        "modelDescription.xml": describe(identity=identity),
         **{f"documentation/licenses/{e.name}": e.read_bytes() for e in license_texts()},
         "documentation/index.html": page.encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
@@ -219,7 +292,7 @@ def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:
 
 
 def zipped(files: dict[str, bytes]) -> bytes:
-    """Return an archive with these files, the same bytes for the same content."""
+    """Return a ZIP archive of files; the same files always give the same bytes."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in sorted(files.items()):

@@ -1,28 +1,36 @@
-"""The variables of an FMU in the order of their value references."""
+"""Variables of an FMU: roles, start values, bounds, structured names."""
 
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import inf, isfinite
+from typing import Any
+
+import casadi as ca
+import numpy as np
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import UNITS, Unit
 from cosim.codegen.initialization import start_function
+from cosim.errors import UsageError
+from cosim.model.values import own_sizes
 
 VALID = "valid"
 
 
 class Role(Enum):
-    """What a variable is in the FMU; the names are those of the C runtime."""
+    """The role of a variable in the FMU; the names are those of the C runtime."""
 
     TIME = "independent"
     STATE = "state"
     DERIVATIVE = "derivative"
     ALGEBRAIC = "algebraic"
     INPUT = "input"
+    MODE = "mode"
     PARAMETER = "parameter"
     OUTPUT = "output"
-    VALIDITY = "validity"  # no number; the runtime knows it without a row in its table
+    VALIDITY = "validity"  # Boolean; it has no row in the runtime's table
 
 
 @dataclass(frozen=True)
@@ -32,13 +40,13 @@ class FmuVariable:
     Attributes:
         name, meaning, unit, display_unit, start, start_kind, nominal, minimum, maximum: See
             `casadi_models.Variable`.
-        role: What it is.
-        observed: Whether it is an output of the FMU, which importers record.
+        role: Role of the variable.
+        observed: Whether the variable is an output of the FMU, which importers record.
         derivative_of: Value reference of the state, for a derivative.
         tunable: Whether an importer may change a parameter during a run.
-        guess: Where the solution of a calculated start begins; `start` is then its result, which
-            importers are told, None where there is none.
-        alias: The name that the tools here know it by, where importers see another.
+        guess: Initial guess of a calculated start value; `start` is then the solution, or None if
+            there is none.
+        alias: Flat name of a variable whose name is structured.
     """
 
     name: str
@@ -59,89 +67,68 @@ class FmuVariable:
 
 
 def fmu_variables(
-    dae: Dae, tunable: Collection[str] = (), *, valid: bool = False
+    dae: Dae, tunable: Collection[str] = (), *, valid: bool = False, modes: int = 0
 ) -> tuple[FmuVariable, ...]:
     """Return time, states, derivatives, algebraics, inputs, parameters, outputs, in this order.
 
-    Args:
-        dae: The model.
-        tunable: Names of the parameters that may change during a run.
-        valid: Whether the Boolean output `valid` comes last.
+    The last inputs may be modes of relations, which only events change.
     """
-    numbers = tuple(_variables(dae, tunable))
+    numbers = tuple(_variables(dae, tunable, modes))
     if not valid:
         return numbers
     meaning = "whether every limit of the model holds"
     return (*numbers, FmuVariable(VALID, meaning, "", Role.VALIDITY, observed=True))
 
 
-def _variables(dae: Dae, tunable: Collection[str]) -> Iterator[FmuVariable]:
+def _variables(dae: Dae, tunable: Collection[str], modes: int) -> Iterator[FmuVariable]:
     observed = frozenset(dae.observed)
     yield FmuVariable("time", "simulation time", "s", Role.TIME)
-    for state, guess, start in zip(dae.states, dae.x_start, _settled(dae), strict=True):
-        variable = _fmu_variable(state, Role.STATE, observed, guess)
-        if state.start_kind is Start.CALCULATED:
-            variable = replace(variable, start=start, guess=guess)
-        yield variable
-    for i, state in enumerate(dae.states):
+    sizes = own_sizes(dae, np.array(dae.x_start)).tolist()
+    for state, guess, start, size in zip(
+        dae.states, dae.x_start, _settled(dae), sizes, strict=True
+    ):
+        calculated = state.start_kind is Start.CALCULATED
+        starts = {"start": start, "guess": guess} if calculated else {"start": guess}
+        yield _fmu_variable(state, Role.STATE, observed, nominal=size, **starts)
+    for i, state in enumerate(dae.states):  # deg/s where the state is shown in deg
+        shown = rate_unit(state.display_unit)[0] if state.display_unit else None
         yield FmuVariable(
             f"der({state.name})",
             f"time derivative of {state.name}",
             rate_unit(state.unit)[0],
             Role.DERIVATIVE,
-            _rate_display(state),
+            shown if shown in UNITS else None,
             derivative_of=1 + i,
         )
     for algebraic in dae.algebraics:
-        yield _fmu_variable(algebraic, Role.ALGEBRAIC, observed, algebraic.start)
-    for quantity in dae.inputs:
-        yield _fmu_variable(quantity, Role.INPUT, frozenset(), quantity.start)
+        yield _fmu_variable(algebraic, Role.ALGEBRAIC, observed)
+    inputs = len(dae.inputs) - modes
+    for quantity in dae.inputs[:inputs]:
+        yield _fmu_variable(quantity, Role.INPUT)
+    for mode in dae.inputs[inputs:]:
+        yield _fmu_variable(mode, Role.MODE, start_kind=Start.CALCULATED)
     for parameter in dae.parameters:
-        variable = _fmu_variable(parameter, Role.PARAMETER, frozenset(), parameter.start)
-        yield replace(variable, tunable=parameter.name in tunable)
+        yield _fmu_variable(parameter, Role.PARAMETER, tunable=parameter.name in tunable)
     for output in dae.output_variables:
-        yield _fmu_variable(output, Role.OUTPUT, observed, None)
-
-
-def _rate_display(state: Variable) -> str | None:
-    """Return the display unit of a state's rate: deg/s where the state is shown in deg."""
-    if not state.display_unit:
-        return None
-    name, _ = rate_unit(state.display_unit)
-    return name if name in UNITS else None
+        yield _fmu_variable(output, Role.OUTPUT, observed, start=None)
 
 
 def _settled(dae: Dae) -> list[float | None]:
-    """Return the starts of all states, as initialization solves for them; None where it cannot."""
+    """Return the start values after initialization, to 15 digits; None where it fails."""
     u, p = ([float(v.start or 0.0) for v in group] for group in (dae.inputs, dae.parameters))
     x, _ = start_function(dae)(0.0, list(dae.x_start), u, p)
-    return [
-        _rounded(float(value), state.nominal) if isfinite(value) else None
-        for value, state in zip(x.full().ravel(), dae.states, strict=True)
-    ]
-
-
-def _rounded(value: float, nominal: float) -> float:
-    """Return a solution without its rounding errors."""
-    return float(f"{value:.15g}") if abs(value) > 1e-14 * nominal else 0.0
+    nominal = np.array([state.nominal for state in dae.states])
+    solved = np.where(np.abs(x.full().ravel()) > 1e-14 * nominal, x.full().ravel(), 0.0)
+    return [float(f"{value:.15g}") if isfinite(value) else None for value in solved]
 
 
 def _fmu_variable(
-    variable: Variable, role: Role, observed: frozenset[str], start: float | None
+    variable: Variable, role: Role, observed: Collection[str] = (), **changes: Any
 ) -> FmuVariable:
-    return FmuVariable(
-        variable.name,
-        variable.meaning,
-        variable.unit,
-        role,
-        variable.display_unit,
-        start,
-        variable.start_kind,
-        variable.nominal,
-        variable.minimum,
-        variable.maximum,
-        variable.name in observed,
-    )
+    """Return a variable of the model in its role, with changes of its facts."""
+    known = FmuVariable.__dataclass_fields__
+    facts = {name: fact for name, fact in vars(variable).items() if name in known}
+    return FmuVariable(role=role, observed=variable.name in observed, **(facts | changes))
 
 
 def rate_unit(unit: str) -> tuple[str, Unit]:
@@ -153,3 +140,97 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
         if known.factor == rate.factor and known.measures_like(rate):
             return name, known
     return f"{unit}/s", rate
+
+
+def with_margins(dae: Dae) -> Dae:
+    """Return the DAE with the margin of each validity condition as an additional output.
+
+    A margin is positive while its condition holds. The margins are not observed: in an FMU they are
+    local variables, which serve as event indicators.
+
+    Raises:
+        UsageError: The model has no validity conditions, or uses a reserved variable name.
+    """
+    names = [f"{VALID}_margin_{i}" for i in range(1, len(dae.limits) + 1)]
+    if not names:
+        raise UsageError(
+            f"{dae.full_name} declares no validity conditions; leave out the output 'valid'"
+        )
+    for taken in {v.name for v in dae.variables} & {VALID, *names}:
+        raise UsageError(f"{dae.full_name} has a variable '{taken}' of its own; rename it")
+    variables = (
+        Variable(name, "1", f"positive while {meaning}", start_kind=Start.CALCULATED)
+        for name, (_, meaning) in zip(names, dae.limits, strict=True)
+    )
+    return replace(
+        dae,
+        outputs=ca.densify(ca.vertcat(dae.outputs, dae.margins)),
+        output_variables=(*dae.output_variables, *variables),
+    )
+
+
+_SUFFIX = re.compile(r"(?P<stem>[A-Za-z]+\d*)_(?P<axis>[wxyz])(?P<rest>\d*(?:_dot)*)")
+_PREFIX = re.compile(
+    r"(?P<stem>[a-z]{0,2}?)(?P<axis>[xyz123k])_(?P<point>[A-Za-z]\w*?)(?:_(?P<frame>[A-Z]))?"
+    r"(?P<rest>(?:_dot)*)"
+)
+_NUMBER = re.compile(r"(?P<stem>[A-Za-z]\w*?)_(?P<axis>\d+)(?P<rest>(?:_dot)*)")
+_AXES = ("wxyz", "xyz", "123", "12k", "xy", "12")
+
+
+def structured(variables: Sequence[FmuVariable]) -> tuple[FmuVariable, ...]:
+    """Return the variables under structured names, each with its flat name as alias."""
+    names = structured_names({v.name: f"{v.role.value} {v.unit}" for v in variables
+                              if v.role not in (Role.TIME, Role.DERIVATIVE)})  # fmt: skip
+    names |= {f"der({flat})": f"der({name})" for flat, name in names.items()}
+    return tuple(
+        replace(v, name=names[v.name], alias=v.name) if names.get(v.name, v.name) != v.name else v
+        for v in variables
+    )
+
+
+def structured_names(kinds: Mapping[str, str]) -> dict[str, str]:
+    """Return the structured name of each flat one.
+
+    Args:
+        kinds: Role and unit, which must be equal among the elements of an array, by flat name.
+
+    Examples:
+        >>> from cosim.fmi.export.variables import structured_names
+        >>> structured_names({"fx_A": "N", "fy_A": "N", "T": "N.m"})
+        {'fx_A': 'A.f[1]', 'fy_A': 'A.f[2]', 'T': 'T'}
+    """
+    groups: dict[tuple[str, str], dict[str, str]] = {}
+    for name, kind in kinds.items():
+        if found := next(_readings(name), None):
+            array, axis = found
+            groups.setdefault((array, kind), {})[axis] = name
+    names = {name: name for name in kinds}
+    arrays = [array for array, _ in groups]
+    for (array, _), members in groups.items():
+        root = re.split(r"[.\[]", array)[0]
+        if root in kinds or arrays.count(array) > 1 or not (order := _order(members)):
+            continue
+        names |= {members[axis]: f"{array}[{i}]" for i, axis in enumerate(order, start=1)}
+    return names
+
+
+def _readings(name: str) -> Iterator[tuple[str, str]]:
+    """Yield an array that a name may belong to, and its axis in that array."""
+    if match := _SUFFIX.fullmatch(name):
+        rest = match["rest"]
+        yield match["stem"] + (f"_{rest}" if rest[:1].isdigit() else rest), match["axis"]
+    elif match := _PREFIX.fullmatch(name):
+        frame = f"_{match['frame']}" if match["frame"] else ""
+        yield f"{match['point']}.{match['stem'] or 'r'}{frame}{match['rest']}", match["axis"]
+    elif match := _NUMBER.fullmatch(name):
+        yield f"{match['stem']}{match['rest']}", match["axis"]
+
+
+def _order(members: Mapping[str, str]) -> Sequence[str]:
+    """Return the axes of a complete array in order; nothing if one is missing."""
+    for axes in _AXES:
+        if set(members) == set(axes):
+            return axes
+    numbers = [str(i) for i in range(1, len(members) + 1)]
+    return numbers if len(numbers) > 1 and set(members) == set(numbers) else ()

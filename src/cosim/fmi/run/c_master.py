@@ -1,49 +1,33 @@
 """An FMU driven by compiled code: one call over all output times; see fmu/master."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Vector, frozen
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
-from cosim.codegen.interruptible import interruptible
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
-from cosim.fmi.run.compiled_run import Recorded, Recording, Run, functions_of, refuse_failure
-from cosim.fmi.run.initialization import enter_continuous_time, initialize
-from cosim.memo import kept_per_thread
-
-MASTER_TOLERANCE = 1e-5  # of model exchange where neither user nor FMU says one, as in fmpy
-
-
-class DrivenRun(NamedTuple):
-    """A run: its times, s, (n,), a row for each of them, and what it took."""
-
-    time: Vector
-    rows: Vector
-    stats: dict[str, Any]
+from cosim.fmi.run.c_structures import Recorded, Recording, Run, functions_of, reject_failure
+from cosim.fmi.run.instance import Interface, enter_continuous_time, initialize
+from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
+from cosim.host.signals import interruptible
+from cosim.memo import cached_per_thread
 
 
 class CompiledMaster:
     """Drives an FMU: model exchange by `dop853`, co-simulation step by step.
 
-    Args:
-        instance: Of fmpy, instantiated or reset before each run.
-        description: Of the FMU, of version 2 or 3.
-        kind: "ModelExchange" or "CoSimulation".
-
     Raises:
         MissingTool: There is no compiler.
     """
 
-    def __init__(self, instance: Any, description: Any, kind: str) -> None:
+    def __init__(self, instance: Any, description: Any, interface: Interface) -> None:
         self._instance, self._description = instance, description
-        self._exchange = exchange = kind == "ModelExchange"
-        self._any_step = exchange or description.coSimulation.canHandleVariableCommunicationStepSize
+        self._exchange = exchange = interface is Interface.MODEL_EXCHANGE
         self._library = _library(
             description.numberOfContinuousStates if exchange else 0,
             description.numberOfEventIndicators if exchange else 0,
@@ -52,58 +36,39 @@ class CompiledMaster:
         self._functions = functions_of(instance, description)
         self._recordings: dict[tuple[int, ...], Recorded] = {}
 
-    def run(
-        self,
-        span: tuple[float, float, float],
-        tolerance: float | None,
-        values: Mapping[str, float],
-        variables: Sequence[Any],
-    ) -> DrivenRun:
+    def run(self, request: FmuRequest) -> MasterRun:
         """Initialize the FMU and run it.
 
-        Args:
-            span: Begin, end and output interval, s.
-            tolerance: Error per step; the FMU's own, or fmpy's, when None.
-            values: Start values by name.
-            variables: What to record.
-
         Raises:
-            FmuError: A call failed, or the run ended early.
+            FmuError: A call failed, or the FMU stopped before the stop time.
         """
-        start, stop, _ = span
         instance, description, exchange = self._instance, self._description, self._exchange
-        if tolerance is None:
-            own = getattr(description.defaultExperiment, "tolerance", None)
-            tolerance = None if own is None else float(own)
-        experiment: dict[str, float | None] = {"startTime": start, "stopTime": stop}
-        if not exchange:
-            experiment["tolerance"] = tolerance
-        initialize(instance, description, values, **experiment)
-        times = communication_points(*span, any_step=self._any_step)
-        rows = np.empty((len(times), len(variables)))
-        recording = self._recording(variables)
+        initialize(instance, description, request.values, **request.experiment)
+        points = request.points
+        rows = np.empty((len(points), len(request.recorded)))
+        recording = self._recording(request.recorded)
         recording.rows = rows.ctypes.data
         run = Run(
             functions=ctypes.pointer(self._functions),
             recording=ctypes.pointer(recording),
-            times=times.ctypes.data,
-            points=len(times),
-            start=start,
-            stop=times[-1] if exchange else stop,
-            interval=span[2],
-            any_step=self._any_step,
+            times=points.ctypes.data,
+            points=len(points),
+            start=request.start,
+            stop=points[-1] if exchange else request.stop,
+            interval=request.interval,
+            any_step=exchange or description.coSimulation.canHandleVariableCommunicationStepSize,
         )
-        held = _prepare_exchange(run, instance, description, tolerance) if exchange else None
+        nominals = _prepare_exchange(run, instance, request) if exchange else None
         with interruptible(self._library) as interrupts:
             self._library.run_fmu(ctypes.byref(run))
-        del held
-        refuse_failure(run, interrupts, stop)
+        del nominals
+        reject_failure(run, interrupts, request.stop)
         instance.terminate()
         rows.setflags(write=False)
         stats = {"steps": run.steps, "events": run.events}
         if exchange:
             stats["rhs_calls"] = run.calls
-        return DrivenRun(times, rows, stats)
+        return MasterRun(points, rows, stats)
 
     def _recording(self, variables: Sequence[Any]) -> Recording:
         wanted = tuple(map(id, variables))  # which live as long as their description
@@ -112,27 +77,17 @@ class CompiledMaster:
         return self._recordings[wanted].structure
 
 
-@lru_cache(8)
-def communication_points(start: float, stop: float, interval: float, *, any_step: bool) -> Vector:
-    """Return the times at which fmpy records, s, (n,), bit for bit."""
-    times: Vector = start + interval * np.arange(int((stop - start) / interval) + 3, dtype=float)
-    near = np.abs(times - stop) <= 1e-9 * np.maximum(np.abs(times), abs(stop))
-    last = int(np.argmax((times > stop) | near))
-    times = times[: last + 1]
-    if times[-1] > stop and not near[last]:
-        times = np.append(times[:-1], [stop] if any_step else [])
-    return frozen(times)
-
-
-def _prepare_exchange(run: Run, instance: Any, description: Any, tolerance: float | None) -> Any:
-    """Fill in what model exchange needs; return what has to live as long as the run."""
-    first = enter_continuous_time(instance, description)
+def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:
+    """Fill in what model exchange needs; return the nominal values, which `run` points to."""
+    description = request.description
+    next_event = enter_continuous_time(instance, description)
     run.states = n = description.numberOfContinuousStates
     run.indicators = description.numberOfEventIndicators
     run.needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
-    run.next_defined = first.next_event is not None
-    run.next_event = first.next_event or 0.0
-    run.relative_tolerance = MASTER_TOLERANCE if tolerance is None else tolerance
+    run.next_defined = isfinite(next_event)
+    run.next_event = next_event if isfinite(next_event) else 0.0
+    tolerance = request.tolerance
+    run.relative_tolerance = DEFAULT_TOLERANCE if tolerance is None else tolerance
     nominals = (ctypes.c_double * (n + 1))(*([1.0] * (n + 1)))
     if n:
         instance.getNominalsOfContinuousStates(nominals, n)
@@ -153,7 +108,6 @@ def co_simulation_library() -> Path:
 
 
 def _model_exchange_library(states: int, indicators: int) -> Path:
-    """Compile what drives model exchange, one per size."""
     sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
     coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
     text = f"{sizes}{master_source('model_exchange.h')}{coefficients}"
@@ -161,7 +115,7 @@ def _model_exchange_library(states: int, indicators: int) -> Path:
     return cached_library(f"master {text}", lambda: text)
 
 
-@kept_per_thread(8)
+@cached_per_thread(8)
 def _library(states: int, indicators: int, exchange: bool) -> ctypes.CDLL:
     place = _model_exchange_library(states, indicators) if exchange else co_simulation_library()
     library = ctypes.CDLL(str(place))

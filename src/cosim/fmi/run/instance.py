@@ -1,36 +1,119 @@
-"""An FMU's description and a live instance of it through fmpy; every failure says why."""
+"""fmpy's instance of an unpacked FMU: created, initialized, and with errors that say why."""
 
+import ctypes
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import chdir, contextmanager
+from enum import StrEnum
+from functools import cache, lru_cache
+from math import inf
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 from cosim.errors import FmuError, SecurityError, UnknownName
-from cosim.fmi.aliases import flat_names
-from cosim.fmi.archive import DESCRIPTION
-from cosim.fmi.run.patient import ADVICE, LIMIT
+from cosim.fmi.archive import DESCRIPTION, flat_names
 from cosim.host.temporary import loads_no_library
-from cosim.text.escaping import sentence
+from cosim.text import sentence
 
-INTERFACES = ("ModelExchange", "CoSimulation")
+
+class Interface(StrEnum):
+    """An interface of the FMI: who integrates."""
+
+    MODEL_EXCHANGE = "ModelExchange"  # the importer
+    CO_SIMULATION = "CoSimulation"  # the solver in the FMU
+
+
+INTERFACES = tuple(Interface)
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
-_ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # and nothing says why
+_TOO_MANY_STEPS = "mxstep steps taken"  # CVODE's words
+_FEWER_STEPS = (
+    "try closer output times, a looser relative tolerance, or co-simulation, which uses the FMU's "
+    "own solver"
+)
+_ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # no message says why
 _CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
 _MESSAGES = 3  # of an FMU's log, in an error
+
+
+def is_second(description: Any) -> bool:
+    """Tell whether a file is of FMI 2."""
+    return str(description.fmiVersion).startswith("2")
+
+
+def initialize(
+    instance: Any, description: Any, values: Mapping[str, float], **experiment: float | None
+) -> None:
+    """Set start values and leave initialization mode, in the order of `fmpy.simulate_fmu`.
+
+    Args: See `begin_initialization`.
+    """
+    begin_initialization(instance, description, values, **experiment)
+    instance.exitInitializationMode()
+
+
+def begin_initialization(
+    instance: Any, description: Any, values: Mapping[str, float], **experiment: float | None
+) -> None:
+    """Set start values and enter initialization mode, in the order of `fmpy.simulate_fmu`.
+
+    Args:
+        experiment: `startTime`, `stopTime` [s], `tolerance`.
+    """
+    from fmpy.simulation import (
+        apply_start_values,
+        settable_in_initialization_mode,
+        settable_in_instantiated,
+    )
+
+    left, second = dict(values), is_second(description)
+    if second:
+        instance.setupExperiment(**experiment)
+    left = apply_start_values(instance, description, left, settable=settable_in_instantiated)
+    instance.enterInitializationMode(**{} if second else experiment)
+    apply_start_values(instance, description, left, settable=settable_in_initialization_mode)
+
+
+def update_discrete_states(instance: Any, description: Any) -> tuple[bool, float]:
+    """Update the discrete states until they no longer change.
+
+    Returns:
+        Whether the FMU ends the run, and the time of its next event, s; infinity for no event.
+    """
+    update = instance.newDiscreteStates if is_second(description) else instance.updateDiscreteStates
+    needed, ends, found = True, False, (False, 0.0)
+    while needed and not ends:
+        needed, ends, _, _, *found = update()
+    defined, time = found
+    return bool(ends), float(time) if defined else inf
+
+
+def enter_continuous_time(instance: Any, description: Any) -> float:
+    """Take an FMU for model exchange through its first events to continuous-time mode.
+
+    Returns:
+        The time of its next event, s; infinity for no event.
+
+    Raises:
+        FmuError: It ends the run.
+    """
+    ends, next_event = update_discrete_states(instance, description)
+    if ends:
+        raise FmuError("Model requested termination during initial event update.")
+    instance.enterContinuousTimeMode()
+    return next_event
 
 
 def read_description(folder: Path, name: object) -> Any:
     """Return fmpy's model description of an unpacked FMU.
 
-    Variables of FMUs that were exported here with structured names have their flat ones, by which
-    runs on other roads know them; the structured ones are their aliases.
+    An FMU that this package exported with structured names has two names for a variable: the flat
+    one, which every backend uses, and the structured one as its alias.
 
     Raises:
-        FmuError: The file is not as the FMI wants it.
+        FmuError: The description cannot be read, or is of another version than FMI 2 and 3.
     """
     from fmpy import read_model_description
 
@@ -38,8 +121,10 @@ def read_description(folder: Path, name: object) -> Any:
         description = read_model_description(str(folder), validate=False)
         names = flat_names(ET.parse(folder / DESCRIPTION).getroot())
     except Exception as error:
-        told = f"{type(error).__name__}: {sentence(str(error))}"
-        raise FmuError(f"{name}: modelDescription.xml cannot be read: {told}") from error
+        reason = f"{type(error).__name__}: {sentence(str(error))}"
+        raise FmuError(f"{name}: modelDescription.xml cannot be read: {reason}") from error
+    if str(description.fmiVersion).startswith("1"):
+        raise FmuError(f"{name} is of FMI 1.0, which cannot be run; export it as FMI 2.0 or 3.0")
     if names:
         _flatten(description, names)
     return description
@@ -54,19 +139,25 @@ def _flatten(description: Any, names: Mapping[str, str]) -> None:
             variable.name = names[variable.name]
 
 
-def choose_interface(folder: Path, description: Any, wanted: str | None, name: object) -> str:
-    """Return the interface to run: the wanted one, else co-simulation where there is one.
+def choose_interface(
+    folder: Path, description: Any, requested: str | None, name: object
+) -> Interface:
+    """Return the requested interface, or by default co-simulation if the FMU has it.
 
     Raises:
         UnknownName: There is no such interface in the FMI.
         FmuError: The FMU does not have it, or no binary for this machine, or none can be
             loaded from the folder.
-        SecurityError: The binary lies elsewhere.
+        SecurityError: The library's name leads out of its folder.
     """
-    if wanted is not None and wanted not in INTERFACES:
-        raise UnknownName.among("cosim", "interface", wanted, INTERFACES)
-    has = {"ModelExchange": description.modelExchange, "CoSimulation": description.coSimulation}
-    kind = wanted or ("CoSimulation" if has["CoSimulation"] else "ModelExchange")
+    if requested is not None and requested not in INTERFACES:
+        raise UnknownName.among("cosim", "interface", requested, INTERFACES)
+    has = {
+        Interface.MODEL_EXCHANGE: description.modelExchange,
+        Interface.CO_SIMULATION: description.coSimulation,
+    }
+    default = Interface.CO_SIMULATION if description.coSimulation else Interface.MODEL_EXCHANGE
+    kind = Interface(requested) if requested else default
     if not has[kind]:
         other = next((offered for offered in INTERFACES if has[offered]), "neither")
         raise FmuError(f"{name} has no {kind} interface; it has {other}")
@@ -83,11 +174,11 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
     import fmpy
 
     if not (identifier.isascii() and identifier.isidentifier()):
-        told = sentence(identifier)
-        raise SecurityError(f"{name}: modelIdentifier '{told}' is no C name; do not use it")
+        shown = sentence(identifier)
+        raise SecurityError(f"{name}: modelIdentifier '{shown}' is no C name; do not use it")
     if len(identifier) > _MOST_LETTERS:
         raise FmuError(f"{name}: its modelIdentifier has {len(identifier)} letters; do not use it")
-    own = fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform
+    own = fmpy.platform if is_second(description) else fmpy.platform_tuple
     if (folder / "binaries" / own / f"{identifier}{fmpy.sharedLibraryExtension}").is_file():
         return
     others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
@@ -99,13 +190,11 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
 def instantiated(
     folder: Path, description: Any, kind: str, name: object
 ) -> Iterator[tuple[Any, Callable[[Exception], FmuError]]]:
-    """Yield fmpy's instance of an unpacked FMU, and what turns an error into one with reasons.
+    """Yield fmpy's instance of an unpacked FMU, and a function that adds the FMU's log to an error.
 
     Raises:
-        FmuError: The library cannot be loaded, or refuses.
+        FmuError: The library cannot be loaded, or rejects the instantiation.
     """
-    from fmpy import instantiate_fmu
-
     log: list[str] = []
 
     def collect(*arguments: Any) -> None:
@@ -114,55 +203,72 @@ def instantiated(
         log.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
 
     def explained(error: Exception) -> FmuError:
-        told = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
+        reason = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
         last = log[-_MESSAGES:]
-        advice = [ADVICE] if LIMIT in told else []
+        advice = [_FEWER_STEPS] if _TOO_MANY_STEPS in reason else []
         if last and _ENDED_WITHIN_A_STEP.search(last[-1]):
             advice.append(_CLOSER)
-        reasons = dict.fromkeys(map(sentence, (told, *last, *advice)))
+        reasons = dict.fromkeys(map(sentence, (reason, *last, *advice)))
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
-    with chdir("."):  # fmpy stays in the library's folder where it cannot load it
+    with chdir("."):  # fmpy stays in the library's folder if it cannot load the library
         try:
-            instance = instantiate_fmu(
-                str(folder), description, kind, debug_logging=True, logger=collect
-            )
+            instance = _instance(folder, description, Interface(kind), collect)
         except Exception as error:
             raise explained(error) from error
-    _refuse_unknown_status(instance)
     try:
         yield instance, explained
     finally:
         instance.freeInstance()
 
 
-def _refuse_unknown_status(instance: Any) -> None:
-    """Have a status below 0 end the run, which fmpy takes for success."""
-    original = instance._call
+def _instance(folder: Path, description: Any, kind: Interface, log: Callable[..., None]) -> Any:
+    """Return what `fmpy.instantiate_fmu` does, of a class that checks every status."""
+    from fmpy import calloc, fmi2, free
+    from fmpy.logging import addLoggerProxy
 
-    def checked(function: str, *arguments: Any) -> Any:
-        result = original(function, *arguments)
+    exchange = kind is Interface.MODEL_EXCHANGE
+    abilities = description.modelExchange if exchange else description.coSimulation
+    instance = _checked_class(is_second(description), exchange)(
+        guid=description.guid,
+        modelIdentifier=abilities.modelIdentifier,
+        unzipDirectory=str(folder),
+        instanceName=None,
+    )
+    if not is_second(description):
+        instance.instantiate(loggingOn=True, logMessage=log)
+        return instance
+    callbacks = fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(ctypes.byref(callbacks))
+    instance.instantiate(callbacks=callbacks, loggingOn=True)
+    return instance
+
+
+@cache
+def _checked_class(second: bool, exchange: bool) -> type:
+    """Return fmpy's class of FMUs, with an error for a status below 0, which fmpy takes for OK."""
+    from fmpy import fmi2, fmi3
+
+    name = f"FMU{2 if second else 3}{'Model' if exchange else 'Slave'}"
+    base: Any = getattr(fmi2 if second else fmi3, name)
+
+    def checked_call(self: Any, function: str, *arguments: Any) -> Any:
+        result = base._call(self, function, *arguments)
         if isinstance(result, int) and result < 0:
             raise FmuError(f"{function} returned {result}, which is no status of the FMI")
         return result
 
-    instance._call = checked
+    return type(name, (base,), {"_call": checked_call})  # fmpy reads the version from the name
 
 
-def count_derivatives(instance: Any) -> list[int]:
-    """Count the evaluations of the derivatives from now on, in the list's only item."""
-    calls = [0]
-    name = (
-        "getDerivatives" if hasattr(instance, "getDerivatives") else "getContinuousStateDerivatives"
-    )
-    original = getattr(instance, name)
-
-    def counted(*arguments: Any) -> Any:
-        calls[0] += 1
-        return original(*arguments)
-
-    setattr(instance, name, counted)
-    return calls
+def getter_name(variable: Any, description: Any) -> str:
+    """Return the type in the name of the function that gets a variable's value."""
+    if variable.type == "Enumeration":
+        return "Integer" if is_second(description) else "Int64"
+    return str(variable.type)
 
 
 def is_number(variable: Any) -> bool:
@@ -171,12 +277,13 @@ def is_number(variable: Any) -> bool:
 
 
 def may_be_set(variable: Any) -> bool:
-    """Tell whether a run begins with what is given; an approximate start is but a guess."""
+    """Tell whether a start value can be set; an approximate one is only an initial guess."""
     if variable.start is None or variable.variability == "constant":
         return False
     return variable.causality == "input" or variable.initial in ("exact", None)
 
 
+@lru_cache(8)
 def by_name(description: Any) -> Mapping[str, Any]:
     """Return the variables by name, and by their other names."""
     variables = {variable.name: variable for variable in description.modelVariables}

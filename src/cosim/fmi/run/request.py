@@ -1,141 +1,260 @@
-"""What is asked of a run of an FMU, checked against its description."""
+"""`FmuRequest`: what to compute with an FMU, checked against its model description."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
-from cosim.arrays import Vector
+import numpy as np
+
+from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.fmi.run.instance import by_name, is_number, may_be_set
+from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set
+from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
-from cosim.model.time_grid import time_grid
+from cosim.model.times import reject_backward, time_grid
 from cosim.model.values import listed, number
 from cosim.trajectory import Column
 
+DEFAULT_TOLERANCE = 1e-5  # of model exchange if neither user nor FMU gives one, as in fmpy
+MOST_POINTS = 10_000_000  # output times of a run
 _CONTINUOUS = ("Real", "Float64")
-MOST_POINTS = 10_000_000  # output times; fmpy keeps them as Python objects
 
 
-@dataclass(frozen=True)
-class Span:
-    """When a run begins, ends and is recorded, s."""
+class MasterRun(NamedTuple):
+    """Raw result of a run: its times, s, (n,), a row of outputs for each, and statistics."""
 
+    times: Vector
+    rows: Vector
+    stats: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class FmuRequest:
+    """What to compute with an FMU; knows nothing of the master that drives it.
+
+    `of` makes one from the keywords of `simulate_fmu` and checks it; `dataclasses.replace` makes
+    variants.
+
+    Attributes:
+        description: fmpy's model description.
+        interface: Model exchange or co-simulation.
+        values: Start values, parameters and constant inputs by name, in the FMU's units.
+        start, stop, interval: Span of the run and distance of the output times, s.
+        recorded: The variables to record, of the description.
+        inputs: Inputs that follow a time series.
+        tolerance: Relative tolerance; None if neither user nor FMU gives one.
+        may_end: Whether a run that the FMU itself ends is complete.
+    """
+
+    description: Any
+    interface: Interface
+    values: Mapping[str, float]
     start: float
     stop: float
     interval: float
+    recorded: tuple[Any, ...]
+    inputs: InputSeries | None = None
+    tolerance: float | None = None
+    may_end: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        description: Any,
+        interface: Interface,
+        name: object,
+        *,
+        start_time: float | None = None,
+        stop_time: float | None = None,
+        output_interval: float | None = None,
+        relative_tolerance: float | None = None,
+        start_values: Mapping[str, float] | None = None,
+        inputs: Any = None,
+        outputs: Sequence[str] | None = None,
+    ) -> "FmuRequest":
+        """Check the keywords of `simulate_fmu`."""
+        variables = by_name(description)
+        start, stop, interval = _times(name, description, start_time, stop_time, output_interval)
+        tolerance = _tolerance(name, description, relative_tolerance)
+        values = checked_values(name, variables, {} if start_values is None else start_values)
+        recorded = tuple(variables[output] for output in output_names(name, variables, outputs))
+        series = None
+        if inputs is not None:
+            series = followed(str(name), inputs, time_grid(start, stop, interval))
+        if series is not None:
+            _check_series(name, variables, series, values)
+        return cls(
+            description, interface, values, start, stop, interval, recorded, series, tolerance
+        )
 
     @property
-    def times(self) -> Vector:
-        """The output times, (n,)."""
+    def grid(self) -> Vector:
+        """The output times of native simulation, s, (n,)."""
         return time_grid(self.start, self.stop, self.interval)
 
+    @cached_property
+    def points(self) -> Vector:
+        """The communication points, at which a run is recorded, s, (n,)."""
+        abilities = self.description.coSimulation
+        exchange = self.interface is Interface.MODEL_EXCHANGE
+        any_step = exchange or abilities.canHandleVariableCommunicationStepSize
+        return communication_points(self.start, self.stop, self.interval, any_step=any_step)
 
-def span_of(
-    path: object,
-    description: Any,
-    start: float | None,
-    stop: float | None,
-    interval: float | None,
-) -> Span:
-    """Fill in the FMU's default experiment; fmpy itself has other ideas of the interval."""
+    @cached_property
+    def initial_values(self) -> dict[str, float]:
+        """The values to set before initialization ends, by name: inputs of a series as well."""
+        series = self.inputs
+        if series is None:
+            return dict(self.values)
+        at_start = series.at(np.array([self.start]))[:, 0]
+        return {**self.values, **dict(zip(series.names, map(float, at_start), strict=True))}
+
+    @property
+    def experiment(self) -> dict[str, float | None]:
+        """What the FMU learns of a run: `startTime`, `stopTime` [s], `tolerance`."""
+        facts: dict[str, float | None] = {"startTime": self.start, "stopTime": self.stop}
+        if self.interface is Interface.CO_SIMULATION:
+            facts["tolerance"] = self.tolerance
+        return facts
+
+    @property
+    def input_references(self) -> list[int]:
+        """The value references of the inputs that follow a series."""
+        names = self.inputs.names if self.inputs else ()
+        variables = by_name(self.description) if names else {}
+        return [variables[name].valueReference for name in names]
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """The recorded variables with their units."""
+        return tuple(map(column_of, self.recorded))
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The parameters and inputs of the run by name: start values given here, else the FMU's."""
+        own, given = _own_numbers(self.description), self.initial_values
+        kinds, variables = ("parameter", "input"), by_name(self.description)
+        return {**own, **{n: x for n, x in given.items() if variables[n].causality in kinds}}
+
+
+@lru_cache(8)
+def communication_points(start: float, stop: float, interval: float, *, any_step: bool) -> Vector:
+    """Return the times at which fmpy records, s, (n,), bit for bit."""
+    times: Vector = start + interval * np.arange(int((stop - start) / interval) + 3, dtype=float)
+    near = np.abs(times - stop) <= 1e-9 * np.maximum(np.abs(times), abs(stop))
+    last = int(np.argmax((times > stop) | near))
+    times = times[: last + 1]
+    if times[-1] > stop and not near[last]:
+        times = np.append(times[:-1], [stop] if any_step else [])
+    return frozen(times)
+
+
+def _times(
+    name: object, description: Any, start: float | None, stop: float | None, interval: float | None
+) -> tuple[float, float, float]:
+    """Complete the times by the FMU's default experiment, with 500 intervals if it gives no step.
+
+    fmpy has another default interval.
+    """
     experiment = description.defaultExperiment
 
-    def default(name: str, otherwise: float) -> float:
-        value = getattr(experiment, name, None)
+    def default(attribute: str, otherwise: float) -> float:
+        value = getattr(experiment, attribute, None)
         return otherwise if value is None else float(value)
 
-    start = number(str(path), "start_time", default("startTime", 0.0) if start is None else start)
+    start = number(str(name), "start_time", default("startTime", 0.0) if start is None else start)
     length = default("stopTime", default("startTime", 0.0) + 1) - default("startTime", 0.0)
-    stop = number(str(path), "stop_time", start + length if stop is None else stop)
-    if stop < start:
-        raise ParameterError(
-            f"{path}: stop_time = {stop:g} s lies before start_time = {start:g} s; "
-            "give a later stop"
-        )
+    stop = number(str(name), "stop_time", start + length if stop is None else stop)
+    reject_backward(start, stop, f"{name}: ")
     if interval is None:
         interval = default("stepSize", (stop - start) / 500) or 1.0
-    interval = number(str(path), "output_interval", interval, positive=True)
+    interval = number(str(name), "output_interval", interval, positive=True)
     if (stop - start) / interval > MOST_POINTS:
         raise ParameterError(
-            f"{path}: output_interval = {interval:g} s makes {(stop - start) / interval:.3g} "
+            f"{name}: output_interval = {interval:g} s makes {(stop - start) / interval:.3g} "
             "output times; give a larger one"
         )
-    return Span(start, stop, interval)
+    return start, stop, interval
 
 
-def tolerance_of(path: object, relative: float | None) -> float | None:
-    """Return a tolerance, or refuse it."""
+def _tolerance(name: object, description: Any, relative: float | None) -> float | None:
+    """Return the relative tolerance, by default the FMU's."""
     if relative is None:
-        return None
-    if number(str(path), "relative_tolerance", relative, positive=True) > 0.1:
-        raise ParameterError(f"{path}: relative_tolerance = {relative:g} is above 0.1")
+        own = getattr(description.defaultExperiment, "tolerance", None)
+        return None if own is None else float(own)
+    if number(str(name), "relative_tolerance", relative, positive=True) > 0.1:
+        raise ParameterError(
+            f"{name}: relative_tolerance = {relative:g} is above 0.1; give a smaller one"
+        )
     return float(relative)
 
 
-def given_numbers(
-    path: object, variables: Mapping[str, Any], start: Mapping[str, float]
+def checked_values(
+    name: object, variables: Mapping[str, Any], values: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return start values by name, or refuse them."""
-    if not isinstance(start, Mapping):
-        raise UsageError.of_type(f"{path}: start", start, "values by name, e.g. {'phi': 0.1}")
-    for name in start:
-        if name not in variables:
+    """Return start values by the names of the description.
+
+    Raises:
+        UnknownName, UsageError, ParameterError: A variable does not exist, cannot be set, or gets
+            no finite number.
+    """
+    if not isinstance(values, Mapping):
+        raise UsageError.of_type(f"{name}: start_values", values, "values by name, e.g. {'phi': 1}")
+    for variable in values:
+        if variable not in variables:
             settable = [v.name for v in variables.values() if _is_settable(v)]
-            raise UnknownName.among(str(path), "start value", name, settable)
-        if not _is_settable(variables[name]):
-            raise UsageError(f"{path}: {name} cannot be set; it is calculated, or not a number")
-    return {variables[name].name: number(str(path), name, value) for name, value in start.items()}
+            raise UnknownName.among(str(name), "start value", variable, settable)
+        if not _is_settable(variables[variable]):
+            raise UsageError(f"{name}: {variable} cannot be set; it is calculated, or not a number")
+    return {variables[key].name: number(str(name), key, value) for key, value in values.items()}
 
 
 def _is_settable(variable: Any) -> bool:
     return may_be_set(variable) and is_number(variable)
 
 
-def recorded(
-    path: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
+def output_names(
+    name: object, variables: Mapping[str, Any], outputs: Sequence[str] | None
 ) -> list[str]:
-    """Return the names to record, each once; the FMU's outputs when None."""
+    """Return the names of the variables to record, each once; by default the FMU's outputs.
+
+    Raises:
+        UnknownName, UsageError: A variable does not exist or is not one number.
+    """
     if outputs is None:
         return [
             n
             for n, v in variables.items()
             if v.causality == "output" and is_number(v) and n == v.name
         ]
-    wanted = listed(f"{path}: outputs", outputs)
-    for name in wanted:
-        if name not in variables:
-            raise UnknownName.among(str(path), "output", name, variables)
-        if not is_number(variables[name]):
-            raise UsageError(f"{path}: {name} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(variables[name].name for name in wanted))
+    requested = listed(f"{name}: outputs", outputs)
+    for output in requested:
+        if output not in variables:
+            raise UnknownName.among(str(name), "output", output, variables)
+        if not is_number(variables[output]):
+            raise UsageError(f"{name}: {output} is not a single number and cannot be recorded")
+    return list(dict.fromkeys(variables[output].name for output in requested))
 
 
-def input_variables(description: Any) -> dict[str, Any]:
-    """Return the inputs by name."""
-    return {n: v for n, v in by_name(description).items() if v.causality == "input"}
-
-
-def refuse_series(
-    path: object, description: Any, series: InputSeries | None, values: Mapping[str, float]
+def _check_series(
+    name: object, variables: Mapping[str, Any], series: InputSeries, values: Mapping[str, float]
 ) -> None:
-    """Refuse a series of what is no input, of no real number, or that has a constant value, too.
-
-    Raises:
-        UnknownName: There is no such input.
-        UsageError: It cannot follow a series.
-    """
-    known = input_variables(description)
-    for name in series.names if series else ():
-        if name not in known:
-            raise UnknownName.among(str(path), "input", name, known)
-        if known[name].type not in _CONTINUOUS or known[name].dimensions:
-            raise UsageError(f"{path}: {name} is no real number; give it a constant value")
-        if name in values:
-            raise UsageError(f"{path}: {name} is given a value and a series; give one of them")
+    """Reject a series for a variable that is no real input or has a constant value as well."""
+    known = {n: v for n, v in variables.items() if v.causality == "input"}
+    for variable in series.names:
+        if variable not in known:
+            raise UnknownName.among(str(name), "input", variable, known)
+        if known[variable].type not in _CONTINUOUS or known[variable].dimensions:
+            raise UsageError(f"{name}: {variable} is no real number; give it a constant value")
+        if variable in values:
+            raise UsageError(f"{name}: {variable} is given a value and a series; give one of them")
 
 
+@lru_cache(1024)
 def column_of(variable: Any) -> Column:
-    """Return what is known of a variable."""
+    """Return a variable of fmpy's as a column of a result."""
     declared = variable.declaredType
     return Column(
         variable.name,
@@ -146,24 +265,12 @@ def column_of(variable: Any) -> Column:
     )
 
 
-def own_numbers(variables: Mapping[str, Any]) -> dict[str, float]:
-    """Return the parameters and inputs that an FMU has where nobody gives others, by name."""
-    kinds = ("parameter", "input")
-    found = {n: v.start for n, v in variables.items() if v.causality in kinds and is_number(v)}
-    return {name: float(start) for name, start in found.items() if _is_float(start)}
-
-
-def numbers_of_run(
-    variables: Mapping[str, Any], own: Mapping[str, float], given: Mapping[str, float]
-) -> dict[str, float]:
-    """Return the parameters and inputs that an FMU is run with: what is given, else its own."""
-    kinds = ("parameter", "input")
-    return {**own, **{n: x for n, x in given.items() if variables[n].causality in kinds}}
-
-
-def _is_float(text: Any) -> bool:
-    try:
-        float(text)
-    except (TypeError, ValueError):  # there is none, it is an array, or true
-        return False
-    return True
+@lru_cache(8)
+def _own_numbers(description: Any) -> Mapping[str, float]:
+    """Return the start values of the parameters and inputs by name."""
+    found: dict[str, float] = {}
+    for variable in description.modelVariables:
+        if variable.causality in ("parameter", "input") and is_number(variable):
+            with suppress(TypeError, ValueError):  # no start value, an array, or "true"
+                found[variable.name] = float(variable.start)
+    return found

@@ -1,4 +1,4 @@
-"""`Ensemble`: what many runs of one model return."""
+"""`Ensemble`: the results of many runs of one model."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class RunState(StrEnum):
     """How a run ended."""
 
     COMPLETE = "complete"
-    FAILED = "failed"  # the solver gave up
-    STOPPED = "stopped"  # it left the model's limits, and was to stop there
-    REFUSED = "refused"  # its values, or the start that follows from them, are impossible
+    FAILED = "failed"  # the solver failed
+    STOPPED = "stopped"  # a validity condition was violated, with on_invalid="stop"
+    REFUSED = "refused"  # its values, or initial values that follow from them, are not possible
     INTERRUPTED = "interrupted"  # by Ctrl-C
-    LOST = "lost"  # with the process that computed it
+    LOST = "lost"  # its process ended before it returned the run
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
@@ -39,18 +39,19 @@ class Ensemble:
         model: `MODEL/FORMULATION`, or the name in an FMU.
         time: Output times, s, (times,).
         columns: The variables.
-        values: (runs, times, columns); not a number beyond the last good time of a run.
-        start_values: What was given, by name, (runs,) each.
+        values: Values, (runs, times, columns); NaN after the last valid output time of a run.
+        start_values: The values that were varied, by name, (runs,) each.
         states: How each run ended.
-        reasons: Why, by run, where it is not complete.
-        invalid: Where a run left the model's limits, by run.
-        reached: Number of good output times of each run, (runs,).
-        steps, rhs_calls: What each run took, (runs,).
+        reasons: Why a run is not complete, by position of the run.
+        invalid: Violated validity conditions, by position of the run.
+        reached: Number of valid output times of each run, (runs,).
+        steps, rhs_calls: Numbers of steps and of calls of the equations of each run, (runs,).
         error: Sum of the estimated errors of each run's steps, relative to the states' size, in
-            the solver's norm, (runs,); not a number where the solver estimates none.
-        stats: What all of it took: solver, relative_tolerance, solve_time [s], wall_time [s], ...
-        drawing: What the model looks like; None where nobody knows.
-        numbers: Parameters and constant inputs where nothing was given, SI; None where unknown.
+            the solver's norm, (runs,); NaN if the solver estimates no error.
+        stats: Statistics of all runs: solver, relative_tolerance, solve_time [s], wall_time [s],
+            ...
+        drawing: The drawing of the model; None if unknown.
+        numbers: Parameters and constant inputs that were not varied, SI; None if unknown.
 
     Example:
         >>> import cosim
@@ -85,20 +86,25 @@ class Ensemble:
 
     @property
     def status(self) -> str:
-        """How many runs ended how, in words."""
+        """Number of runs in each final state, as text."""
         counts = {state: self.states.count(state) for state in RunState if state in self.states}
         return ", ".join(f"{count} {state}" for state, count in counts.items())
 
     @property
     def complete(self) -> Truths:
-        """Which runs reached their stop time, (runs,)."""
+        """Whether each run reached its stop time, (runs,)."""
         return np.array([state is RunState.COMPLETE for state in self.states], dtype=bool)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the runs."""
+        return RunState.INTERRUPTED in self.states
 
     def __getitem__(self, name: str) -> Vector:
         """Return the values of a variable, (runs, times), or "time", (times,).
 
         Raises:
-            UnknownName: It was not recorded.
+            UnknownName: The variable was not recorded.
         """
         if name == "time":
             return self.time
@@ -107,7 +113,7 @@ class Ensemble:
         return self.values[:, :, self.names.index(name)]
 
     def run(self, i: int) -> Trajectory:
-        """Return one run up to its last good time."""
+        """Return one run up to its last valid output time."""
         n = int(self.reached[i])
         stats = {"solver": self.stats.get("solver"), "steps": int(self.steps[i])}
         stats |= {"rhs_calls": int(self.rhs_calls[i])}
@@ -125,7 +131,7 @@ class Ensemble:
         )
 
     def to_xarray(self) -> xr.Dataset:
-        """Return an `xarray.Dataset` over run and time; what was given are coordinates of run."""
+        """Return an `xarray.Dataset` over run and time; varied values are coordinates of run."""
         xarray = optional_module("xarray", "data")
         variables: dict[str, Any] = {
             column.name: (("run", "time"), self.values[:, :, i], column.facts)

@@ -1,4 +1,4 @@
-"""Many runs of one explicit form in SIMD lanes, on some threads: numbers in, numbers out."""
+"""`run_lanes`: integrate many runs of one explicit formulation in SIMD lanes and threads."""
 
 import ctypes
 from collections.abc import Sequence
@@ -12,57 +12,52 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import DEFECT_LIMIT
-from cosim.codegen.runge_kutta.lane_library import RUN_REPORT, Batch, LaneLibrary
+from cosim.codegen.runge_kutta.lane_library import Batch, LaneLibrary
 
-CAUSES = {  # the library's codes
+CAUSES = {  # by code of the library
     1: "too many steps",
     2: "step size too small",
     4: "a state or an output is not finite",
     5: "interrupted",
-    6: "outside the model's limits",
+    6: "outside the model's validity conditions",
 }
 HALTED, OUTSIDE = 5, 6
 
 
+# Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
+# ended: time at which the run ended, s; error: sum of the estimated errors of the steps, in units
+# of the tolerance; outside: position of the first output time that violates a validity condition,
+# -1 for none; limit: position of that condition.
+_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "outside", "limit")
+_REPORT = np.dtype([(name, float) for name in _FIELDS])
+
+
 @dataclass(frozen=True)
 class LaneResults:
-    """What the lanes computed, by run.
+    """Results of the lanes.
 
     Attributes:
-        values: (runs, times, outputs); not a number beyond the last good time.
-        codes: 0 or a key of `CAUSES`.
-        steps, rhs_calls, good: Steps, right-hand sides, good output times.
-        ended: Time where the run ended, s.
-        error: Sum of the estimated errors of the steps, in units of the tolerance.
-        outside, limit: Position of the first output time outside a limit, and which; -1: none.
-        solve_time: s.
-        interrupted: Whether Ctrl-C ended it.
+        values: Outputs, SI, (runs, times, outputs); NaN after the last valid output time.
+        report: How each run ended, (runs,), with the fields of `_REPORT`.
+        solve_time: Time of all runs, s.
     """
 
     values: Vector
-    codes: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    rhs_calls: NDArray[np.int64]
-    good: NDArray[np.int64]
-    ended: Vector
-    error: Vector
-    outside: NDArray[np.int64]
-    limit: NDArray[np.int64]
+    report: NDArray[np.void]
     solve_time: float
-    interrupted: bool
 
 
 def lane_starts(
     compiled: LaneLibrary, dae: Dae, t: float, x: Vector, u: Vector, p: Vector
 ) -> Truths:
-    """Replace calculated start values; tell which runs have a start within its bounds, (runs,).
+    """Compute initial values in place, and return which runs have valid ones, (runs,).
 
     Args:
         compiled: The model's library.
         dae: The model.
-        t: Where the runs begin, s.
-        x: Start values, guesses where they are calculated, (runs, nx); overwritten.
-        u, p: Inputs and parameters, (runs, nu) and (runs, np).
+        t: Begin of the runs, s.
+        x: Initial values, or guesses if they are calculated, SI, (runs, nx); overwritten.
+        u, p: Inputs and parameters, SI, (runs, nu) and (runs, np).
     """
     defect = np.zeros(len(x))
     if dae.start_rules:
@@ -79,31 +74,32 @@ def run_lanes(
     outputs: int,
     starts: Sequence[Vector],
     grid: Vector,
-    tolerances: tuple[float, float],
+    limits: tuple[float, float, float],
     *,
     threads: int,
     stop_outside: bool,
 ) -> LaneResults:
-    """Integrate every run over a grid of times.
+    """Integrate every run over a grid of output times.
 
     Args:
         compiled: The model's library.
         outputs: Number of outputs that it records.
-        starts: Consistent x0, inputs u, parameters p: (runs, nx), (runs, nu), (runs, np).
-        grid: Output times, s, the start first.
-        tolerances: Relative and absolute.
-        threads: How many at most; what they compute does not depend on it.
-        stop_outside: Whether a run ends where it leaves the limits.
+        starts: Consistent x0 and nominal values of the states, inputs u, parameters p, SI: (runs,
+            nx) twice, (runs, nu), (runs, np).
+        grid: Output times, s, (n,); the first is the begin of the runs.
+        limits: Relative and absolute tolerance (1), and the largest step, s.
+        threads: Largest number of threads; results do not depend on it.
+        stop_outside: Whether a run ends when a validity condition is violated.
     """
     runs, points = len(starts[0]), len(grid)
-    x0, u, p = (np.ascontiguousarray(rows, dtype=float) for rows in starts)
-    values, report = np.empty((runs, points, outputs)), np.empty((runs, RUN_REPORT))
+    x0, nominal, u, p = (np.ascontiguousarray(rows, dtype=float) for rows in starts)
+    values, report = np.empty((runs, points, outputs)), np.empty(runs, _REPORT)
     following, stop = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int32)
     batch = Batch(
         runs,
         points,
-        *(array.ctypes.data for array in (x0, u, p, grid)),
-        *tolerances,
+        *(array.ctypes.data for array in (x0, nominal, u, p, grid)),
+        *limits,
         *(array.ctypes.data for array in (values, report, following, stop)),
         int(stop_outside),
     )
@@ -136,22 +132,9 @@ def run_lanes(
         except KeyboardInterrupt:
             interrupted = True
     if any(failed):
-        raise MemoryError("no memory for the output times of a run in each lane")
-    first = min(int(following[0]), runs)  # that no lane has begun
+        raise MemoryError("not enough memory for one run in each lane; use fewer output times")
+    first = min(int(following[0]), runs)  # the first run that no lane has begun
     report[first:] = 0
-    report[first:, 0] = HALTED
+    report["code"][first:], report["outside"][first:] = HALTED, -1
     values[first:] = np.nan
-    whole = report.astype(np.int64, casting="unsafe")
-    return LaneResults(
-        values,
-        codes=whole[:, 0],
-        steps=whole[:, 1],
-        rhs_calls=whole[:, 2],
-        good=whole[:, 3],
-        ended=report[:, 4],
-        error=report[:, 5],
-        outside=np.where(np.arange(runs) < first, whole[:, 6], -1),
-        limit=whole[:, 7],
-        solve_time=perf_counter() - began,
-        interrupted=interrupted,
-    )
+    return LaneResults(values, report, perf_counter() - began)

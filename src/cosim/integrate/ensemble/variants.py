@@ -1,62 +1,50 @@
-"""The two ways to run many variants of a model: in SIMD lanes, and one by one."""
+"""`in_lanes` and `one_by_one`: the two methods to run many variants of a model."""
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
-from cosim.errors import (
-    InitialConditionError,
-    Interrupted,
-    ParameterError,
-    SolverError,
-    UsageError,
-)
+from cosim.errors import InitialConditionError, Interrupted, ParameterError, SolverError
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.integrate.ensemble.lanes import (
     CAUSES,
     HALTED,
     OUTSIDE,
-    LaneResults,
     lane_starts,
     run_lanes,
 )
 from cosim.integrate.initial_values import start_values
-from cosim.integrate.run.outputs import all_columns
-from cosim.integrate.simulate import simulate
-from cosim.integrate.solver import Tolerance
-from cosim.memo import kept_per_thread
+from cosim.integrate.outputs import all_columns, watching
+from cosim.integrate.run import run
+from cosim.memo import cached_per_thread
 from cosim.model.many_values import ManyValues
-from cosim.model.values import Values
+from cosim.model.request import OnInvalid, RunRequest
+from cosim.model.solver import Tolerance
+from cosim.model.values import Values, own_sizes
 from cosim.trajectory import Column, Trajectory
 
 
 def in_lanes(
-    dae: Dae,
-    values: ManyValues,
-    names: tuple[str, ...],
-    grid: Vector,
-    tolerance: Tolerance,
-    on_invalid: str,
-    threads: int,
-    lanes: int | None,
-) -> tuple[Ensemble, bool]:
-    """Run an explicit form in lanes; tell, too, whether Ctrl-C ended it.
+    request: RunRequest, values: ManyValues, tolerance: Tolerance, threads: int, lanes: int | None
+) -> Ensemble:
+    """Run an explicit formulation in lanes.
 
     Args:
-        dae: The model, its monitors among the outputs where they are wanted.
-        values: Of every run.
-        names: What is recorded.
-        grid: Two or more output times, s, the start first.
-        tolerance, on_invalid, threads, lanes: See `simulate_many`.
+        request: The run; its values are ignored.
+        values: Values of every run.
+        tolerance: Tolerance and largest step of the solver.
+        threads, lanes: See `simulate_many`.
     """
-    if on_invalid == "ignore":
+    on_invalid = request.policy.on_invalid
+    names = request.outputs or request.dae.observed
+    dae = watching(request.dae, names)
+    grid = request.times.grid(dae, len(values) * len(names))
+    if on_invalid is OnInvalid.IGNORE:
         dae = _unlimited(dae)
     compiled = lane_library(dae, names, lanes or processor_lanes())
     refused, runs = dict(values.refused), len(values)
@@ -67,65 +55,66 @@ def in_lanes(
         if int(i) not in refused:
             refused[int(i)] = _why_no_start(dae, float(grid[0]), values, int(i))
     going = np.array([i for i in range(runs) if i not in refused], dtype=np.int64)
-    table = (x, values.u, values.p)
+    declared = tolerance.absolute is not None  # a requested one is of the declared values
+    sizes = own_sizes(dae, np.zeros_like(x) if declared else x)
+    nominal = np.array(2.0 ** np.round(np.log2(sizes)), dtype=float)
+    table = (x, nominal, values.u, values.p)
     result = run_lanes(
         compiled,
         len(names),
         table if len(going) == runs else [rows[going] for rows in table],
         grid,
-        tolerance.pair,
+        (*tolerance.pair, tolerance.max_step or np.inf),
         threads=threads,
-        stop_outside=on_invalid == "stop",
+        stop_outside=on_invalid is OnInvalid.STOP,
     )
     states = [RunState.REFUSED] * runs
     reasons: dict[int, str] = refused
     invalid: dict[int, str] = {}
-    for position, run in enumerate(going.tolist()):
-        states[run], reason, outside = _outcome(dae, result, position, grid)
+    for position, number in enumerate(going.tolist()):
+        states[number], reason, outside = _outcome(dae, result.report[position], grid)
         if reason:
-            reasons[run] = reason
-        if outside and on_invalid != "ignore":
-            invalid[run] = outside
-    everything = result.values
+            reasons[number] = reason
+        if outside and on_invalid is not OnInvalid.IGNORE:
+            invalid[number] = outside
+    everything, report = result.values, result.report
     if len(going) < runs:
         everything = np.full((runs, *result.values.shape[1:]), np.nan)
         everything[going] = result.values
-
-    def by_run(numbers: NDArray[Any], missing: float = 0) -> NDArray[Any]:
-        column = np.full(runs, missing, dtype=numbers.dtype)
-        column[going] = numbers
-        return column
-
-    ensemble = Ensemble(
+        report = np.zeros(runs, report.dtype)
+        report["error"] = np.nan
+        report[going] = result.report
+    output_times = request.times.requested if request.times.own else grid
+    rows = np.searchsorted(grid, output_times)
+    return Ensemble(
         dae.full_name,
-        grid,
+        output_times,
         _columns(dae, names),
-        everything,
+        everything if len(rows) == len(grid) else everything[:, rows],
         values.given,
         tuple(states),
         reasons,
         invalid,
-        reached=by_run(result.good),
-        steps=by_run(result.steps),
-        rhs_calls=by_run(result.rhs_calls),
-        error=by_run(result.error * (tolerance.relative or 1.0), np.nan),
+        reached=np.searchsorted(rows, report["good"]),
+        steps=report["steps"].astype(np.int64),
+        rhs_calls=report["rhs_calls"].astype(np.int64),
+        error=report["error"] * (tolerance.relative or 1.0),
         stats={"lanes": compiled.lanes, "solve_time": result.solve_time},
     )
-    return ensemble, result.interrupted
 
 
-@kept_per_thread(16)
+@cached_per_thread(16)
 def _unlimited(dae: Dae) -> Dae:
-    """Return the DAE without limits: what nobody looks at need not be computed."""
+    """Return the DAE without validity conditions, which are then not computed."""
     return replace(dae, limits=())
 
 
-def _outcome(dae: Dae, result: LaneResults, i: int, grid: Vector) -> tuple[RunState, str, str]:
-    """Return how a run in lanes ended, why, and where it left the limits."""
-    code, good, at = int(result.codes[i]), int(result.good[i]), int(result.outside[i])
+def _outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, str]:
+    """Return how a run in lanes ended, why, and the violated validity condition with its time."""
+    code, good, at = (int(report[name]) for name in ("code", "good", "outside"))
     outside = ""
     if at >= 0:
-        meaning = dae.limits[int(result.limit[i])][1]
+        meaning = dae.limits[int(report["limit"])][1]
         outside = f"from {grid[at]:g} s on it is no longer true that {meaning}"
     if not code:
         return RunState.COMPLETE, "", outside
@@ -133,7 +122,7 @@ def _outcome(dae: Dae, result: LaneResults, i: int, grid: Vector) -> tuple[RunSt
     if code == OUTSIDE:
         return RunState.STOPPED, f"stopped after {last}: {outside}", outside
     state = RunState.INTERRUPTED if code == HALTED else RunState.FAILED
-    at_time = "" if code == HALTED else f" at t = {result.ended[i]:g}"
+    at_time = "" if code == HALTED else f" at t = {report['ended']:g}"
     return state, f"stopped after {last}: {CAUSES[code]}{at_time}", outside
 
 
@@ -142,65 +131,56 @@ def _why_no_start(dae: Dae, t: float, values: ManyValues, run: int) -> str:
         start_values(dae, t, Values(values.x[run], values.p[run], values.u[run]))
     except InitialConditionError as error:
         return str(error)
-    return f"{dae.full_name}: its calculated start values do not exist or leave their bounds"
+    return (
+        f"{dae.full_name}: calculated start values do not exist or are out of bounds; change the "
+        "other values"
+    )
 
 
-def one_by_one(
-    dae: Dae,
-    values: ManyValues,
-    names: tuple[str, ...],
-    grid: Vector,
-    settings: Mapping[str, Any],
-    watch: Callable[[int], None] | None = None,
-    unnamed: Mapping[str, Any] | None = None,
-) -> tuple[Ensemble, bool]:
-    """Run every variant by `simulate`; see `in_lanes`.
+def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
+    """Run every variant by `run`; see `in_lanes`.
 
     Args:
-        dae, values, names, grid: See `in_lanes`.
-        settings: Of every run, by the names of `simulate`.
-        watch: Called with the position of each run that begins.
-        unnamed: Other settings where nobody has named the solver, which let `simulate` pass
-            positions in which constraints lose rank.
+        request: The run; its values are ignored.
+        values: Values of every run.
     """
-    runs, interrupted, notes = len(values), False, list[str]()
+    names = request.outputs or request.dae.observed
+    dae = watching(request.dae, names)
+    grid = request.times.grid(dae, len(values) * len(names))
+    grid = request.times.requested if request.times.own else grid
+    runs, interrupted = len(values), False
     table = np.full((runs, len(grid), len(names)), np.nan)
     states, reasons, invalid = [RunState.INTERRUPTED] * runs, dict[int, str](), dict[int, str]()
     counts = np.zeros((3, runs), dtype=np.int64)
-    span = {"start_time": grid[0], "stop_time": grid[-1], "output_interval": _interval(grid)}
-    for run in range(runs):
-        reasons[run] = "interrupted"
+    for number in range(runs):
+        reasons[number] = "interrupted"
         if interrupted:
             continue
-        if run in values.refused:
-            states[run], reasons[run] = RunState.REFUSED, values.refused[run]
+        if number in values.refused:
+            states[number], reasons[number] = RunState.REFUSED, values.refused[number]
             continue
-        if watch is not None:
-            watch(run)
-        given = {name: float(column[run]) for name, column in values.given.items()}
+        given = {name: float(column[number]) for name, column in values.given.items()}
         try:
-            found = _simulated(dae, settings, unnamed, start=given, outputs=names, **span)
-            states[run] = RunState.COMPLETE
-            del reasons[run]
+            found = run(replace(request, values=given))
+            states[number] = RunState.COMPLETE
+            del reasons[number]
         except SolverError as error:
             if error.partial is None:
-                states[run], reasons[run] = RunState.FAILED, str(error)
+                states[number], reasons[number] = RunState.FAILED, str(error)
                 continue
-            found, reasons[run] = cast(Trajectory, error.partial), error.partial.status
+            found, reasons[number] = cast(Trajectory, error.partial), error.partial.status
             stopped = "it is no longer true that" in error.partial.status
-            states[run] = RunState.STOPPED if stopped else RunState.FAILED
+            states[number] = RunState.STOPPED if stopped else RunState.FAILED
         except Interrupted as error:
             found, interrupted = cast(Trajectory, error.partial), True
         except (ParameterError, InitialConditionError) as error:
-            states[run], reasons[run] = RunState.REFUSED, str(error)
+            states[number], reasons[number] = RunState.REFUSED, str(error)
             continue
-        table[run, : len(found)] = found.values
-        counts[:, run] = (len(found), *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
+        table[number, : len(found)] = found.values
+        counts[:, number] = (len(found), *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
         if "invalid" in found.stats:
-            invalid[run] = found.stats["invalid"][0]
-        if found.stats["solver"] != settings["solver"].name:
-            notes.append(f"run {run}: {found.stats['note']}")
-    ensemble = Ensemble(
+            invalid[number] = found.stats["invalid"][0]
+    return Ensemble(
         dae.full_name,
         grid,
         _columns(dae, names),
@@ -213,45 +193,8 @@ def one_by_one(
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
-        stats={"note": "; ".join(notes)} if notes else {},
+        stats={},
     )
-    return ensemble, interrupted
-
-
-def _simulated(
-    dae: Dae, settings: Mapping[str, Any], unnamed: Mapping[str, Any] | None, **options: Any
-) -> Trajectory:
-    """Run a variant; where that fails, or leaves limits, as `simulate` does with other settings.
-
-    Raises:
-        CosimError: See `simulate`.
-    """
-    found: Trajectory | SolverError
-    try:
-        found = simulate(dae, **options, **settings)
-    except SolverError as error:
-        found = error
-    left = isinstance(found, SolverError) or "invalid" in found.stats
-    if left and unnamed is not None:
-        with suppress(SolverError):
-            other = simulate(dae, **options, **{**settings, **unnamed})
-            if other.stats["solver"] != settings["solver"].name:
-                return other
-    if isinstance(found, SolverError):
-        raise found
-    return found
-
-
-def _interval(grid: Vector) -> float | None:
-    if len(grid) < 2:
-        return None
-    steps = np.diff(grid)
-    if np.ptp(steps) > 1e-9 * (grid[-1] - grid[0]):
-        raise UsageError(
-            "times that are not evenly spaced are for lanes (explicit forms, dop853, a compiler); "
-            "give an output_interval"
-        )
-    return float(steps.mean())
 
 
 def _columns(dae: Dae, names: Sequence[str]) -> tuple[Column, ...]:

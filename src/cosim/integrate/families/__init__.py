@@ -1,1 +1,1 @@
-"""Solvers by family: a new one is a file here and a line in the table `integrate.solvers`."""
+"""Solvers by family; a new solver is a file here and a line in the table `integrate.solvers`."""

@@ -1,4 +1,4 @@
-"""Explicit methods in C around generated equations: the engine of all, and `dop853`."""
+"""Explicit Runge-Kutta methods in C around generated equations, and the solver `dop853`."""
 
 import ctypes
 from collections.abc import Callable
@@ -9,9 +9,12 @@ import numpy as np
 from casadi import MX
 from numpy.typing import NDArray
 
+from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
+from cosim.codegen.casadi_patches import REPORT
 from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
-from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.initialization import algebraic_function, projection_step
 from cosim.codegen.runge_kutta.explicit_library import (
     MethodText,
     dop853_method,
@@ -19,26 +22,29 @@ from cosim.codegen.runge_kutta.explicit_library import (
     explicit_library,
     work_space,
 )
-from cosim.codegen.runge_kutta.projection import projection_step
-from cosim.integrate.engine import Engine, EngineFunctions, Problem, reported
-from cosim.integrate.run.call import call_on_arrays
-from cosim.integrate.solver import AdaptiveSolver
+from cosim.integrate.call import call_on_arrays
+from cosim.integrate.engine import Crossing, Engine, EngineFunctions, Problem, reported
+from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
+from cosim.model.solver import AdaptiveSolver
 
 
 @dataclass(frozen=True, kw_only=True)
 class Dop853(AdaptiveSolver):
-    """Hairer's pair of order 8(5,3) with an interpolant of order 7."""
+    """Dormand and Prince's method of order 8(5,3) by Hairer, with an interpolant of order 7."""
 
     name = "dop853"
     order = 8
     solves_dae = True
     compiled_only = True
     projects = True
-    counts_in_nominal = True
+    takes_nominal_values = True
+    watches = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
-        return explicit_engine(problem, self.name, dop853_method(), (*self.tolerance.pair, np.inf))
+        settings = (*self.tolerance.pair, self.max_step or np.inf)
+        return explicit_engine(problem, self.name, dop853_method(), settings)
 
 
 def explicit_engine(
@@ -46,15 +52,50 @@ def explicit_engine(
 ) -> Engine:
     """Return the engine of an explicit method in C.
 
-    Algebraic unknowns are solved for within the right-hand side.
+    Every call of the right-hand side solves for the algebraic unknowns.
 
     Args:
-        problem: What it is for.
-        name: Of the method.
-        method: Its C text; see `explicit_library`.
-        settings: Relative and absolute tolerance, and the largest step, s.
+        problem: The problem to solve.
+        name: Name of the method.
+        method: C text of the method; see `explicit_library`.
+        settings: Relative and absolute tolerance (1), and the largest step, s.
     """
     dae, inputs = problem.dae, problem.inputs
+    system = problem.system if problem.system and problem.system.of_states else None
+    path, constants = _compiled(dae, inputs, problem.project, name, method, system)
+    grid, breaks = problem.grid, np.empty(0)
+    selected: NDArray[np.intp] | None = None
+    if inputs is not None and settings[0]:  # error control would reject steps over kinks
+        grid, breaks, selected = _with_samples(grid, inputs.time)
+    columns = len(grid) if problem.piecewise else 1
+    library = ctypes.CDLL(path)
+    nominal = problem.nominal or (1.0,) * len(dae.states)
+    watched = system.of_states if system else ()
+    zero = (i in problem.zero and not system.floors[i] for i in watched if system)
+    numbers = (len(grid), len(breaks), columns, *settings, *nominal, *zero)
+    known = np.concatenate((numbers, grid, breaks))
+
+    def make() -> EngineFunctions:
+        run, _ = explicit_function(path, len(grid), len(breaks), columns)
+        p = MX.sym("p", dae.p.numel())
+        extended = ca.vertcat(constants(p), ca.DM(known))
+        return EngineFunctions(run, ca.Function("parameters", [p], [extended]))
+
+    counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known, watched)
+    every, watches = problem.piecewise, system is not None
+    return Engine(make, len(grid), every, counts, library, selected, direct=direct, watches=watches)
+
+
+@cached_per_thread(16)
+def _compiled(
+    dae: Dae,
+    inputs: InputSeries | None,
+    project: bool,
+    name: str,
+    method: MethodText,
+    system: Hybrid | None,
+) -> tuple[str, ca.Function]:
+    """Return the library of a method for a model, and from its parameters to its constants."""
     if dae.algebraics:
         function = equations(dae, sensitivities=False)
         constants = ca.Function("constants", [dae.p], [dae.p])
@@ -65,52 +106,53 @@ def explicit_engine(
         t, x, z, u, c = symbols = symbols_of(function)
         solved = z
     ode, _ = function(t, x, solved, inputs_at(dae, inputs, t, u), c)
-    projection = _projection(problem, c.numel()) if problem.project else None
+    projection = _projection(dae, inputs, c.numel()) if project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
-    path = explicit_library(rhs, name, method, projection)
-    grid, breaks = problem.grid, np.empty(0)
-    kept: NDArray[np.intp] | None = None
-    if inputs is not None and settings[0]:  # where error control would stumble over kinks
-        grid, breaks, kept = _with_samples(grid, inputs.time)
-    columns = len(grid) if problem.piecewise else 1
-    library = ctypes.CDLL(path)
-    nominal = problem.nominal or (1.0,) * len(dae.states)
-    numbers = (len(grid), len(breaks), columns, *settings, *nominal)
-    known = np.concatenate((numbers, grid, breaks))
-
-    def make() -> EngineFunctions:
-        run, _ = explicit_function(path, len(grid), len(breaks), columns)
-        p = MX.sym("p", dae.p.numel())
-        extended = ca.vertcat(constants(p), ca.DM(known))
-        return EngineFunctions(run, ca.Function("parameters", [p], [extended]))
-
-    counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known)
-    every = problem.piecewise
-    return Engine(make, len(grid), every, counts, True, library, kept, direct=direct)
+    watch = _watch(system, inputs, c.numel()) if system else None
+    return explicit_library(rhs, name, method, projection, watch), constants
 
 
-def _projection(problem: Problem, constants: int) -> ca.Function:
-    """Return the projection of a run, its inputs those of its series."""
-    step = projection_step(problem.dae, constants)
-    if problem.inputs is None:
+def _watch(system: Hybrid, inputs: InputSeries | None, constants: int) -> ca.Function:
+    """Return the margins of the relations, with inputs from a series; see fmu/solvers/watch.h."""
+    dae = system.dae
+    sizes = (*(s.numel() for s in dae.arguments[:4]), constants, dae.x.numel())
+    t, x, z, u, c, dx = symbols = [MX.sym("argument", size) for size in sizes]
+    now = inputs_at(dae, inputs, t, u)
+    slopes = MX.zeros(u.numel()) if inputs is None else ca.densify(ca.jtimes(now, t, 1))
+    margins = system.margins("margins")(t, x, z, now, c[: dae.p.numel()], slopes, dx)
+    return ca.Function("watch", symbols, [*margins])
+
+
+def _projection(dae: Dae, inputs: InputSeries | None, constants: int) -> ca.Function:
+    """Return the projection onto the constraints, with inputs from a series."""
+    step = projection_step(dae, constants)
+    if inputs is None:
         return step
     t, x, u, c = symbols = [MX.sym(step.name_in(i), step.numel_in(i)) for i in range(4)]
-    moved, change = step(t, x, inputs_at(problem.dae, problem.inputs, t, u), c)
-    return ca.Function("project", symbols, [moved, change])
+    projected, change = step(t, x, inputs_at(dae, inputs, t, u), c)
+    return ca.Function("project", symbols, [projected, change])
 
 
 class DirectCall:
-    """A compiled run on arrays, with work space of its own; not for two threads at once.
+    """Call of a compiled integration on arrays; not thread-safe, as it has one work space.
 
     Args:
-        library: Of `explicit_library`.
-        constants: `p -> c` of its right-hand side.
-        known: What stands behind c in the parameters of its function `run`.
+        library: A library of `explicit_library`.
+        constants: From parameters p to the constants c of its right-hand side.
+        known: Numbers that follow c in the parameters of its function `run`.
+        relations: Relations that it watches.
     """
 
-    def __init__(self, library: ctypes.CDLL, constants: ca.Function, known: Vector) -> None:
-        self._run, self._constants = library.run, constants
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        constants: ca.Function,
+        known: Vector,
+        relations: tuple[int, ...] = (),
+    ) -> None:
+        self._run, self._constants, self._library = library.run, constants, library
         self._passed: Callable[[], int] = library.cosim_passed
+        self._relations = relations
         library.cosim_passed.restype = ctypes.c_longlong
         self._work = work_space(library)
         self._p: bytes | None = None
@@ -119,28 +161,35 @@ class DirectCall:
 
     def __call__(
         self, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
-    ) -> tuple[bool, int]:
+    ) -> tuple[bool, int, Crossing | None]:
         """Fill states and algebraic unknowns, (n, nx) and (n, nz).
 
         Returns:
-            Whether it succeeded, and how many of the times it reached.
+            See `DirectRun`.
         """
-        if p.tobytes() != self._p:  # CasADi is asked for what follows from them once
+        if p.tobytes() != self._p:  # evaluate the constants once
             call_on_arrays(self._constants, [p], [self._c])
             self._extended[: len(self._c)] = self._c
             self._p = p.tobytes()
         arguments, results, integers, doubles = self._work
-        held = [*map(np.ascontiguousarray, (x0, z0, self._extended, u))]
-        for place, array in enumerate(held):
+        arrays = [*map(np.ascontiguousarray, (x0, z0, self._extended, u))]  # referenced here
+        for place, array in enumerate(arrays):
             arguments[place] = array.ctypes.data if array.size else None
         for place, array in enumerate((states, algebraics)):
             results[place] = array.ctypes.data if array.size else None
         failed = self._run(arguments, results, integers, doubles, 0)
-        return not failed, self._passed() if failed else len(states)
+        if not failed:
+            return True, len(states), None
+        relation = self._library.cosim_relation()
+        if relation < 0:
+            return False, self._passed(), None
+        numbers = (ctypes.c_double * REPORT)()
+        self._library.cosim_report(numbers)
+        return True, self._passed(), (numbers[4], self._relations[relation])
 
 
 def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
-    """Return a grid with the samples within it, the positions of these, and those of its own."""
+    """Return a grid with samples added, and the positions of the samples and of the old times."""
     within = samples[(samples > grid[0]) & (samples < grid[-1])]
     every = np.union1d(grid, within)
     return every, np.searchsorted(every, within).astype(float), np.searchsorted(every, grid)

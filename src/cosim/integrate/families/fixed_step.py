@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods with steps of one size within each output interval."""
+"""Explicit Runge-Kutta methods with equal steps within each output interval."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,10 +13,10 @@ from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau, step_function
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
 from cosim.integrate.families.explicit import explicit_engine
-from cosim.integrate.solver import Solver
+from cosim.model.solver import Solver
 from cosim.model.values import number
 
-MOST_UNROLLED_STEPS = 2_000_000  # interpreted, CasADi unrolls them
+MOST_UNROLLED_STEPS = 2_000_000  # CasADi unrolls interpreted steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,7 @@ class FixedStep(Solver):
 
     adaptive = False
     projects = True
+    watches = True
     tableau: ClassVar[Tableau]
     step_size: float | None = None
 
@@ -41,11 +42,11 @@ class FixedStep(Solver):
 
     @property
     def settings(self) -> str:
-        """Its step."""
+        """Step size, for messages."""
         return f"step: {'output interval' if self.step_size is None else f'{self.step_size:g} s'}"
 
     def step(self, problem: Problem) -> float:
-        """Return the largest step, s."""
+        """Return the largest step for a problem, s."""
         return float(np.diff(problem.grid).max()) if self.step_size is None else self.step_size
 
     def engine(self, problem: Problem) -> Engine:
@@ -80,17 +81,17 @@ class FixedStep(Solver):
         columns = np.repeat(np.arange(1, len(grid)) * problem.piecewise, parts)
         repeated = (u0[:, columns.tolist()], ca.repmat(constants(p), 1, total))
         states = run(x0, ca.DM(begins).T, ca.DM(sizes).T, *repeated)
-        kept = (np.cumsum(parts) - 1).tolist()
+        at_output_times = (np.cumsum(parts) - 1).tolist()
         function = ca.Function(
             self.name,
             [x0, MX.sym("z0", 0), p, u0],
-            [ca.horzcat(x0, states[:, kept]), MX(0, len(grid))],
+            [ca.horzcat(x0, states[:, at_output_times]), MX(0, len(grid))],
             ["x0", "z0", "p", "u"],
             ["xf", "zf"],
         )
         counts = Counts(total, total * len(self.tableau.b), 0)
-        made = EngineFunctions(function)
-        return Engine(lambda: made, len(grid), problem.piecewise, lambda: counts, False)
+        functions = EngineFunctions(function)
+        return Engine(lambda: functions, len(grid), problem.piecewise, lambda: counts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +105,7 @@ class Rk4(FixedStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Ode8(FixedStep):
-    """Prince and Dormand's 13 stages of order 8: the book's Simulink setting."""
+    """Prince and Dormand's method of order 8 with 13 stages, the method of Simulink's ode8."""
 
     name = "ode8"
     order = ODE8.order
@@ -115,8 +116,8 @@ def tableau_of(solver: type[Solver]) -> Tableau:
     """Return the tableau of a fixed-step solver.
 
     Raises:
-        UsageError: It has none.
+        UsageError: The solver has no fixed steps.
     """
     if not issubclass(solver, FixedStep):
-        raise UsageError(f"{solver.name} chooses its own steps; take one with fixed steps")
+        raise UsageError(f"{solver.name} chooses its own steps; use a solver with fixed steps")
     return solver.tableau

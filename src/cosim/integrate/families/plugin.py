@@ -1,4 +1,4 @@
-"""An integrator of CasADi's called from its virtual machine, whatever evaluates its equations."""
+"""Engines that call an integrator plugin of CasADi, for compiled or interpreted equations."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,59 +7,74 @@ import casadi as ca
 import numpy as np
 from casadi import MX
 
+from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.functions import CALL, equations, inputs_at, is_large, symbols_of
 from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
-from cosim.integrate.solver import AdaptiveSolver
+from cosim.model.solver import AdaptiveSolver
 
 MOST_STEPS = 100_000  # from one output time to the next
-COMMON = {"show_eval_warnings": False, "max_num_steps": MOST_STEPS}  # of every plugin
+COMMON = {"show_eval_warnings": False, "max_num_steps": MOST_STEPS}  # options of every plugin
+_CLOSE = 1e-8  # s; CasADi's SUNDIALS interfaces pass output times within 1e-9 s of the present
 
 
 def plugin_engine(
     problem: Problem, plugin: str, options: Mapping[str, Any], names: Sequence[str]
 ) -> Engine:
-    """Return the engine of an integrator of CasADi's.
+    """Return the engine of an integrator plugin of CasADi.
 
     Args:
-        problem: What it is for; where compiled, its equations and their Jacobian are.
-        plugin: Name of the integrator.
-        options: Its options besides the largest step.
-        names: Its names for steps, right-hand sides and Jacobians.
+        problem: The problem to solve; if it is compiled, equations and Jacobian are machine code.
+        plugin: Name of the plugin.
+        options: Options of the plugin; steps in s.
+        names: Keys of steps, right-hand sides and Jacobians in the plugin's statistics.
     """
     dae, grid, inputs = problem.dae, problem.grid, problem.inputs
     large = is_large(dae) and not problem.sensitivities
-    if problem.compiled or inputs is not None or large:
+    unit = _time_unit(grid)
+    if problem.compiled or inputs is not None or large or unit != 1:
         function = _equations(problem)
         t, x, z, u, p = symbols = symbols_of(function)
-        ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), p)
-        system: dict[str, Any] = dict(zip(CALL, symbols, strict=True)) | {"ode": ode, "alg": alg}
+        time = unit * t
+        ode, alg = function(time, x, z, inputs_at(dae, inputs, time, u), p)
+        system: dict[str, Any] = dict(zip(CALL, symbols, strict=True))
+        system |= {"ode": unit * ode, "alg": alg}
     else:
         system = dae.casadi
     options = dict(options)
     if inputs is not None:
-        options["max_step_size"] = float(np.diff(inputs.time).min())
-    run = ca.integrator("run", plugin, system, grid[0], list(grid), options)
+        closest = float(np.diff(inputs.time).min())
+        options["max_step_size"] = min(options.get("max_step_size", closest), closest)
+    options |= {n: options[n] / unit for n in ("min_step_size", "max_step_size") if n in options}
+    if "init_xdot" in options:
+        options["init_xdot"] = [unit * slope for slope in options["init_xdot"]]
+    run = ca.integrator("run", plugin, system, grid[0] / unit, list(grid / unit), options)
 
     def counts() -> Counts:
-        raw = run.stats(1)  # the memory that `Function.buffer` takes; 0 belongs to plain calls
+        raw = run.stats(1)  # the memory of the engine's buffer; plain calls use 0
         steps, rhs, jacobians = (int(raw[name]) if name in raw else None for name in names)
         return Counts(steps, rhs, jacobians)
 
-    made, repeat = EngineFunctions(run), "control_group_size" not in options
-    return Engine(lambda: made, len(problem.grid), repeat, counts, problem.compiled)
+    functions, repeat = EngineFunctions(run), "control_group_size" not in options
+    return Engine(lambda: functions, len(grid), repeat, counts, time_unit=unit)
+
+
+def _time_unit(grid: Vector) -> float:
+    """Return the unit of time for a grid, s: a power of two, and 1 unless times are close."""
+    gap = float(np.diff(grid).min())
+    return 1.0 if gap > _CLOSE else float(2.0 ** np.floor(np.log2(gap)))
 
 
 def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) -> Engine:
-    """Return an engine of SUNDIALS' that begins anew at every output time.
+    """Return an engine of SUNDIALS that restarts at every output time, where inputs may change.
 
-    Within one run, CasADi goes on there with what it knows of the past, though inputs have changed:
-    its error tests fail, or it starts from unknowns that belong to other inputs.
+    Without a restart, CasADi continues with the step history and the algebraic unknowns of the old
+    inputs, and error tests fail.
 
     Args:
-        problem: With inputs that have a column per output time.
-        plugin, options: See `plugin_engine`; times go from 0 to 1.
+        problem: The problem; its inputs have a column per output time.
+        plugin, options: See `plugin_engine`; an interval is scaled to times from 0 to 1.
     """
     dae, grid = problem.dae, problem.grid
     function, n = _equations(problem), len(grid)
@@ -68,7 +83,10 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
     ode, alg = function(begin + length * s, x, z, u, p)
     known = ca.vertcat(u, p, begin, length)
     system = {"t": s, "x": x, "z": z, "p": known, "ode": length * ode, "alg": alg}
-    run = ca.integrator("run", plugin, system, 0, 1, dict(options))
+    options = dict(options)
+    if "max_step_size" in options:
+        options["max_step_size"] /= float(np.diff(grid).max())
+    run = ca.integrator("run", plugin, system, 0, 1, options)
     found = run(x0=x, z0=z, p=known)
     arguments = [x, z, u, p, begin, length]
     interval = ca.Function("interval", arguments, [found["xf"], found["zf"]])
@@ -80,12 +98,12 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
     results = [ca.horzcat(start, part) for start, part in zip((x, first), rest, strict=True)]
     names = ["x0", "z0", "p", "u"]
     whole = ca.Function("run", [x, z, p, columns], results, names, ["xf", "zf"])
-    made = EngineFunctions(whole)
-    return Engine(lambda: made, len(problem.grid), True, Counts, problem.compiled)
+    functions = EngineFunctions(whole)
+    return Engine(lambda: functions, len(problem.grid), True, Counts)
 
 
 def _equations(problem: Problem) -> ca.Function:
-    """Return the model's equations, with their Jacobian in a library where compiled."""
+    """Return the model's equations; if compiled, from a library that also has their Jacobian."""
     complete = problem.sensitivities or not (problem.compiled or is_large(problem.dae))
     function = equations(problem.dae, sensitivities=complete)
     if problem.compiled:
@@ -95,6 +113,7 @@ def _equations(problem: Problem) -> ca.Function:
 
 
 def tolerances(solver: AdaptiveSolver) -> dict[str, Any]:
-    """Return the tolerances as CasADi's integrators take them."""
+    """Return the tolerances and the largest step, s, as options of CasADi's integrators."""
     relative, absolute = solver.tolerance.pair
-    return {"reltol": relative, "abstol": absolute}
+    found = {"reltol": relative, "abstol": absolute}
+    return found if solver.max_step is None else found | {"max_step_size": solver.max_step}

@@ -10,14 +10,14 @@ from typing import Any, ClassVar
 from cosim.arrays import Vector
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.families.plugin import COMMON, plugin_engine, restarted_engine, tolerances
-from cosim.integrate.solver import AdaptiveSolver
+from cosim.model.solver import AdaptiveSolver
 
 _SUNDIALS_COUNTERS = ("nsteps", "nfevals", "nlinsetups")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cvodes(AdaptiveSolver):
-    """CVODES, backward differentiation formulae: the default for an ODE."""
+    """CVODES with backward differentiation formulas: the default solver for an ODE."""
 
     name = "cvodes"
     order = 5
@@ -27,18 +27,18 @@ class Cvodes(AdaptiveSolver):
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
         grid, options = problem.grid, COMMON | tolerances(self) | self.plugin_options
-        anew = problem.piecewise and bool(problem.dae.inputs)
-        # steps may shrink until h^2 is 0, and then it goes astray
-        span = 1.0 if anew else float(grid[-1] - grid[0])
+        restarted = problem.piecewise and bool(problem.dae.inputs)
+        # without a limit, steps shrink until h^2 underflows, and the results are wrong
+        span = 1.0 if restarted else float(grid[-1] - grid[0])
         options["min_step_size"] = 1e-18 * span
-        if anew:
+        if restarted:
             return restarted_engine(problem, "cvodes", options)
         return plugin_engine(problem, "cvodes", options, _SUNDIALS_COUNTERS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CvodesAdams(Cvodes):
-    """CVODES, Adams method with functional iteration, for what is not stiff."""
+    """CVODES with the Adams method and functional iteration, for non-stiff problems."""
 
     name = "cvodes_adams"
     order = 12
@@ -51,11 +51,12 @@ class CvodesAdams(Cvodes):
 
 @dataclass(frozen=True, kw_only=True)
 class Idas(AdaptiveSolver):
-    """IDAS, backward differentiation formulae: the default for a DAE.
+    """IDAS with backward differentiation formulas: the default solver for a DAE.
 
     Args:
-        suppress_algebraic: Leave algebraic unknowns out of the error control: a third to a half of
-            the steps, and up to 30 times the error; what is tried where IDAS fails without.
+        suppress_algebraic: Whether algebraic unknowns are excluded from the error control, which
+            needs a third to a half of the steps and increases the error up to 30 times; see
+            `integrate.fallbacks`.
     """
 
     name = "idas"
@@ -66,24 +67,14 @@ class Idas(AdaptiveSolver):
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
-
         if problem.piecewise and problem.dae.inputs:
             return restarted_engine(problem, "idas", self._options)
 
         def restart(slopes: Vector) -> Engine:
-            # IDACalcIC gives up on some starts that are consistent already
+            # IDACalcIC fails at some initial values that are consistent already
             return self._engine(problem, {"calc_ic": False, "init_xdot": slopes.tolist()})
 
-        def fallback(reason: str) -> Engine | None:
-            # corrections that fail at any step size are how a singularity looks: beyond it the
-            # run could go on along another branch
-            if reason.startswith("IDA_CONV_FAIL"):
-                return None
-            return replace(self, suppress_algebraic=True).engine(problem)
-
-        lenient = problem.dae.algebraics and not self.suppress_algebraic
-        engine = self._engine(problem, {})
-        return replace(engine, restart=restart, fallback=fallback if lenient else None)
+        return replace(self._engine(problem, {}), restart=restart)
 
     @property
     def _options(self) -> dict[str, Any]:

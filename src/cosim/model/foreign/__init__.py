@@ -1,1 +1,1 @@
-"""Other people's CasADi objects to a `Dae`."""
+"""Import of CasADi objects as a `Dae`."""

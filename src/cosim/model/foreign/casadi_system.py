@@ -1,4 +1,4 @@
-"""Named symbols and laws of a DAE that is written in CasADi, whatever form they come in."""
+"""Symbols and equations of a DAE in CasADi, read from each accepted form."""
 
 import os
 from collections.abc import Mapping
@@ -10,8 +10,8 @@ import casadi as ca
 from casadi import DM, MX, SX
 
 from cosim.errors import UnknownName, UsageError
-from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols, refuse_alike
-from cosim.model.foreign.scalar_graph import refuse_calls, scalar_graph
+from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols, reject_duplicates
+from cosim.model.foreign.scalar_graph import reject_calls, scalar_graph
 
 SYMBOLS = ("t", "x", "z", "u", "p")
 LAWS = ("ode", "alg", "quad")
@@ -20,7 +20,7 @@ REDUCED = ("x_impl", "dx_impl", "I")  # what dae_reduce_index adds
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
 class System:
-    """Named symbols and what is known of them, all of one kind of CasADi's expressions.
+    """Named symbols and their facts, all SX or all MX.
 
     Attributes:
         symbols: Of t, x, z, u, p.
@@ -34,18 +34,9 @@ class System:
     outputs: dict[str, Any] = field(default_factory=dict)
     starts: dict[str, float] = field(default_factory=dict)
 
-    @property
-    def every(self) -> tuple[Symbol, ...]:
-        """All symbols."""
-        return tuple(symbol for kind in SYMBOLS for symbol in self.symbols[kind])
-
 
 def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
-    """Return symbols and laws of a mapping, a Function, the path of one, or an index reduction.
-
-    Raises:
-        UsageError, UnknownName: See `from_casadi`.
-    """
+    """Return symbols and laws of a mapping, a Function, the path of one, or an index reduction."""
     if is_reduction(system):
         system = system[0]
     if isinstance(system, str | os.PathLike):
@@ -57,13 +48,17 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
     for key in system:
         if key not in (*SYMBOLS, *LAWS, *REDUCED):
             raise UnknownName.among(who, "key", key, (*SYMBOLS, *LAWS, *REDUCED))
-    given = {key: value for key, value in system.items() if not _is_empty(value)}
+    given = {
+        key: value
+        for key, value in system.items()
+        if not (value is None or (isinstance(value, SX | MX | DM) and value.numel() == 0))
+    }
     symbols = {k: named_symbols(who, k, given[k]) if k in given else () for k in SYMBOLS}
     for extra, kind in (("x_impl", "x"), ("dx_impl", "z")):
         if extra in given:
             symbols[kind] += named_symbols(who, extra, given[extra])
     symbols = dict(zip(symbols, named_apart([*symbols.values()]), strict=True))
-    refuse_alike(who, [*symbols.values()])
+    reject_duplicates(who, [*symbols.values()])
     laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "I") if key in given}
     if "x_impl" in given:
         laws["ode"] = ca.vertcat(
@@ -73,7 +68,7 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
 
 
 def is_reduction(value: Any) -> bool:
-    """Tell whether this is what `casadi.dae_reduce_index` returns: a DAE and its index."""
+    """Return whether this is what `casadi.dae_reduce_index` returns: a DAE and its index."""
     match value:
         case ({"x_impl": _}, {"index": _, **others}):
             return isinstance(value, tuple) and not others
@@ -125,10 +120,6 @@ def _expression(who: str, name: str, value: Any) -> Any:
         raise UsageError(f"{who}: {name} is {value!r}; give an expression") from None
 
 
-def _is_empty(value: Any) -> bool:
-    return value is None or (isinstance(value, SX | MX | DM) and value.numel() == 0)
-
-
 def entry_names(key: str, expression: Any) -> tuple[str, ...]:
     """Return the name of each entry of a scalar, vector or matrix."""
     return Symbol(key, expression.shape, expression).entries
@@ -139,8 +130,8 @@ def scalars(key: str, expression: Any) -> list[tuple[str, Any]]:
     return list(zip(entry_names(key, expression), ca.vertsplit(ca.vec(expression)), strict=True))
 
 
-def refuse_sizes(who: str, system: System) -> None:
-    """Refuse laws that are not as many as what they determine.
+def reject_sizes(who: str, system: System) -> None:
+    """Reject equations whose number differs from that of their unknowns.
 
     Raises:
         UsageError: Names both and their sizes.
@@ -159,14 +150,15 @@ def evaluated(
     who: str, system: System, values: Mapping[str, SX], expressions: Mapping[str, Any]
 ) -> dict[str, SX]:
     """Return expressions of the given symbols in those of the model."""
+    columns: list[Any] = []
     arguments = []
     for kind in SYMBOLS:
         start = 0
         for symbol in system.symbols[kind]:
             size = len(symbol.entries)
+            columns.append(symbol.symbol)
             arguments.append(ca.reshape(values[kind][start : start + size], *symbol.symbol.shape))
             start += size
-    columns: list[Any] = [symbol.symbol for symbol in system.every]
     kinds = {type(column) for column in columns}
     if len(kinds) > 1:
         raise UsageError(f"{who}: symbols of SX and of MX are mixed; use one of them")
@@ -174,13 +166,13 @@ def evaluated(
         laws = [e if isinstance(e, MX) else _as_mx(who, e) for e in expressions.values()]
         function = scalar_graph(who, columns, laws, list(expressions))
     else:
-        _refuse_strangers(who, columns, expressions)
+        _reject_strangers(who, columns, expressions)
         function = ca.Function("f", columns, [SX(e) for e in expressions.values()])
-        refuse_calls(who, function)
+        reject_calls(who, function)
     return dict(zip(expressions, function.call(arguments, True, False), strict=True))
 
 
-def _refuse_strangers(who: str, columns: list[SX], expressions: Mapping[str, Any]) -> None:
+def _reject_strangers(who: str, columns: list[SX], expressions: Mapping[str, Any]) -> None:
     known = {s.element_hash() for s in ca.symvar(ca.veccat(SX(0, 1), *columns))}
     for name, expression in expressions.items():
         if isinstance(expression, MX):

@@ -1,7 +1,7 @@
-"""From CasADi's `DaeBuilder` to a `Dae`, so that its models take both roads, too."""
+"""Import of models of CasADi's `DaeBuilder` as a `Dae`."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -59,14 +59,10 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
 
 @dataclass(frozen=True)
 class _Builder:
-    """What is read from a builder."""
+    """Variables and equations that are read from a builder."""
 
     own: ca.DaeBuilder
     who: str
-
-    def symbol(self, name: str) -> Symbol:
-        """Return a variable; an array has its entries in the order of FMI, row by row."""
-        return Symbol(name, (self.own.numel(name), 1), self.own.var(name))
 
     def states(self) -> dict[str, MX]:
         """Return each state that is integrated, and its rate."""
@@ -134,6 +130,14 @@ class _Builder:
             facts["display_unit"] = shown
         return facts | {"meaning": meaning}
 
+    def declare(self, declare: Callable[..., Any], name: str, values: Sequence[Any]) -> list[Any]:
+        """Declare every entry of a variable by a method of `Model`, with its start or law."""
+        return [
+            declare(entry, facts.pop("unit"), value, facts.pop("meaning"), **facts)
+            for i, (entry, value) in enumerate(zip(self.entries(name), values, strict=True))
+            for facts in [self.facts(name, i)]
+        ]
+
     def entries(self, name: str) -> tuple[str, ...]:
         """Return the name of every entry of a variable."""
         shape = tuple(self.own.dimension(name))
@@ -159,9 +163,10 @@ def _converted(builder: _Builder) -> Dae:
     rates = builder.states()
     names = builder.names()
     declared = {name: _declared_variable(builder, model, name) for name in names}
-    kept = {name for name in names if builder.kind(name)}
+    used = {name for name in names if builder.kind(name)}
     every = dict.fromkeys((*own.y(), *own.w(), *own.d()))
-    shown = [name for name in every if name not in kept and _is_own(name)]
+    # not rates and helpers of CasADi, which are not their author's
+    shown = [n for n in every if n not in used and not n.startswith(("der(", "__"))]
     definitions = builder.definitions()
     outputs = {name: definitions.get(name, own.var(name)) for name in shown}
     init = {s.name(): law for s, law in zip(own.init_lhs(), own.init_rhs(), strict=True)}
@@ -175,11 +180,7 @@ def _converted(builder: _Builder) -> Dae:
     for i in range(len(own.alg())):
         model.equation(results[f"equation {i + 1}"])
     for name in shown:
-        for i, (entry, row) in enumerate(
-            zip(builder.entries(name), ca.vertsplit(results[name]), strict=True)
-        ):
-            facts = builder.facts(name, i)
-            model.output(entry, facts.pop("unit"), row, facts.pop("meaning"), **facts)
+        builder.declare(model.output, name, ca.vertsplit(results[name]))
     for name in init:
         if name not in rates:
             raise UsageError(
@@ -189,22 +190,14 @@ def _converted(builder: _Builder) -> Dae:
     return model.freeze()
 
 
-def _is_own(name: str) -> bool:
-    """Tell whether a variable is its author's: not a rate, not a helper of CasADi."""
-    return not name.startswith(("der(", "__"))
-
-
 def _declared_variable(builder: _Builder, model: Model, name: str) -> SX:
     kind = builder.kind(name)
     starts = builder.numbers(name, builder.own.start(name))
     if not kind:
         return SX(starts)
     declare = {"x": model.state, "z": model.algebraic, "u": model.input, "p": model.parameter}[kind]
-    rows = []
-    for i, (entry, start) in enumerate(zip(builder.entries(name), starts, strict=True)):
-        facts = builder.facts(name, i)
-        rows.append(declare(entry, facts.pop("unit"), start, facts.pop("meaning"), **facts))
-    return ca.vertcat(*rows)
+    column: SX = ca.vertcat(*builder.declare(declare, name, starts))
+    return column
 
 
 def _in_the_models_symbols(
@@ -226,11 +219,12 @@ def _in_the_models_symbols(
     system = System(
         {
             "t": (Symbol("t", (1, 1), own.time()),) if own.has_t() else (),
-            "x": tuple(builder.symbol(name) for name in declared),
+            # an array has its entries in the order of FMI, row by row
+            "x": tuple(Symbol(name, (own.numel(name), 1), own.var(name)) for name in declared),
             **dict.fromkeys("zup", ()),
         },
         {},
     )
     values = {"t": model.t, "x": ca.vertcat(SX(0, 1), *declared.values())}
     values |= dict.fromkeys("zup", SX(0, 1))
-    return evaluated(builder.who, replace(system), values, dict(zip(laws, rows, strict=True)))
+    return evaluated(builder.who, system, values, dict(zip(laws, rows, strict=True)))

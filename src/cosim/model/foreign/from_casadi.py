@@ -1,33 +1,189 @@
-"""From CasADi's symbols, expressions and functions to a `Dae`.
-
-    x' = ode(t, x, z, u, p)     0 = alg(t, x, z, u, p)     q' = quad(t, x, z, u, p)
-
-in the keys of CasADi's own `integrator`, in SX or MX.
-"""
+"""`from_casadi`: import of CasADi symbols and expressions as a `Dae`."""
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from casadi import SX
+from casadi import MX, SX
 
 from casadi_models.dae import Dae, Model
-from cosim.errors import ParameterError, UsageError
+from casadi_models.units import known as known_unit
+from cosim.arrays import Vector
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.model.foreign.casadi_system import (
     SYMBOLS,
     System,
+    entry_names,
     evaluated,
     is_reduction,
     read_system,
-    refuse_sizes,
+    reject_sizes,
     scalars,
 )
-from cosim.model.foreign.index_reduction import ConsistentStart, consistent_start
 from cosim.model.foreign.named_symbols import Symbol
-from cosim.model.foreign.variable_facts import Facts
+
+START_TOLERANCE = 1e-12  # of a constraint at the start, relative to the starts
+PIVOT = 1e-8  # below, a constraint repeats others
+NEWTON_STEPS = 50
+
+
+class ConsistentStart(NamedTuple):
+    """A start that satisfies the constraints: all states, (nx,), and what determines which of them.
+
+    `states` follow from the others by the constraints `rows`, which repeat no other one.
+    """
+
+    x: Vector
+    rows: tuple[int, ...]
+    states: tuple[int, ...]
+
+
+def _consistent_start(
+    who: str, constraints: ca.Function, starts: Mapping[str, float], p: Vector, given: Set[int]
+) -> ConsistentStart:
+    """Move the states that are not given onto the constraints `I(x, p)`, (m,), by least squares.
+
+    `casadi.dae_reduce_index` returns the original constraints as `I`; a solution keeps them at zero
+    if they are zero at its start. Some states are therefore calculated from the others.
+
+    Raises:
+        InitialConditionError: The given starts contradict the constraints.
+    """
+    names, x = [*starts], np.array([*starts.values()], dtype=float)
+    slope = constraints.factory("slope", constraints.name_in(), ["jac:I:x"])
+    free = [i for i in range(x.size) if i not in given]
+    for _ in range(NEWTON_STEPS):
+        residual = np.asarray(constraints(x, p)).ravel()
+        if np.abs(residual).max() <= START_TOLERANCE * (1 + np.abs(x).max()):
+            break
+        matrix = np.asarray(ca.DM(slope(x, p)))[:, free]
+        if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
+            break
+        x[free] -= np.linalg.lstsq(matrix, residual, rcond=1e-12)[0]
+    residual = np.asarray(constraints(x, p)).ravel()
+    worst = int(np.argmax(np.abs(np.nan_to_num(residual, nan=np.inf))))
+    if not np.abs(residual).max() <= 1e3 * START_TOLERANCE * (1 + np.abs(x).max()):
+        fixed = ", ".join(names[i] for i in sorted(given)) or "none"
+        raise InitialConditionError(
+            f"{who}: constraint {worst + 1} of I is {residual[worst]:.3g} at the start and cannot "
+            f"vanish with the given starts ({fixed}); give consistent ones, or fewer"
+        )
+    rows, states = _pivots(np.asarray(ca.DM(slope(x, p))), free, sorted(given))
+    return ConsistentStart(x, rows, states)
+
+
+def _pivots(matrix: Vector, *groups: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return rows and columns of a regular part, with columns of the first group where possible."""
+    rest, size = matrix.copy(), np.abs(matrix).max(initial=0.0)
+    rows: list[int] = []
+    columns: list[int] = []
+    for group in groups:
+        for _ in range(min(len(group), matrix.shape[0])):
+            part = np.abs(rest[:, group])
+            row, place = np.unravel_index(int(np.argmax(part)), part.shape)
+            if part[row, place] <= PIVOT * size:
+                break
+            column = group[int(place)]
+            rows.append(int(row))
+            columns.append(int(column))
+            rest -= np.outer(rest[:, column] / rest[row, column], rest[row])
+            rest[row] = 0.0
+    return tuple(rows), tuple(columns)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Start values, units, meanings and nominal values by name; see `from_casadi`."""
+
+    who: str
+    starts: Mapping[str, Any]
+    units: Mapping[str, str]
+    meanings: Mapping[str, str]
+    nominals: Mapping[str, float]
+
+    def reject_strangers(self, system: System) -> None:
+        """Reject values for what does not exist.
+
+        Raises:
+            UnknownName: With the names that come nearest.
+        """
+        symbols = [s for kind in "xzup" for s in system.symbols[kind]]
+        if not (symbols or system.laws or system.outputs):
+            raise UsageError(f"{self.who}: there is neither a state nor an output; give one")
+        quads = scalars("quad", system.laws["quad"]) if "quad" in system.laws else []
+        own = [n for s in symbols for n in (s.name, *s.entries)]
+        own += ["quad", *(n for n, _ in quads)] if quads else []
+        shown = [n for key, e in system.outputs.items() for n in (key, *entry_names(key, e))]
+        for option, what, given, known in (
+            ("start_values", "start value", self.starts, own),
+            ("units", "unit", self.units, own + shown),
+            ("meanings", "meaning", self.meanings, own + shown),
+            ("nominals", "nominal value", self.nominals, own + shown),
+        ):
+            if not isinstance(given, Mapping):
+                raise UsageError.of_type(f"{self.who}: {option}", given, "a dict by name")
+            for name in given:
+                if name not in known:
+                    raise UnknownName.among(self.who, f"variable for the {what} of", name, known)
+
+    def of(self, name: str, symbol: str, meaning: str) -> tuple[str, str, dict[str, Any]]:
+        """Return unit, meaning and further facts of a variable."""
+        unit = self.units.get(name, self.units.get(symbol, "1"))
+        meaning = self.meanings.get(name, self.meanings.get(symbol, meaning))
+        more: dict[str, Any] = {}
+        if not isinstance(unit, str):
+            raise UsageError.of_type(f"{self.who}: unit of {name}", unit, "a text")
+        if not known_unit(unit):
+            more["foreign_unit"] = True
+            meaning = f"{meaning} (unit '{unit}' is unknown here: factor 1)"
+        nominal = self.nominals.get(name, self.nominals.get(symbol))
+        if nominal is not None:
+            more["nominal"] = nominal
+        return unit, meaning, more
+
+    def start(self, symbol: Symbol, kind: str) -> list[Any]:
+        """Return the start of each variable of a symbol: a number or an expression.
+
+        Raises:
+            ParameterError: A parameter has none, or there are too many or too few.
+        """
+        default = None if kind == "p" else 0.0
+        values: list[Any] = [default] * len(symbol.entries)
+        if symbol.name in self.starts:
+            values = self._spread(symbol.name, len(values))
+        for i, entry in enumerate(symbol.entries):
+            if entry in self.starts and entry != symbol.name:
+                (values[i],) = self._spread(entry, 1)
+        missing = [e for e, value in zip(symbol.entries, values, strict=True) if value is None]
+        if missing:
+            raise ParameterError(
+                f"{self.who}: parameter {', '.join(missing)} has no value; give it in start_values"
+            )
+        return values
+
+    def _spread(self, name: str, size: int) -> list[Any]:
+        """Return as many start values as a variable has entries from those given for it."""
+        given = self.starts[name]
+        if isinstance(given, SX | MX):
+            entries: list[Any] = ca.vertsplit(ca.vec(given))
+        else:
+            try:
+                if given is None or np.asarray(given).dtype == bool:
+                    raise TypeError
+                entries = [float(v) for v in np.asarray(given, dtype=float).flatten(order="F")]
+            except (TypeError, ValueError):
+                raise ParameterError(
+                    f"{self.who}: start of {name} is {given!r}; give numbers"
+                ) from None
+        if len(entries) not in (1, size):
+            raise ParameterError(
+                f"{self.who}: {name} has {size} entries, but {len(entries)} start values"
+            )
+        return entries * size if len(entries) == 1 else list(entries)
+
 
 CONSTRAINTS = "the constraints that index reduction keeps"
 _OPTIONS = (
@@ -49,7 +205,7 @@ def from_casadi(
     stop_time: float = 10.0,
     output_interval: float = 0.01,
 ) -> Dae:
-    """Return the DAE of CasADi expressions, ready for both roads.
+    """Return the DAE of CasADi expressions, ready for both backends.
 
     A vector symbol `y` gives the variables `y_1` ... `y_n`, a matrix `A` gives `A_1_2` and so on;
     every mapping below takes the name of a variable, or that of its symbol for all its variables.
@@ -60,7 +216,7 @@ def from_casadi(
             outputs of these names, other outputs being outputs; the path of a saved Function
             (.casadi); or what `casadi.dae_reduce_index` returns. A quadrature becomes a state.
         start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters,
-            first guesses of z; of states expressions of parameters, inputs and time, too. Where
+            initial guesses of z; of states expressions of parameters, inputs and time, too. Where
             nothing is said, a Function's own `default_in`, or 0, except for parameters, which need
             a value.
         outputs: Expressions by name.
@@ -85,7 +241,7 @@ def from_casadi(
         raise UsageError.of_type(f"{who}: outputs", outputs, "a dict of expressions by name")
     found = read_system(who, system, outputs or {})
     facts = Facts(who, start_values or {}, units or {}, meanings or {}, nominals or {})
-    facts.refuse_strangers(found)
+    facts.reject_strangers(found)
     facts = replace(facts, starts=found.starts | dict(facts.starts))
     try:
         model = Model(
@@ -101,7 +257,7 @@ def from_casadi(
 
 
 def is_system(value: object) -> bool:
-    """Tell whether `from_casadi` may take this, alone or with its start values as a pair."""
+    """Return whether `from_casadi` accepts this object, alone or paired with start values."""
     if isinstance(value, tuple) and len(value) == 2:
         return is_system(value[0])
     if isinstance(value, str | os.PathLike):
@@ -112,7 +268,7 @@ def is_system(value: object) -> bool:
 
 
 def from_user(value: Any, name: str) -> Dae:
-    """Return the DAE of what a user's own function returned: a system with its options.
+    """Return the DAE of the system and options that a user's function returned.
 
     Args:
         value: A system; a mapping may hold the options of `from_casadi`, too; or a pair of a system
@@ -129,7 +285,7 @@ def from_user(value: Any, name: str) -> Dae:
 
 
 def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
-    refuse_sizes(who, system)
+    reject_sizes(who, system)
     starts = {kind: _given_starts(who, system, facts, kind) for kind in "xzup"}
     rules = {entry: start for entry, start in starts["x"].items() if not isinstance(start, float)}
     starts["x"] |= dict.fromkeys(rules, 0.0)
@@ -141,8 +297,8 @@ def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
         starts["x"] = dict(zip(starts["x"], consistent.x.tolist(), strict=True))
 
     values = _declared(system, facts, starts, model)
-    wanted = system.laws | system.outputs | {f"start of {n}": e for n, e in rules.items()}
-    results = evaluated(who, system, values, wanted)
+    expressions = system.laws | system.outputs | {f"start of {n}": e for n, e in rules.items()}
+    results = evaluated(who, system, values, expressions)
     model.derivative(values["x"], results.get("ode", SX(0, 1)))
     model.equation(results.get("alg", SX(0, 1)))
     quad = results.get("quad", SX(0, 1))
@@ -179,7 +335,8 @@ def _declared(
         rows = []
         for symbol in system.symbols[kind]:
             for entry in symbol.entries:
-                unit, meaning, more = facts.of(entry, symbol.name, _meaning(symbol, entry))
+                one = symbol.name if len(symbol.entries) == 1 else f"{entry} of {symbol.name}"
+                unit, meaning, more = facts.of(entry, symbol.name, one or entry)
                 rows.append(declaring(entry, unit, starts[kind][entry], meaning, **more))
         values[kind] = ca.vertcat(SX(0, 1), *rows)
     return values
@@ -210,16 +367,11 @@ def _consistent(
     u = ca.DM([*starts["u"].values()])
     law = ca.substitute(law, ca.vertcat(values["t"], values["u"]), ca.vertcat(0, u))
     constraints = ca.Function("I", [values["x"], values["p"]], [law], ["x", "p"], ["I"])
-    names = [*starts["x"]]
     given = {
-        names.index(entry)
+        [*starts["x"]].index(entry)
         for symbol in system.symbols["x"]
         for entry in symbol.entries
         if {entry, symbol.name} & {*facts.starts}
     }
-    x, p = (np.array([*starts[kind].values()], dtype=float) for kind in "xp")
-    return consistent_start(who, constraints, x, p, names, given)
-
-
-def _meaning(symbol: Symbol, entry: str) -> str:
-    return symbol.name or entry if len(symbol.entries) == 1 else f"{entry} of {symbol.name}"
+    p = np.array([*starts["p"].values()], dtype=float)
+    return _consistent_start(who, constraints, starts["x"], p, given)

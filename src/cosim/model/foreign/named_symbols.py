@@ -81,25 +81,22 @@ def _letter(character: str) -> str:
 def named_symbols(who: str, kind: str, value: Any) -> tuple[Symbol, ...]:
     """Return the symbols of a column, a matrix or a list of them.
 
-    Args:
-        who: For messages.
-        kind: Key of the value, for messages.
-        value: SX or MX, made of nothing but symbols.
-
     Raises:
         UsageError: It holds something else.
     """
     if isinstance(value, Sequence) and not isinstance(value, str):
         return tuple(symbol for item in value for symbol in named_symbols(who, kind, item))
-    if isinstance(value, MX):
-        return tuple(_of_mx(who, kind, value))
+    if not isinstance(value, SX | MX):
+        raise UsageError(f"{who}: {kind} is {value!r}; give symbols, SX.sym or MX.sym")
+    if not value.is_valid_input():
+        raise UsageError(f"{who}: {kind} is the expression {value}; give symbols only")
     if isinstance(value, SX):
         return tuple(_of_sx(who, kind, value))
-    raise UsageError(f"{who}: {kind} is {value!r}; give symbols, SX.sym or MX.sym")
+    return tuple(Symbol(s.name(), s.shape, s) for s in value.primitives() if s.numel())
 
 
 def named_apart(groups: Sequence[tuple[Symbol, ...]]) -> list[tuple[Symbol, ...]]:
-    """Return groups of symbols with the scalars of a vector apart where names would be alike.
+    """Return groups of symbols with the scalars of a vector apart if names would be equal.
 
     `d_0`, `d_1` in one group are the vector d with entries `d_1`, `d_2`; a `d_2` in another one is
     what an index reduction leaves of it. CasADi's own names tell them apart.
@@ -117,8 +114,8 @@ def named_apart(groups: Sequence[tuple[Symbol, ...]]) -> list[tuple[Symbol, ...]
     ]
 
 
-def refuse_alike(who: str, groups: Sequence[tuple[Symbol, ...]]) -> None:
-    """Refuse symbols that their authors tell apart, and C and XML do not.
+def reject_duplicates(who: str, groups: Sequence[tuple[Symbol, ...]]) -> None:
+    """Reject symbols whose names become equal in C and XML.
 
     Raises:
         UsageError: Names both, and what they would be called.
@@ -140,17 +137,7 @@ def _scalars(symbol: Symbol) -> list[Symbol]:
     return [Symbol(s.name(), (1, 1), s) for s in ca.vertsplit(ca.vec(symbol.symbol))]
 
 
-def _of_mx(who: str, kind: str, value: MX) -> Iterator[Symbol]:
-    if not value.is_valid_input():
-        raise UsageError(f"{who}: {kind} is the expression {value}; give symbols only")
-    for symbol in value.primitives():
-        if symbol.numel():
-            yield Symbol(symbol.name(), symbol.shape, symbol)
-
-
 def _of_sx(who: str, kind: str, value: SX) -> Iterator[Symbol]:
-    if not value.is_valid_input():
-        raise UsageError(f"{who}: {kind} is the expression {value}; give symbols only")
     if not value.is_dense():
         raise UsageError(f"{who}: {kind} is sparse; give dense symbols, or a list of its entries")
     scalars = ca.vertsplit(ca.vec(value)) if value.numel() else []
@@ -170,7 +157,7 @@ def _of_sx(who: str, kind: str, value: SX) -> Iterator[Symbol]:
 
 
 def _scalars_of_vector(names: list[str]) -> int:
-    """Return how many names in front are y_0, y_1, ...: the scalars of one vector symbol."""
+    """Return how many leading names are y_0, y_1, ...: the scalars of one vector symbol."""
     match = _NUMBERED.fullmatch(names[0])
     if match is None or match[2] != "0":
         return 1

@@ -1,10 +1,12 @@
-"""CasADi's matrix expressions written out in scalar operations, of which a `Dae` is made.
+"""Expansion of CasADi's matrix expressions into the scalar operations of a `Dae`.
 
 Calls of functions that have C code of their own (interpolants, `fast_newton`, maps) stay calls.
 What has no scalar form (a large linear system, `low`, entries at calculated places) becomes one.
 """
 
+import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 
 import casadi as ca
 from casadi import MX, SX
@@ -13,53 +15,16 @@ from cosim.errors import UsageError
 
 LARGEST_SOLVE = 20  # rows of a linear system that is written out; operations grow with the cube
 
-# What can stay a call: CasADi generates C code for it and knows its derivatives
-_GENERATED = (
-    "SXFunction",
-    "MXFunction",
-    "Map",
-    "OmpMap",
-    "ThreadMap",
-    "MapSum",
-    "Switch",
-    "FastNewton",
-    "LinearInterpolant",
-    "BSplineInterpolant",
-    "BSpline",
-    "LinsolQr",
-    "LinsolLdl",
-    "LinsolTridiag",
-)
-# Nodes without a form in scalar operations; small linear systems have one
-_WHOLE = (
-    ca.OP_SOLVE,
-    ca.OP_LOGSUMEXP,
-    ca.OP_LOW,
-    ca.OP_FIND,
-    ca.OP_GETNONZEROS_PARAM,
-    ca.OP_SETNONZEROS_PARAM,
-    ca.OP_ADDNONZEROS_PARAM,
-)
+_TABLES = tomllib.loads(Path(__file__).with_name("casadi_nodes.toml").read_text(encoding="utf-8"))
+_WHOLE = frozenset(getattr(ca, f"OP_{name}") for name in _TABLES["whole"])
 _OF_A_LIBRARY = ("External", "GenericExternal")
 _REPEATED = ("Map", "OmpMap", "ThreadMap")
-_INSTEAD = {
-    "CallbackInternal": "Python has no equations; write them with CasADi operations",
-    "Newton": "use rootfinder 'fast_newton', or declare its unknowns as z and its residual as alg",
-    "FmuFunction": "an FMU has no equations; couple FMUs in the tool that runs them",
-    "KinsolInterface": "declare its unknowns as z and its residual as alg",
-}
 
 
 def scalar_graph(
     who: str, symbols: Sequence[MX], expressions: Sequence[MX], names: Sequence[str] = ()
 ) -> ca.Function:
     """Return the SX function of matrix expressions.
-
-    Args:
-        who: What the expressions belong to, for messages.
-        symbols: What they may depend on.
-        expressions: Rows of any shape.
-        names: Of the expressions, for messages and as names of the results.
 
     Raises:
         UsageError: Something in them has no equations, no C code, or is too large.
@@ -73,14 +38,14 @@ def scalar_graph(
                 "t, x, z, u, p"
             )
     flat = ca.Function("f", list(symbols), list(expressions))
-    refuse_calls(who, flat)
+    reject_calls(who, flat)
     scalars = [SX.sym(symbol.name(), symbol.shape[0], symbol.shape[1]) for symbol in symbols]
     results = _scalar_values(who, list(symbols), list(expressions), scalars)
     return ca.Function("f", scalars, results)
 
 
-def refuse_calls(who: str, function: ca.Function) -> None:
-    """Refuse a function that calls what cannot be generated as C code, or not be linearized.
+def reject_calls(who: str, function: ca.Function) -> None:
+    """Reject a function that calls what cannot be generated as C code, or not be linearized.
 
     Raises:
         UsageError: Names the first of these, and what to do.
@@ -88,14 +53,15 @@ def refuse_calls(who: str, function: ca.Function) -> None:
     for called in function.find_functions():
         kind = called.class_name()
         if kind in _OF_A_LIBRARY:
-            _refuse_without_derivatives(who, called)
-        elif kind not in _GENERATED:
+            _reject_without_derivatives(who, called)
+        elif kind not in _TABLES["generated"]:
             what = "a callback" if kind == "CallbackInternal" else f"of type {kind}"
-            told = _INSTEAD.get(kind, "CasADi generates no C code for it; write it as equations")
-            raise UsageError(f"{who} calls '{called.name()}', {what}: {told}")
+            usual = "CasADi generates no C code for it; write it as equations"
+            remedy = _TABLES["remedies"].get(kind, usual)
+            raise UsageError(f"{who} calls '{called.name()}', {what}: {remedy}")
 
 
-def _refuse_without_derivatives(who: str, function: ca.Function) -> None:
+def _reject_without_derivatives(who: str, function: ca.Function) -> None:
     try:
         function.forward(1)
     except RuntimeError as error:
@@ -109,7 +75,7 @@ def _refuse_without_derivatives(who: str, function: ca.Function) -> None:
 def _scalar_values(
     who: str, symbols: list[MX], expressions: list[MX], scalars: list[SX]
 ) -> list[SX]:
-    """Evaluate with scalars, nodes that are no scalar operations one after the other."""
+    """Evaluate with scalars; other nodes are expanded one after the other."""
     flat = ca.Function("f", symbols, expressions)
     places: list[MX] = []  # what stands for the results of nodes that are known
     results: list[MX] = []
@@ -135,7 +101,7 @@ def _scalar_values(
 
 
 def _is_apart(flat: ca.Function, i: int) -> bool:
-    """Tell whether CasADi's own expansion has no form for an instruction, or another meaning."""
+    """Return whether CasADi's own expansion has no form for an instruction, or another meaning."""
     operation = flat.instruction_id(i)
     if operation == ca.OP_CALL:
         return _holds_apart(flat.instruction_MX(i).which_function())
@@ -151,7 +117,7 @@ def _holds_apart(function: ca.Function) -> bool:
 
 
 def _call_values(who: str, function: ca.Function, operands: list[SX]) -> list[SX]:
-    """Return the results of a call in which something stands apart."""
+    """Return the results of a call that is not expanded."""
     operands = [ca.project(o, function.sparsity_in(k)) for k, o in enumerate(operands)]
     kind = function.class_name()
     if kind == "Switch":

@@ -1,1 +1,1 @@
-"""Runs that move."""
+"""Playback of runs in three dimensions."""

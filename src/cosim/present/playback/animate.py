@@ -1,31 +1,56 @@
-"""`animate`: a run, or several, in three dimensions, to a file or into a notebook."""
+"""`animate`: runs in three dimensions, as a page, a movie or a still picture."""
 
 import html as html_module
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from math import isclose
 from pathlib import Path
 from typing import Any
 from warnings import warn
 
 import casadi as ca
+import matplotlib
+import numpy as np
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
 import casadi_models
 from casadi_models.dae import Dae, Drawing
+from cosim.drawing.camera import View
+from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
+from cosim.drawing.pose import Poses
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
+from cosim.host.optional_packages import optional_module
+from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import load
+from cosim.model.request import choice
 from cosim.plotting import picture
-from cosim.present.playback import movie
-from cosim.present.playback.glb import glb
 from cosim.present.playback.html import html
-from cosim.present.playback.playback import FRAMES_PER_SECOND, Playback, playback
-from cosim.present.playback.render import draw_pose
-from cosim.present.scale import VIEWS
+from cosim.present.playback.playback import FRAMES_PER_SECOND, playback
 from cosim.trajectory import Trajectory
 
-ANIMATION_FORMATS = ("html", "glb", "mp4", "gif", "png", "svg", "pdf")
-_STILL = ("png", "svg", "pdf")
+
+class AnimationFormat(StrEnum):
+    """Kind of file that shows runs in three dimensions."""
+
+    HTML = "html"
+    MP4 = "mp4"
+    GIF = "gif"
+    PNG = "png"
+    SVG = "svg"
+    PDF = "pdf"
+
+    @property
+    def still(self) -> bool:
+        """Whether the file is one picture that does not move."""
+        return self in (AnimationFormat.PNG, AnimationFormat.SVG, AnimationFormat.PDF)
+
+    @property
+    def frames_per_second(self) -> float:
+        """Smallest number of frames in a second of playback."""
+        return {AnimationFormat.GIF: 15.0, AnimationFormat.MP4: 25.0}.get(self, FRAMES_PER_SECOND)
 
 
 @dataclass(frozen=True)
@@ -49,39 +74,40 @@ def animate(
     target: str | os.PathLike[str] | None = None,
     *,
     model: Dae | str | None = None,
-    values: Mapping[str, float] | None = None,
     at: Sequence[float] | None = None,
     labels: Sequence[str] = (),
-    view: str = "iso",
+    view: View | str = View.ISO,
     follow: str | None = None,
     speed: float = 1.0,
-    size: tuple[float, float] = (6.4, 4.8),
+    size: tuple[float, float] = SIZE,
     dpi: int = 120,
 ) -> Path | Animation:
     """Show runs in three dimensions.
 
     Args:
-        runs: One run, or several of one scene: the others are ghosts.
-        target: File that ends with .html, .glb, .mp4, .gif, .png, .svg or .pdf; none for an
-            object that a notebook shows.
-        model: Whose shapes are drawn, for a run that does not know its model (of an FMU, or read
-            from a file): a Dae or a name that `load` takes.
-        values: Parameters of that run, SI, where it does not know them (one read from a file).
-        at: Times of the poses of a still picture, s; the start when None. Earlier ones are pale.
+        runs: One run, or several of one scene; all but the first are pale ghosts.
+        target: File name that ends with .html, .mp4, .gif, .png, .svg or .pdf; if None, the result
+            is an object that a notebook shows.
+        model: Model whose shapes are drawn, as a Dae or a name that `load` accepts, for runs that
+            do not carry a drawing: those of an FMU, or read from a file. Their parameters are
+            those in `run.numbers`, or else the model's own.
+        at: Times of the poses of a still picture, s; earlier poses are pale. The start if None.
         labels: Variables to write beside the picture, in display units.
         view: Where the camera is at first: "iso", "front", "side" or "top".
-        follow: Body that stays in the middle; the model's own when None, "" for a camera at rest.
+        follow: Body that stays in the middle; the model's own choice if None, "" for a camera at
+            rest.
         speed: Seconds of the run in a second of playback.
-        size: Of pictures and movies, inches.
+        size: Width and height of pictures and movies, inches.
         dpi: Dots per inch of pictures and movies.
 
     Returns:
-        The file, or the object.
+        Path of the file, or the object.
 
     Raises:
-        UsageError: The model declares no shapes, or is not known; the run lacks what they need.
-        UnknownName: The file's ending, the view or a label is not known.
-        MissingTool: An extra package is not installed.
+        UsageError: The model declares no shapes or is not known; or the run did not record
+            variables that place the bodies.
+        UnknownName: There is no such format, view or variable.
+        MissingTool: An optional package is not installed.
         ExportError: The file cannot be written.
 
     Example:
@@ -92,63 +118,96 @@ def animate(
     shown = [runs] if isinstance(runs, Trajectory) else list(runs)
     if not shown or not all(isinstance(run, Trajectory) for run in shown):
         raise UsageError.of_type("animate", runs, "results of simulate or simulate_fmu")
-    kind = "html" if target is None else animation_format(target)
-    if view not in VIEWS:
-        raise UnknownName.among("animate", "view", view, VIEWS)
+    kind = AnimationFormat.HTML if target is None else animation_format(target)
+    look: dict[str, Any] = {"view": choice(View, "view", view), "follow": follow}
     if not speed > 0:
-        raise UsageError(f"animate: speed {speed:g} is not positive")
-    if at is not None and kind not in _STILL:
-        raise UsageError(f"animate: poses at given times make a picture; name a .png, not .{kind}")
-    per_second = movie.MOVIE_RATES.get(kind, FRAMES_PER_SECOND)
-    first = shown[0]
-    times = still_times(first, at) if kind in _STILL else None
-    played: list[Playback] = []
+        raise UsageError(f"animate: speed {speed:g} is not positive; give a number above 0")
+    if at is not None and not kind.still:
+        raise UsageError(f"animate: at= needs a still picture; name a .png file, not .{kind}")
+    times = None
+    if kind.still:
+        times = [float(time) for time in (shown[0].time[:1] if at is None else at)]
+    played: list[Poses] = []
     for run in shown:
-        drawing = drawing_of(run, model, values)
         if played:
             times = [min(max(t, run.time[0]), run.time[-1]) for t in played[0].time.tolist()]
-        rate = {"frames_per_second": per_second, "speed": speed}
-        wanted = () if played else labels
-        played.append(playback(run, drawing, times=times, labels=wanted, **rate))
+        rate = {"frames_per_second": kind.frames_per_second, "speed": speed}
+        beside = () if played else labels
+        played.append(playback(run, drawing_of(run, model), times=times, labels=beside, **rate))
         for note in played[-1].notes:
             warn(f"{run.model}: {note}", stacklevel=2)
-    if kind in _STILL:
-        poses = range(len(played[0].time))
-        still = draw_pose(played, poses, view=view, follow=follow or "", size=size)
+    if kind.still:
+        look["follow"] = follow or ""  # the camera of a still picture rests
+        still = draw_pose(played, range(len(played[0].time)), size=size, **look)
         content = picture(still, kind, dpi)
-    elif kind == "html":
-        page = Animation(html(played, view=view, follow=follow, speed=speed))
+    elif kind is AnimationFormat.HTML:
+        page = Animation(html(played, speed=speed, **look))
         if target is None:
             return page
         content = page.page.encode()
-    elif kind == "glb":
-        content = glb(played, follow=follow, speed=speed)
     else:
-        look: Any = {"view": view, "follow": follow, "speed": speed, "size": size, "dpi": dpi}
-        content = movie.movie(played, kind, **look)
+        content = movie(played, kind, speed=speed, size=size, dpi=dpi, **look)
     assert target is not None
     return write_atomically(target, content)
 
 
-def animation_format(target: str | os.PathLike[str]) -> str:
-    """Return the format that the ending of a file name stands for.
-
-    Raises:
-        UnknownName: It is none of `FORMATS`.
-    """
+def animation_format(target: str | os.PathLike[str]) -> AnimationFormat:
+    """Return the format of a file by the ending of its name."""
     kind = Path(target).suffix.lstrip(".").lower()
-    if kind not in ANIMATION_FORMATS:
-        raise UnknownName.among(str(target), "animation format", kind, ANIMATION_FORMATS)
-    return kind
+    try:
+        return AnimationFormat(kind)
+    except ValueError:
+        endings = ", ".join(f".{known}" for known in AnimationFormat)
+        raise UnknownName(
+            f"{target} has no animation format '{kind}'; name a file that ends with {endings}"
+        ) from None
 
 
-def drawing_of(
-    run: Trajectory, model: Dae | str | None = None, values: Mapping[str, float] | None = None
-) -> Drawing:
-    """Return what the model of a run looks like.
+def movie(
+    runs: Sequence[Poses],
+    kind: AnimationFormat,
+    *,
+    view: View = View.ISO,
+    follow: str | None = None,
+    speed: float = 1.0,
+    size: tuple[float, float] = SIZE,
+    dpi: int = 100,
+) -> bytes:
+    """Return the content of a file that Pillow (GIF) or ffmpeg (MP4) writes; see `animate`."""
+    figure, axis = canvas(size)
+    stage = Stage(runs, view, follow, size)
+    per_second = _frame_rate(runs[0]) * speed
+    writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
+    settings: Any = {}
+    if kind is AnimationFormat.MP4:
+        ffmpeg = optional_module("imageio_ffmpeg", "animate")
+        settings["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
+        even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"]
+        writer = FFMpegWriter(fps=per_second, codec="h264", extra_args=even)  # type: ignore[arg-type]
+    with temporary_folder() as folder, matplotlib.rc_context(settings):
+        place = folder / f"movie.{kind}"
+        with writer.saving(figure, str(place), dpi):
+            for frame in range(len(runs[0].time)):
+                stage.draw(axis, [frame])
+                writer.grab_frame()
+        return place.read_bytes()
+
+
+def _frame_rate(run: Poses) -> float:
+    """Return the number of frames in a second of the run."""
+    gaps = np.diff(run.time)
+    if not len(gaps) or isclose(gaps[0], 0.0):
+        return 1.0
+    return float(1 / gaps[0])
+
+
+def drawing_of(run: Trajectory, model: Dae | str | None = None) -> Drawing:
+    """Return what the model of a run looks like: its own drawing, else that of a model.
+
+    Without a model, it is the one of the catalogue that has the run's name.
 
     Raises:
-        UsageError: Nobody knows the model.
+        UsageError: The run has no drawing, and its model is not known.
     """
     if run.drawing is not None:
         return run.drawing
@@ -158,26 +217,22 @@ def drawing_of(
             model = model or run.model
     if model is None:
         raise UsageError(
-            f"{run.model}: nobody knows what this model looks like; name one that does, "
+            f"{run.model}: no model of this name has shapes to draw; name the model, "
             "with model= or --model MODEL"
         )
     dae = load(model) if isinstance(model, str) else model
     own = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.inputs)}
-    if values is None and run.numbers is None and own:
+    if run.numbers is None and own:
         warn(
             f"{run.model}: the run does not know its parameters; it is drawn with those of "
-            f"{dae.full_name}: give others by values= or -p",
+            f"{dae.full_name}: set others with dataclasses.replace(run, numbers={{...}}) or -p",
             stacklevel=3,
         )
-    return dae.drawing.with_numbers({**own, **(run.numbers or {}), **(values or {})})
+    return dae.drawing.with_numbers({**own, **(run.numbers or {})})
 
 
 def guessed_model(paths: Sequence[str]) -> str:
-    """Return the model of the catalogue whose bodies and loads CSV results describe.
-
-    Raises:
-        UsageError: There is none, or more than one.
-    """
+    """Return the model of the catalogue whose bodies and loads the columns of CSV files place."""
     names = set()
     for path in paths:
         try:
@@ -196,12 +251,5 @@ def guessed_model(paths: Sequence[str]) -> str:
             fitting.append(model)
     if len(fitting) != 1:
         found = " and ".join(fitting) or "no model"
-        raise UsageError(f"{', '.join(paths)}: {found} could be drawn so; give --model MODEL")
+        raise UsageError(f"{', '.join(paths)}: the columns fit {found}; give --model MODEL")
     return fitting[0]
-
-
-def still_times(run: Trajectory, at: Sequence[float] | None) -> list[float]:
-    """Return the times of the poses of a still picture, s."""
-    if at is not None:
-        return [float(time) for time in at]
-    return [float(run.time[0])] if len(run) else []

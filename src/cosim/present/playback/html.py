@@ -1,7 +1,7 @@
-"""Playback as one HTML file: a scene that viser records.
+"""Playback as one HTML file: a scene that viser records, with viser's own viewer inside.
 
-The viewer is viser's own, bundled in the file: play, pause, slider, speed, orbit, and a scene tree
-with a switch for every node. While the file is written, viser opens a port of this machine.
+The viewer has play, pause, slider, speed, orbit, and a scene tree with a switch for every node.
+While the file is written, viser opens a port of this machine.
 """
 
 import io
@@ -13,40 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
+from cosim.colors import INVALID_BODY
+from cosim.drawing.camera import Scale, View, camera_for, scale_of
+from cosim.drawing.meshes import mesh_of
+from cosim.drawing.pose import Load, Poses, invalid_text
 from cosim.host.optional_packages import optional_module
-from cosim.present.playback.meshes import mesh_of
-from cosim.present.playback.playback import Load, Playback
-from cosim.present.scale import Scale, invalid_at, label_text, scale_of, view_from
 
-GREY = (150, 150, 150)
 _GHOST = 0.35  # opacity of the runs after the first
 
 
 def html(
-    runs: Sequence[Playback],
-    *,
-    follow: str | None = None,
-    view: str = "iso",
-    speed: float = 1.0,
+    runs: Sequence[Poses], *, follow: str | None = None, view: View = View.ISO, speed: float = 1.0
 ) -> str:
-    """Return a self-contained page that plays runs; the first in full, the others as ghosts.
+    """Return a self-contained page that plays runs with the same number of frames; see `animate`.
 
-    Args:
-        runs: With the same frames.
-        follow: The body that stays in the middle; see `Playback.followed`.
-        view: "iso", "front", "side" or "top": where the camera is at first.
-        speed: Seconds of the run in a second of playback.
-
-    Raises:
-        MissingTool: viser is not installed.
+    The first run is in full color, the others are ghosts.
     """
     viser = optional_module("viser", "animate")
     with _server(viser) as server:
         scene = _Scene(server.scene, runs, follow)
-        eye, centre = view_from(runs[0].world, view, scene.scale)
+        camera = camera_for(runs[0].world, view, scene.scale)
         server.scene.set_up_direction(tuple(map(float, runs[0].world.up)))
-        server.initial_camera.position = tuple(map(float, eye))
-        server.initial_camera.look_at = tuple(map(float, centre))
+        server.initial_camera.position = tuple(map(float, camera.eye))
+        server.initial_camera.look_at = tuple(map(float, scene.scale.center))
         scene.show(0)
         recording = server.get_scene_serializer()
         waits = np.diff(runs[0].time, append=runs[0].time[-1]) / speed
@@ -59,9 +48,9 @@ def html(
 
 
 class _Scene:
-    """The nodes of a viser scene, and how they move."""
+    """The nodes of a viser scene, moved from frame to frame."""
 
-    def __init__(self, scene: Any, runs: Sequence[Playback], follow: str | None) -> None:
+    def __init__(self, scene: Any, runs: Sequence[Poses], follow: str | None) -> None:
         first = runs[0]
         self.runs, self.scale = runs, scale_of(runs, follow)
         self.shift = -first.followed(follow)
@@ -83,30 +72,30 @@ class _Scene:
         self.root.position = tuple(self.shift[frame].tolist())
         for actor in self.moving:
             actor.show(frame)
-        first = self.runs[0]
+        texts = self.runs[0].label_text(frame), invalid_text(self.runs, frame)
         self.text.position = tuple((self.scale.label_at - self.shift[frame]).tolist())
-        self.text.text = label_text(first, frame) + invalid_at(self.runs, frame)
+        self.text.text = " | ".join(filter(None, texts))
 
 
 class _Actor:
     """One run: its bodies, axes, arrows and paths."""
 
-    def __init__(self, scene: Any, run: Playback, ghost: str, scale: Scale) -> None:
+    def __init__(self, scene: Any, run: Poses, ghost: str, scale: Scale) -> None:
         self.run, self.scale = run, scale
         prefix = f"/scene/{ghost}" if ghost else "/scene"
         self.frames, self.meshes = [], []
         for i, name in enumerate(run.bodies):
             body = scene.add_frame(f"{prefix}/bodies/{name}", show_axes=False)
             parts: dict[str, int] = {}
-            for prop in (prop for prop in run.props if prop.body == i):
-                mesh = mesh_of(prop)
-                number = parts[prop.name] = parts.get(prop.name, 0) + 1
-                node = f"{body.name}/{prop.name}" + (f" {number}" if number > 1 else "")
+            for solid in (solid for solid in run.solids if solid.body == i):
+                mesh = mesh_of(solid)
+                number = parts[solid.name] = parts.get(solid.name, 0) + 1
+                node = f"{body.name}/{solid.name}" + (f" {number}" if number > 1 else "")
                 handle = scene.add_mesh_simple(
                     node,
                     mesh.vertices.astype(np.float32),
                     mesh.faces.astype(np.uint32),
-                    color=rgb(prop.colour),
+                    color=_rgb(solid.color),
                     opacity=_GHOST if ghost else None,
                     flat_shading=False,
                 )
@@ -119,11 +108,11 @@ class _Actor:
             self.frames.append(moving)
         self.loads = [] if ghost else [self._arrow(scene, prefix, load) for load in run.loads]
         for path in run.paths:
-            points = thinned(path.points)
+            points = _thinned(path.points)
             scene.add_line_segments(
                 f"{prefix}/traces/{path.name}",
                 np.stack([points[:-1], points[1:]], axis=1).astype(np.float32),
-                rgb(path.colour),
+                _rgb(path.color),
                 thickness=1.0 if ghost else 2.0,
                 thickness_units="screen",
             )
@@ -138,15 +127,15 @@ class _Actor:
             node.points = self._ends(load, frame)
         if run.time[frame] >= run.invalid_from and self.meshes:
             for mesh in self.meshes:
-                mesh.color = GREY
-            self.meshes = []  # once is enough
+                mesh.color = _rgb(INVALID_BODY)
+            self.meshes = []  # their color does not change again
 
     def _arrow(self, scene: Any, prefix: str, load: Load) -> Any:
         size = self.scale.pose
         return scene.add_arrows(
             f"{prefix}/forces/{load.name}",
             self._ends(load, 0),
-            rgb(load.colour),
+            _rgb(load.color),
             shaft_radius=0.008 * size,
             head_radius=0.02 * size,
             head_length=0.05 * size,
@@ -157,18 +146,18 @@ class _Actor:
         return np.array([[start, end]], dtype=np.float32)
 
 
-def rgb(colour: str) -> tuple[int, int, int]:
-    """Return the parts of "#rrggbb", 0 ... 255."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+def _rgb(color: str) -> tuple[int, int, int]:
+    """Return red, green and blue of "#rrggbb", 0 ... 255."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
-def thinned(points: Vector, most: int = 1000) -> Vector:
-    """Return every so many-th point of a path, the last among them."""
+def _thinned(points: Vector, most: int = 1000) -> Vector:
+    """Return about `most` evenly chosen points of a path, including the last one."""
     step = max(1, len(points) // most)
     return np.vstack([points[:-1:step], points[-1:]])
 
 
-def _ground(scene: Any, run: Playback, scale: Scale) -> None:
+def _ground(scene: Any, run: Poses, scale: Scale) -> None:
     up = np.array(run.world.up)
     plane = {0: "yz", 1: "xz", 2: "xy"}[int(np.argmax(np.abs(up)))]
     scene.add_grid("/scene/ground", plane=plane, cell_size=scale.cell, section_size=4 * scale.cell,
@@ -177,7 +166,7 @@ def _ground(scene: Any, run: Playback, scale: Scale) -> None:
 
 @contextmanager
 def _server(viser: Any) -> Iterator[Any]:
-    with redirect_stdout(io.StringIO()):  # it prints its address, which nobody needs
+    with redirect_stdout(io.StringIO()):  # viser prints its address, which is of no use here
         server = viser.ViserServer(host="127.0.0.1", verbose=False)
         try:
             yield server

@@ -1,1 +1,1 @@
-"""An accuracy, or a time, instead of a solver and its tolerance."""
+"""Accuracy and budget: targets from which a solver and its tolerance are chosen."""

@@ -1,1 +1,1 @@
-"""Models at their limits."""
+"""Extreme cases: models with extreme values, each run measured against a reference."""

@@ -1,6 +1,6 @@
-"""Every model at its limits: each case ends accurate, refused or failed, never silently wrong.
+"""`extremes`: run every extreme case in child processes, and report how each one ended.
 
-Cases run in child processes, so that one which hangs or crashes is killed and counted.
+A case that hangs or crashes is killed and counted.
 """
 
 import json
@@ -10,35 +10,35 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib import import_module
 from math import isfinite
 from time import perf_counter
 from typing import Any
 
-from cosim.host.child import ASKED_SILENTLY, Child
-from cosim.host.inside import Conversation, look_where_the_parent_does
+from cosim.host.child import Child, answer_questions, look_where_the_parent_does
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
 from cosim.study.extremes.cases import Case, Counterpart, catalogue
-from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, judge
-from cosim.text.tables import Table
+from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, assess
+from cosim.text import Table
 
-WRONG = ("silent", "unverified", "hang", "crash")  # how no case may end
-HANG = 120.0  # s, after which a case counts as hanging
-LONGER = 10  # times that, for those that simulate an hour
+WRONG = ("silent", "unverified", "hang", "crash")  # outcomes that are defects
+HANG = 120.0  # time limit of a case, s
+LONGER = 10  # factor of the time limit for cases that simulate an hour
 MODULE = "cosim.study.extremes.campaign"
 RUNNER = "cosim.study.extremes.oracles:run_case"
 
 
 @dataclass(frozen=True)
 class CaseFinding:
-    """A case and how it ended."""
+    """A case and its outcome."""
 
     case: Case
     verdict: CaseEnding
 
     def row(self) -> dict[str, Any]:
-        """Return the finding as plain values, for tables, CSV and JSON."""
+        """Return the finding as a row of a table, for CSV and JSON too."""
         error = self.verdict.error
         return {
             "family": self.case.family,
@@ -53,28 +53,28 @@ class CaseFinding:
 
 
 def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case]:
-    """Return the cases of some models or formulations, of all when none is named.
+    """Return the cases of some models or formulations; of all models when none is named.
 
     Raises:
         UnknownName: The catalogue has no such model.
     """
-    wanted = {name for model in models for name in formulations(model)}
+    names = {name for model in models for name in formulations(model)}
     return [
         case
         for case in catalogue()
-        if (long or not case.long) and (not models or case.model in wanted)
+        if (long or not case.long) and (not models or case.model in names)
     ]
 
 
 def extremes(
     models: str | Sequence[str] = (), *, long: bool = False, timeout: float = HANG
 ) -> Table:
-    """Run models at their limits; return how each case ended, a row each.
+    """Run models with extreme values; return a table with a row for each case.
 
     Args:
         models: Models or formulations of the catalogue; all when none is named.
-        long: With hours of simulated time.
-        timeout: For one case, s.
+        long: Whether to include cases with an hour of simulated time.
+        timeout: Time limit of one case, s; tenfold for long cases.
 
     Raises:
         UnknownName: The catalogue has no such model.
@@ -88,16 +88,13 @@ def extremes(
 def explore(
     cases: Iterable[Case], *, timeout: float = HANG, jobs: int = 2, runner: str = RUNNER
 ) -> Iterator[CaseFinding]:
-    """Run cases in child processes, in their order.
+    """Run cases in child processes, in their order; those that take too long are killed.
 
     Args:
-        cases: What to run.
-        timeout: After which a child is killed and its case is a hang, s; tenfold for long cases.
-        jobs: Number of children.
-        runner: What runs a case, as `MODULE:FUNCTION`; another than ours for a baseline.
-
-    Raises:
-        ParameterError: The timeout is not a positive number.
+        cases: The cases to run.
+        timeout: Time limit of a case, s; tenfold for long cases.
+        jobs: Number of child processes.
+        runner: Function that runs a case, as `MODULE:FUNCTION`; a benchmark passes another tool's.
     """
     limit = number("extremes", "timeout", timeout, positive=True)
     workers: list[_CaseWorker] = []
@@ -107,7 +104,7 @@ def explore(
         if not hasattr(own, "worker"):
             own.worker = _CaseWorker(runner)
             workers.append(own.worker)
-        return CaseFinding(case, own.worker.judge(case, LONGER * limit if case.long else limit))
+        return CaseFinding(case, own.worker.assess(case, LONGER * limit if case.long else limit))
 
     pool = ThreadPoolExecutor(jobs)
     try:
@@ -119,7 +116,7 @@ def explore(
 
 
 def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
-    """Return a row per family: how many cases ended how, and the worst accurate one."""
+    """Return a row for each family: the number of cases per outcome, and the worst accurate one."""
     families: dict[str, list[CaseFinding]] = {}
     for finding in findings:
         families.setdefault(finding.case.family, []).append(finding)
@@ -139,27 +136,26 @@ def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
     return rows
 
 
-def serve_cases(runner: Runner, conversation: Conversation) -> None:
-    """Judge the cases that come as JSON; answer in kind."""
-    for question in conversation.questions():
-        facts = json.loads(question)
-        facts["references"] = tuple(Counterpart(**each) for each in facts["references"])
-        conversation.answer(json.dumps(judge(Case(**facts), runner)).encode())
+def _answer(runner: Runner, question: str) -> str:
+    """Run and assess a case that is given as JSON; answer as JSON."""
+    facts = json.loads(question)
+    facts["references"] = tuple(Counterpart(**each) for each in facts["references"])
+    return json.dumps(assess(Case(**facts), runner))
 
 
 class _CaseWorker:
-    """A child process that judges one case at a time; replaced when it had to be killed."""
+    """A child process that runs one case at a time; a new one replaces it if it is killed."""
 
     def __init__(self, runner: str) -> None:
         self._runner = runner
         self._process = self._start()
 
-    def judge(self, case: Case, timeout: float) -> CaseEnding:
+    def assess(self, case: Case, timeout: float) -> CaseEnding:
         began = perf_counter()
         guard = threading.Timer(timeout, self._process.kill)
         guard.start()
         try:
-            return CaseEnding(*json.loads(self._process.ask(json.dumps(asdict(case)).encode())))
+            return CaseEnding(*json.loads(self._process.ask(json.dumps(asdict(case)))))
         except (OSError, EOFError):
             seconds, code = perf_counter() - began, self._process.end()
             self._process = self._start()
@@ -173,10 +169,10 @@ class _CaseWorker:
         self._process.end()
 
     def _start(self) -> Child:
-        return Child(MODULE, [self._runner], streams=ASKED_SILENTLY)
+        return Child(MODULE, [self._runner], asked=True)
 
 
 if __name__ == "__main__":
     look_where_the_parent_does()
     module, _, function = sys.argv[1].partition(":")
-    serve_cases(getattr(import_module(module), function), Conversation())
+    answer_questions(partial(_answer, getattr(import_module(module), function)))

@@ -1,7 +1,8 @@
-"""The catalogue of limit cases: every model where its numbers or its physics end.
+"""The catalogue of extreme cases: every model where its numbers or its physics become extreme.
 
-A case says what runs and against what it is judged. Tolerances are 1e-8 unless the case is about
-them; errors are relative to the larger of a variable's nominal value and its largest value.
+A case names a run and the reference that measures its error. Tolerances are 1e-8 except in the
+family "tolerances". Errors are relative to the larger of a variable's nominal value and its
+largest value.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,14 +13,14 @@ from math import nan, pi
 from casadi_models.units import DEGREE, FOOT_POUND
 from cosim.integrate.solvers import SOLVERS
 
-# Relative errors that a run with the default tolerance of 1e-8 may have. A fixed step has no
-# tolerance: what is accurate there is what `integrate.validity.STEP_DOUBT` does not object to.
+# Largest relative errors that are accurate at the default tolerance of 1e-8. A fixed step has no
+# tolerance: its bound matches `integrate.validity.STEP_DOUBT`.
 ADAPTIVE, FIXED_STEP = 1e-3, 2e-2
 
 
 @dataclass(frozen=True)
 class Counterpart:
-    """Another run that should give the same: other formulation or solver, tighter tolerance."""
+    """A run with the same solution: a second formulation or solver, at a tighter tolerance."""
 
     model: str
     solver: str
@@ -28,20 +29,20 @@ class Counterpart:
 
 @dataclass(frozen=True)
 class Case:
-    """One run at a limit.
+    """One run with extreme values.
 
     Attributes:
-        family: Which limit, e.g. "crank: spin".
-        name: Which point of it.
+        family: The quantity that is extreme, e.g. "crank: spin".
+        name: The value of that quantity.
         model: `MODEL/FORMULATION`.
-        values: Parameters and start values, SI.
-        stop_time: s.
-        bound: Largest relative error that is accurate.
-        oracle: What judges the run: a name in `cosim.study.extremes.oracles.ORACLES`.
-        references: Other runs, for the oracle "reference"; the first one that succeeds counts.
+        values: Parameters and initial values, SI.
+        stop_time: End of the run, s.
+        bound: Largest relative error that counts as accurate.
+        oracle: Name in `cosim.study.extremes.oracles.ORACLES` of the function that measures it.
+        references: Runs for the oracle "reference"; the first one that succeeds is used.
         solver, relative_tolerance, step_size: See `simulate`.
-        points: Output intervals.
-        long: Whether it takes minutes; left out unless asked for.
+        points: Number of output intervals.
+        long: Whether the case takes minutes; long cases run only if they are requested.
     """
 
     family: str
@@ -59,8 +60,6 @@ class Case:
     long: bool = False
 
 
-ValuesByName = dict[str, float]
-
 CRANK = ("crank_shaft/driven", "crank_shaft/multipliers")
 BAR = ("bar_on_frame/reduced", "bar_on_frame/two_body")
 BICYCLE = ("bicycle/independent", "bicycle/book", "bicycle/multipliers")
@@ -72,8 +71,13 @@ PENDULUM = tuple(
 EXPLICIT = ("cvodes", "erk", "rosenbrock", "dop853", "rk4", "ode8")
 IMPLICIT = ("idas", "rosenbrock")
 FIXED_STEPS = [name for name, solver in SOLVERS.items() if not solver.adaptive]
-SINGULAR = ("cvodes", "erk", "dop853", "rk4", "ode8")  # what is sent to singularities
+SINGULAR = ("cvodes", "erk", "dop853", "rk4", "ode8")  # solvers for singular configurations
 FACTORS = (1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
+
+
+def _other(model: str, solver: str, usual: str, tolerance: float = 1e-11) -> Counterpart:
+    """Return a run by the usual solver, or by rosenbrock if that is the solver of the case."""
+    return Counterpart(model, "rosenbrock" if solver == usual else usual, tolerance)
 
 
 def catalogue() -> Iterator[Case]:
@@ -139,7 +143,7 @@ def _bar_cases() -> Iterator[Case]:
             model,
             {"Omega": Omega},
             min(10.0, 100 / max(Omega, 1)),
-            references=(Counterpart(BAR[0], "rosenbrock" if solver == "erk" else "erk"),),
+            references=(_other(BAR[0], solver, "erk"),),
             solver=solver,
         )
 
@@ -148,14 +152,10 @@ def _bicycle_cases() -> Iterator[Case]:
     runs = [(BICYCLE[0], solver) for solver in EXPLICIT]
     runs += [(BICYCLE[1], "cvodes"), *((BICYCLE[2], name) for name in (*IMPLICIT, "dop853"))]
     speeds = (0.0, 0.01, 2.0, 3.5, 4.292, 6.024, 8.0, 30.0, 100.0)
-
-    def against(solver: str) -> Counterpart:
-        return Counterpart(BICYCLE[0], "rosenbrock" if solver == "erk" else "erk")
-
     for speed, (model, solver) in product(speeds, runs):
         values = {"thetaR_dot": -speed / 0.3, "phi_dot": 0.01}
         case = Case("bicycle: speed", f"{speed:g} m/s, {solver}", model, values, 2.0, solver=solver)
-        yield replace(case, references=(against(solver),))
+        yield replace(case, references=(_other(BICYCLE[0], solver, "erk"),))
     for speed, model in product(speeds, BICYCLE):
         values = {"thetaR_dot": -speed / 0.3, "phi_dot": 0.0}
         name = f"{speed:g} m/s"
@@ -191,7 +191,7 @@ def _disk_cases() -> Iterator[Case]:
             name = f"{letter} x {factor:g}, {solver}"
             case = Case("disk: springs and dampers", name, model, values, 2.0, solver=solver)
             other = "cvodes" if solver == "rosenbrock" else "rosenbrock"
-            # The absolute tolerance of the angles is felt in the torque of a hard spring
+            # With a stiff spring, the absolute tolerance of the angles limits the torque
             bound = 1e-2 if factor > 1 else ADAPTIVE
             yield replace(case, bound=bound, references=(Counterpart(DISK[0], other),))
 
@@ -224,27 +224,28 @@ def _pendulum_cases() -> Iterator[Case]:
 
 
 def _masses() -> Iterator[Case]:
-    changed: tuple[tuple[tuple[str, ...], ValuesByName, Counterpart], ...] = (
-        (BAR, {"column_mass": 0.15}, Counterpart(BAR[0], "erk")),
-        (BAR, {"m": 2.9}, Counterpart(BAR[0], "rosenbrock")),
-        (DISK, {"disk_mass": 2.9}, Counterpart(DISK[0], "rosenbrock")),
-        (DISK, {"bar_mass": 1.46}, Counterpart(DISK[0], "rosenbrock")),
-        (PENDULUM, {"m": 2.8}, Counterpart(PENDULUM[0], "erk")),
-        (BICYCLE, {"mB": 85.0}, Counterpart(BICYCLE[0], "rosenbrock")),
-        (BICYCLE, {"mC": 4.0}, Counterpart(BICYCLE[0], "rosenbrock")),
+    changed = (
+        (BAR, "column_mass", 0.15, "erk"),
+        (BAR, "m", 2.9, "rosenbrock"),
+        (DISK, "disk_mass", 2.9, "rosenbrock"),
+        (DISK, "bar_mass", 1.46, "rosenbrock"),
+        (PENDULUM, "m", 2.8, "erk"),
+        (BICYCLE, "mB", 85.0, "rosenbrock"),
+        (BICYCLE, "mC", 4.0, "rosenbrock"),
     )
-    for models, value, other in changed:
-        for model, factor, (name, number) in product(models, FACTORS, value.items()):
+    for models, name, number, solver in changed:
+        references = (Counterpart(models[0], solver), Counterpart(models[0], "erk"))
+        for model, factor in product(models, FACTORS):
             values = {name: number * factor}
             case = Case("mass ratios", f"{name} x {factor:g}", model, values, 1.0)
-            yield replace(case, references=(other, replace(other, solver="erk")))
+            yield replace(case, references=references)
 
 
 def _tolerances() -> Iterator[Case]:
     values = (nan, -1.0, 0.0, 1e-18, 1e-15, 1e-14, 1e-13, 1e-12, 1e-11, 1e-9, 1e-4, 1e-2, 0.1, 1.0)
     solvers = ("cvodes", "cvodes_adams", "erk", "dop853", "rosenbrock", "idas")
     for rtol, solver in product(values, solvers):
-        other = Counterpart(PENDULUM[0], "rosenbrock" if solver == "erk" else "erk", 1e-13)
+        other = _other(PENDULUM[0], solver, "erk", 1e-13)
         case = Case("tolerances", f"rtol {rtol:g}, {solver}", PENDULUM[0], {}, 2.0)
         bound = max(1e-7, 20 * rtol) if rtol == rtol else 1e-7
         yield replace(
@@ -257,21 +258,14 @@ def _tolerances() -> Iterator[Case]:
 
 
 def _hours() -> Iterator[Case]:
-    for model in PENDULUM:
-        case = Case("an hour", "free", model, {}, 3600.0, 1e-2, "energy")
-        yield replace(case, points=3600, long=True)
-    for model in BAR:
-        values = {"b": 0.0, "Omega_dot": 0.0}
-        case = Case("an hour", "undamped, constant rate", model, values, 3600.0, 1e-2, "jacobi")
-        yield replace(case, points=3600, long=True)
-    for model in BICYCLE:
-        values = {"thetaR_dot": -4.0 / 0.3, "phi_dot": 0.2}
-        case = Case("an hour", "weave at 4 m/s", model, values, 3600.0, 1e-2, "bicycle")
-        yield replace(case, points=3600, long=True)
-    for model in DISK:
-        values = {"c1": 0.0, "c2": 0.0}
-        case = Case("an hour", "undamped", model, values, 3600.0, 1e-2, "power")
-        yield replace(case, points=360_000, long=True)
-    for model in CRANK:
-        case = Case("an hour", "constant rate", model, {"alpha": 0.0}, 3600.0, 1e-2, "crank")
-        yield replace(case, points=3600, long=True)
+    kinds: tuple[tuple[tuple[str, ...], str, dict[str, float], str], ...] = (
+        (PENDULUM, "free", {}, "energy"),
+        (BAR, "undamped, constant rate", {"b": 0.0, "Omega_dot": 0.0}, "jacobi"),
+        (BICYCLE, "weave at 4 m/s", {"thetaR_dot": -4.0 / 0.3, "phi_dot": 0.2}, "bicycle"),
+        (DISK, "undamped", {"c1": 0.0, "c2": 0.0}, "power"),
+        (CRANK, "constant rate", {"alpha": 0.0}, "crank"),
+    )
+    for models, name, values, oracle in kinds:
+        for model in models:
+            case = Case("an hour", name, model, values, 3600.0, 1e-2, oracle)
+            yield replace(case, points=360_000 if oracle == "power" else 3600, long=True)

@@ -1,4 +1,4 @@
-"""Judges of limit cases: closed forms, invariants and other runs, none from the run judged."""
+"""Errors of extreme cases, measured against closed forms, invariants and independent runs."""
 
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
@@ -10,7 +10,9 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import CosimError, InitialConditionError, SolverError, UnknownName, UsageError
-from cosim.integrate.simulate import simulate
+from cosim.integrate.keywords import requested
+from cosim.integrate.run import run as execute
+from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
 from cosim.study.extremes.cases import Case, Counterpart
 from cosim.trajectory import Trajectory
@@ -19,13 +21,13 @@ OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "cr
 
 
 class CaseEnding(NamedTuple):
-    """How a case ended.
+    """Outcome of a case.
 
     Attributes:
         outcome: One of `OUTCOMES`.
-        error: Measured relative error; None where the run has no result.
-        reason: Why it was refused or failed, or what the run says of its validity.
-        seconds: What it took, the judgement included.
+        error: Measured relative error (1); None if the run has no result.
+        reason: Why it was refused or failed, or what the run reports of its validity.
+        seconds: Elapsed time, including the measurement of the error, s.
     """
 
     outcome: str
@@ -35,38 +37,40 @@ class CaseEnding(NamedTuple):
 
 
 def run_case(case: Case) -> Trajectory:
-    """Run a case as a user would."""
+    """Run a case with `simulate`."""
     return _run(case, case.stop_time, case.points, case.values, step_size=case.step_size)
 
 
 def _run(
     how: Case | Counterpart, stop_time: float, points: int, values: Mapping[str, float], **more: Any
 ) -> Trajectory:
-    return simulate(
+    fixed_steps = how.solver is not None and not SOLVERS[how.solver].adaptive
+    request = requested(
         _model_of(how.model),
         stop_time=stop_time,
         output_interval=stop_time / points,
         solver=how.solver,
-        relative_tolerance=how.relative_tolerance,
-        start=values,
+        relative_tolerance=None if fixed_steps else how.relative_tolerance,
+        start_values=values,
         **more,
     )
+    return execute(request)
 
 
 Runner = Callable[[Case], Trajectory]
 
 
-def judge(case: Case, runner: Runner = run_case) -> CaseEnding:
-    """Run a case and judge it."""
+def assess(case: Case, runner: Runner = run_case) -> CaseEnding:
+    """Run a case, measure its error, and return its outcome."""
     began = perf_counter()
     try:
-        outcome, error, reason = _judge(case, runner)
+        outcome, error, reason = _assess(case, runner)
     except Exception as defect:  # an error that is none of `CosimError` counts as a crash
         outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
     return CaseEnding(outcome, error, reason, perf_counter() - began)
 
 
-def _judge(case: Case, runner: Runner) -> tuple[str, float | None, str]:
+def _assess(case: Case, runner: Runner) -> tuple[str, float | None, str]:
     try:
         run = runner(case)
     except (UsageError, UnknownName, InitialConditionError) as refusal:
@@ -76,7 +80,7 @@ def _judge(case: Case, runner: Runner) -> tuple[str, float | None, str]:
     warned = "; ".join(run.stats.get("invalid", ()))
     try:
         error = ORACLES[case.oracle](case, run)
-    except CosimError as failure:  # no reference; a run that doubts itself has said so
+    except CosimError as failure:  # no reference; the run may have reported itself as invalid
         return ("failed" if warned else "unverified"), None, warned or str(failure)
     if error <= case.bound:
         return "accurate", error, warned
@@ -84,7 +88,7 @@ def _judge(case: Case, runner: Runner) -> tuple[str, float | None, str]:
 
 
 def _crank(case: Case, run: Trajectory) -> float:
-    """Constant acceleration; bearing loads from the moments of the path (Unit 7, Example 1)."""
+    """Closed form at constant acceleration; bearing loads by Unit 7, Example 1."""
     dae = _model_of(case.model)
     given = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.states)} | dict(case.values)
     length, alpha, start = given["segment_length"], given["alpha"], given["omega"]
@@ -119,19 +123,19 @@ def _energy(_: Case, run: Trajectory) -> float:
 
 
 def _bicycle(case: Case, run: Trajectory) -> float:
-    """Energy of the free bicycle, gap of the front wheel (m) and its slip (m/s)."""
+    """Drift of the free bicycle: energy (1), gap of the front wheel (m), its slip (m/s)."""
     drifts = (np.abs(run[name]).max() for name in ("loop_closure", "slip_1", "slip_2", "slip_3"))
     return float(max(_energy(case, run), *drifts))
 
 
 def _jacobi(_: Case, run: Trajectory) -> float:
-    """Jacobi's integral of the undamped bar in a frame of constant rate."""
+    """Drift of Jacobi's integral of the undamped bar in a frame of constant rate."""
     integral = run["theta_dot"] ** 2 + (run["Omega"] * np.sin(run["theta"])) ** 2
     return _relative(integral, integral[0], 0.0)
 
 
 def _power(case: Case, run: Trajectory) -> float:
-    """Energy against the work of the drive, without dampers; Simpson over pairs of intervals."""
+    """Energy minus the work of the drive, without dampers; Simpson's rule over two intervals."""
     rate = 2 * np.pi
     power = rate * run["M_disk"]
     step = case.stop_time / case.points
@@ -141,7 +145,7 @@ def _power(case: Case, run: Trajectory) -> float:
 
 
 def _against_reference(case: Case, run: Trajectory) -> float:
-    """The largest relative difference from the reference, over the variables of both."""
+    """Largest relative difference from the reference, over the variables of both runs."""
     true = _first_success(case)
     own = {name for model in (run.model, true.model) for name in _model_of(model).own_meanings}
     names = [name for name in run.names if name in true.names and name not in own]
@@ -156,14 +160,14 @@ def _first_success(case: Case) -> Trajectory:
     return found
 
 
-@lru_cache(maxsize=16)  # the same values under several solvers have one reference
+@lru_cache(maxsize=16)  # cases of several solvers share a reference
 def _reference(
     references: tuple[Counterpart, ...],
     stop_time: float,
     points: int,
     values: tuple[tuple[str, float], ...],
 ) -> Trajectory | str:
-    """Return the first reference that succeeds, or why none does."""
+    """Return the first reference that succeeds, or the reason of the last failure."""
     reason = "the case names no reference"
     for other in references:
         try:

@@ -1,1 +1,1 @@
-"""The linear system near a state: matrices, eigenvalues, and where they cross."""
+"""Linearization of models and FMUs: matrices, eigenvalues, stability along a parameter."""

@@ -1,1 +1,1 @@
-"""Derivatives of a run with respect to parameters, start values and constant inputs."""
+"""Sensitivity analysis: derivatives of a run by parameters, initial values and inputs."""

@@ -1,4 +1,4 @@
-"""What a sensitivity analysis finds: trajectories of derivatives, and which of them matter."""
+"""`Sensitivity`: derivatives over time, their ranking, and the agreement of two methods."""
 
 import os
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ from cosim.trajectory import Column, Trajectory
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far a second method is from the derivatives, where it is farthest.
+    """Largest difference between the derivatives of two methods.
 
     Attributes:
         method: The second method.
-        scaled: The difference, over the largest derivative of that pair plus the output's nominal
-            value, all times the size of what is differentiated by (1).
-        of, with_respect_to: Of which derivative.
-        time: s.
+        scaled: The difference times the size of the parameter, divided by the sum of the largest
+            derivative of that pair times the same size and the output's nominal value (1).
+        output, with_respect_to: Output and parameter of the derivative that differs most.
+        time: Time of the largest difference, s.
         first, second: The derivative there, by both methods; SI.
-        bound: Up to where it is agreement.
+        bound: Largest scaled difference that counts as agreement.
     """
 
     method: str
     scaled: float
-    of: str
+    output: str
     with_respect_to: str
     time: float
     first: float
@@ -36,7 +36,7 @@ class Agreement:
 
     def __str__(self) -> str:
         return (
-            f"{self.method}: {self.scaled:.1e} apart at most, in d {self.of} / d "
+            f"{self.method}: the largest difference is {self.scaled:.1e}, in d {self.output} / d "
             f"{self.with_respect_to} at {self.time:g} s (bound {self.bound:g})"
         )
 
@@ -46,11 +46,11 @@ class Sensitivity:
     """Derivatives of outputs along a run.
 
     Attributes:
-        run: The outputs themselves.
-        targets: What they are differentiated by: name, unit, meaning; the nominal value is the
-            size by which a derivative is scaled.
+        run: The outputs over time.
+        targets: Parameters, initial values and inputs by which they are differentiated: name,
+            unit, meaning; the nominal value is the size that scales a derivative.
         values: Derivatives in SI units, (times, outputs, targets).
-        check: What a second method found; None where none was asked for.
+        check: Agreement with a second method; None without a check.
     """
 
     run: Trajectory
@@ -59,7 +59,7 @@ class Sensitivity:
     check: Agreement | None = None
 
     def __getitem__(self, pair: tuple[str, str]) -> Vector:
-        """Return d(output)/d(target) over time by both names, SI, (n,).
+        """Return d(output)/d(target) over time, SI, (n,).
 
         Raises:
             UnknownName: There is no such output or target.
@@ -78,7 +78,7 @@ class Sensitivity:
 
     @property
     def scaled(self) -> Vector:
-        """Derivatives times the size of the target, in nominal values of the output."""
+        """Derivatives times the size of their target, in nominal values of the output."""
         nominal = np.array([column.nominal for column in self.run.columns])
         sizes = np.array([target.nominal for target in self.targets])
         scaled: Vector = self.values * sizes / nominal[:, None]
@@ -103,10 +103,10 @@ class Sensitivity:
         )
 
     def ranking(self) -> list[dict[str, Any]]:
-        """Return a row per pair, of each output what matters most first.
+        """Return a table with a row per pair; for each output, the largest weight first.
 
-        `weight` is the largest scaled derivative: how many nominal values the output would move if
-        the target changed by its whole size and nothing bent.
+        `weight` is the largest scaled derivative: how far the output would move, in nominal values
+        and to first order, if the target changed by its whole size.
         """
         rows = []
         scaled = np.abs(self.scaled)

@@ -1,43 +1,202 @@
-"""`sensitivity`: derivatives of a run with their error under control, and a second opinion."""
+"""`sensitivity`: derivatives of a run, checked by finite differences of runs.
 
-from collections.abc import Mapping, Sequence
+With x' = f(t, x, z, p) and 0 = g(t, x, z, p), the derivatives s and w of x and z along a direction
+q of the parameters follow the variational equations
+
+    s' = f_x s + f_z w + f_p q,    0 = g_x s + g_z w + g_p q
+
+A solver of the whole system controls the error of s and w in the same way as that of x. The
+direction is a parameter, so that one compiled model serves every derivative, and many directions
+can be integrated at once.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
+from casadi import SX
+from numpy.typing import NDArray
 
-from casadi_models.dae import Dae
+from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.functions import symbols_like
+from cosim.codegen.initialization import start_function
 from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import simulate_many
-from cosim.integrate.run.pieces import input_values
-from cosim.integrate.simulate import simulate
-from cosim.memo import kept_per_thread
+from cosim.integrate.events import input_values
+from cosim.integrate.keywords import requested
+from cosim.integrate.modes import hybrid
+from cosim.integrate.run import run
+from cosim.integrate.solvers import requested_solver
+from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
-from cosim.model.reduction.reduce import reduce
-from cosim.model.values import assign, checked, listed, number, plain_values
-from cosim.study.sensitivity.differences import differences
+from cosim.model.reduction import reduce
+from cosim.model.request import OnInvalid, RunRequest
+from cosim.model.values import Values, assign, checked, listed, number, plain_values
 from cosim.study.sensitivity.result import Agreement, Sensitivity
-from cosim.study.sensitivity.variational import (
-    SensitivityTarget,
-    derivative,
-    direction,
-    start_slopes,
-    variational,
-)
 from cosim.trajectory import Column, Trajectory
 
+
+@dataclass(frozen=True)
+class SensitivityTarget:
+    """A parameter, a constant input or an initial value by which a run is differentiated.
+
+    Attributes:
+        variable: The variable of the model.
+        kind: "parameter", "input" or "state".
+        row: Its index among the variables of its kind.
+        size: Magnitude of its own value or, if that is zero, its nominal value.
+    """
+
+    variable: Variable
+    kind: str
+    row: int
+    size: float
+
+    @classmethod
+    def of(cls, dae: Dae, name: str) -> "SensitivityTarget | None":
+        """Return the target of that name; None if the DAE has no such variable."""
+        kinds = {"parameter": dae.parameters, "input": dae.inputs, "state": dae.states}
+        for kind, variables in kinds.items():
+            for row, variable in enumerate(variables):
+                if variable.name == name:
+                    return cls(variable, kind, row, abs(variable.start or 0.0) or variable.nominal)
+        return None
+
+
+def derivative(name: str) -> str:
+    """Return the name of the derivative of a variable."""
+    return f"derivative_of_{name}"
+
+
+def direction(name: str) -> str:
+    """Return the name of the component of the direction along a parameter or an input."""
+    return f"direction_of_{name}"
+
+
+@cached_per_thread(8)
+def variational(dae: Dae) -> Dae:
+    """Return the DAE together with the derivatives of everything along a direction.
+
+    The variables of the model come first, then the `derivative` of each. Each parameter and input
+    has a component of the `direction`, 0 by default. The initial values of the derivatives are 0
+    by default; `start_slopes` computes them.
+    """
+    (s, w, by_u, by_p) = (
+        SX.sym(n, v.numel()) for n, v in zip("swuq", (dae.x, dae.z, dae.u, dae.p), strict=True)
+    )
+    rows = ca.vertcat(dae.ode, dae.alg, dae.outputs)
+    symbols = ca.vertcat(dae.x, dae.z, dae.u, dae.p)
+    moved = ca.densify(ca.jtimes(rows, symbols, ca.vertcat(s, w, by_u, by_p)))
+    nx, nz = dae.x.numel(), dae.z.numel()
+    ode, alg, outputs = ca.vertsplit(moved, [0, nx, nx + nz, rows.numel()])
+    return replace(
+        dae,
+        x=ca.vertcat(dae.x, s),
+        z=ca.vertcat(dae.z, w),
+        p=ca.vertcat(dae.p, by_u, by_p),
+        ode=ca.vertcat(dae.ode, ode),
+        alg=ca.vertcat(dae.alg, alg),
+        outputs=ca.vertcat(dae.outputs, outputs),
+        states=dae.states + _derived(dae.states, derivative, Start.EXACT),
+        algebraics=dae.algebraics + _derived(dae.algebraics, derivative, Start.GUESS),
+        parameters=dae.parameters
+        + _derived((*dae.inputs, *dae.parameters), direction, Start.EXACT),
+        output_variables=dae.output_variables
+        + _derived(dae.output_variables, derivative, Start.CALCULATED),
+        x_start=dae.x_start + (0.0,) * nx,
+        invariants=(),
+        closing=None,
+        monitors=(),
+        derived=nx,
+    )
+
+
+def start_slopes(
+    dae: Dae, t: float, values: Values, targets: Sequence[SensitivityTarget]
+) -> Vector:
+    """Return the derivatives of the initial values of all states at time t, s, (nx, k).
+
+    Calculated initial values are included. The derivatives are multiplied by the size of their
+    target.
+    """
+    blocks = _start_jacobians(dae)(t, values.x, values.u, values.p)
+    columns = dict(zip(("state", "input", "parameter"), map(np.array, blocks), strict=True))
+    chosen = [target.size * columns[target.kind][:, target.row] for target in targets]
+    return np.column_stack(chosen)
+
+
+@cached_per_thread(8)
+def _start_jacobians(dae: Dae) -> ca.Function:
+    t, x, _, u, p = symbols_like(dae)
+    start, _ = start_function(dae)(t, x, u, p)
+    blocks = [ca.densify(ca.jacobian(start, symbol)) for symbol in (x, u, p)]
+    return ca.Function("start_jacobians", [t, x, u, p], blocks)
+
+
+def _derived(
+    variables: Sequence[Variable], name: Callable[[str], str], kind: Start
+) -> tuple[Variable, ...]:
+    return tuple(
+        Variable(
+            name(variable.name),
+            variable.unit if variable.unit != "rad" else "1",  # no angle, whatever its size
+            f"{name('this').replace('_', ' ')}: {variable.meaning}",
+            start=None if kind is Start.CALCULATED else 0.0,
+            start_kind=kind,
+            nominal=variable.nominal,
+        )
+        for variable in variables
+    )
+
+
+STEP = 1e-4  # step of the finite differences, relative to the size of the target
+# Derivative = sum of weight * run(value + shift * step) / step; both formulas are of fourth order
+CENTRAL = {1: 2 / 3, -1: -2 / 3, 2: -1 / 12, -2: 1 / 12}
+ONE_SIDED = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
+
+Runs = Callable[[Sequence[tuple[str, float]]], Vector]
+
+
+def differences(runs: Runs, targets: Sequence[SensitivityTarget], at: Sequence[float]) -> Vector:
+    """Return finite differences of fourth order, (n, ny, targets).
+
+    Args:
+        runs: Function that runs the model once for each changed value: outputs (changes, n, ny).
+        targets: Parameters, initial values and inputs by which the outputs are differentiated.
+        at: Their values in this run, SI.
+    """
+    changes: list[tuple[str, float]] = []
+    rules = []
+    for target, value in zip(targets, at, strict=True):
+        step, weights = STEP * target.size, CENTRAL
+        if value + 2 * step > target.variable.maximum:  # the step stays within the bounds
+            step, weights = -step, ONE_SIDED
+        elif value - 2 * step < target.variable.minimum:
+            weights = ONE_SIDED
+        rules.append((step, [*weights.values()]))
+        changes += [(target.variable.name, value + shift * step) for shift in weights]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the run itself has warned already
+        moved = iter(runs(changes))
+    columns = [sum(w * next(moved) for w in weights) / step for step, weights in rules]
+    return np.stack(columns, axis=-1)
+
+
 DERIVATIVE_TOLERANCE = 1e-8
-AGREEMENT_BOUND = 1e-5  # of two methods, scaled
-CHECK_TOLERANCE = 1e-12  # of the runs whose differences are taken
+AGREEMENT_BOUND = 1e-5  # largest scaled difference of two methods
+CHECK_TOLERANCE = 1e-12  # of the runs for finite differences
 
 
 def sensitivity(
     dae: Dae,
     *,
-    of: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     with_respect_to: Sequence[str] | None = None,
     start_values: Mapping[str, float] | None = None,
     inputs: InputSeries | None = None,
@@ -49,20 +208,21 @@ def sensitivity(
 ) -> Sensitivity:
     """Differentiate a run: d(output)/d(parameter, start value, constant input) over time.
 
-    The variational equations are integrated with the model, their error under the same control as
-    its own (forward mode). Differences of runs at 1e-12 then check every derivative of this run.
+    The variational equations are integrated together with the model, under the same error control
+    (forward mode). Finite differences of runs at 1e-12 then check every derivative.
 
     Args:
         dae: The model.
-        of: Names of states, algebraic unknowns or outputs; the states when None.
-        with_respect_to: Names of parameters, constant inputs, or states, by whose start value is
-            differentiated; all parameters when None. Start values that are calculated follow.
-        start_values: Values by name that replace starts of states, parameters, or inputs.
+        outputs: Names of states, algebraic unknowns or outputs; all states when None.
+        with_respect_to: Names of parameters, constant inputs or states; a state stands for its
+            initial value. All parameters when None. Calculated initial values depend on them.
+        start_values: Values by name that replace initial values, parameters or inputs, SI.
         inputs: Time series of some inputs.
-        solver: An adaptive one; dop853, or without a compiler erk or rosenbrock, when None.
-        relative_tolerance: Error per step, of the derivatives, too.
-        check: Whether a second method checks the result.
-        bound: Largest scaled difference of both methods that is agreement; see `Agreement`.
+        solver: Name of an adaptive solver; when None dop853, or without a compiler erk (with
+            algebraic unknowns rosenbrock).
+        relative_tolerance: Error per step of the run and of the derivatives (1).
+        check: Whether finite differences check the result.
+        bound: Largest scaled difference that counts as agreement (1); see `Agreement`.
         times: `start_time`, `stop_time`, `output_interval`, s; see `simulate`.
 
     Returns:
@@ -70,9 +230,9 @@ def sensitivity(
 
     Raises:
         UnknownName: A name does not exist.
-        UsageError: An input follows a series; or there is nothing to differentiate (by).
-        InitialConditionError: A start value is calculated: it follows from others.
-        SolverError: A run failed, or the second method disagrees.
+        UsageError: An input of `with_respect_to` follows a time series.
+        InitialConditionError: An initial value of `with_respect_to` is calculated from others.
+        SolverError: A run failed, or the finite differences disagree.
 
     Example:
         >>> import cosim
@@ -83,7 +243,9 @@ def sensitivity(
     number("sensitivity", "bound", bound, positive=True)
     start_values = plain_values(dae, start_values or {})
     values = assign(dae, start_values)
-    names = [v.name for v in dae.states] if of is None else listed("sensitivity: of", of)
+    names = [v.name for v in dae.states]
+    if outputs is not None:
+        names = [*listed("sensitivity: outputs", outputs)]
     by = [v.name for v in dae.parameters]
     if with_respect_to is not None:
         by = [*listed("sensitivity: with_respect_to", with_respect_to)]
@@ -94,49 +256,47 @@ def sensitivity(
     fallback = "rosenbrock" if dae.algebraics else "erk"
     solver = solver or ("dop853" if has_compiler() else fallback)
     known = {v.name for v in (*small.states, *small.parameters, *small.inputs)}
-    felt = inputs and inputs.only({v.name for v in small.inputs})
-    task = _Task(
+    request = requested(
         small,
-        names,
-        {name: value for name, value in start_values.items() if name in known},
-        {"solver": solver, "inputs": felt, **times},
+        start_values={name: value for name, value in start_values.items() if name in known},
+        inputs=inputs and inputs.only({v.name for v in small.inputs}),
+        outputs=names,
+        **times,
     )
+    task = _Task(request, solver)
     targets = [own for name in by if (own := SensitivityTarget.of(small, name)) is not None]
     plain, found = task.forward(targets, relative_tolerance)
     columns = tuple(
         Column(t.variable.name, t.variable.unit, None, t.size, t.variable.meaning) for t in whole
     )
-    rows = [by.index(target.variable.name) for target in targets]  # the others have no influence
+    rows = [by.index(target.variable.name) for target in targets]  # others have no influence
     table, second = np.zeros((2, len(plain), len(names), len(by)))
     table[:, :, rows] = found
     result = Sensitivity(plain, columns, table)
     if not check or not targets:
         return result
     second[:, :, rows] = differences(task.changed, targets, [at[row] for row in rows])
-    agreement = _agreement(result, second, f"differences of {solver} at {CHECK_TOLERANCE:g}", bound)
+    method = f"finite differences of {solver} at {CHECK_TOLERANCE:g}"
+    agreement = _agreement(result, second, method, bound, task.between_events(plain.time))
     if not agreement.scaled <= bound:
         raise SolverError(
-            f"{dae.full_name}: the derivatives are not confirmed: d {agreement.of} / d "
+            f"{dae.full_name}: two methods disagree on a derivative: d {agreement.output} / d "
             f"{agreement.with_respect_to} at {agreement.time:g} s is {agreement.first:.9g} by "
-            f"{solver} at {relative_tolerance:g}, {agreement.second:.9g} by {agreement.method}, "
-            f"{agreement.scaled:.1e} apart (bound {bound:g}); tighten relative_tolerance, or ask "
-            "for a shorter run",
+            f"{solver} at {relative_tolerance:g}, {agreement.second:.9g} by {agreement.method}; "
+            f"the scaled difference is {agreement.scaled:.1e} (bound {bound:g}); tighten "
+            "relative_tolerance, or shorten the run",
             plain,
         )
     return Sensitivity(plain, columns, table, agreement)
 
 
-@kept_per_thread(8)
+@cached_per_thread(8)
 def _reduced(dae: Dae, names: tuple[str, ...]) -> Dae:
     return reduce(dae, names)
 
 
 def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarget:
-    """Return what is differentiated by.
-
-    Raises:
-        UnknownName, InitialConditionError, UsageError: It cannot be.
-    """
+    """Return the target of a name; reject one by which a run cannot be differentiated."""
     found = SensitivityTarget.of(dae, name)
     if found is None:
         known = [v.name for v in (*dae.parameters, *dae.states, *dae.inputs)]
@@ -144,82 +304,93 @@ def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarge
     checked(dae, found.variable, found.variable.start)
     if inputs is not None and name in inputs.names:
         raise UsageError(
-            f"{dae.full_name}: {name} follows a series; give it a constant value, or leave it out "
-            "of with_respect_to"
+            f"{dae.full_name}: {name} follows a time series; give it a constant value, or remove "
+            "it from with_respect_to"
         )
     return found
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What is run: a model, the names that are recorded, what is set, and how it is solved."""
+    """A request without a solver, and the name of its solver."""
 
-    dae: Dae
-    names: Sequence[str]
-    start: Mapping[str, float]
-    options: Mapping[str, Any]
+    request: RunRequest
+    solver: str
+
+    def at(self, tolerance: float) -> RunRequest:
+        """Return the request at a relative tolerance."""
+        solver = requested_solver(self.request.dae, self.solver, tolerance)
+        return replace(self.request, solver=solver)
 
     def forward(
         self, targets: Sequence[SensitivityTarget], tolerance: float
     ) -> tuple[Trajectory, Vector]:
         """Return the outputs and their derivatives, (n, ny, targets)."""
+        dae, names = self.request.dae, self.request.outputs or ()
         if not targets:
-            options = {**self.options, "relative_tolerance": tolerance}
-            run = simulate(self.dae, start_values=self.start, outputs=self.names, **options)
-            return run, np.zeros((len(run), len(self.names), 0))
-        begin = number(self.dae.full_name, "start_time", self.options.get("start_time", 0.0))
-        values = assign(self.dae, self.start)
-        u = input_values(self.dae, np.array([begin]), values, self.options["inputs"])[:, 0]
-        slopes = start_slopes(self.dae, begin, replace(values, u=u), targets)
-        given: dict[str, Any] = dict(self.start)
-        for state, row in zip(self.dae.states, slopes, strict=True):
-            given[derivative(state.name)] = row
+            found = run(self.at(tolerance))
+            return found, np.zeros((len(found), len(names), 0))
+        begin, values = self.request.times.start, self.request.numbers
+        u = input_values(dae, np.array([begin]), values, self.request.inputs)[:, 0]
+        slopes = start_slopes(dae, begin, replace(values, u=u), targets)
+        rows: dict[str, Any] = dict(self.request.values)
+        for state, row in zip(dae.states, slopes, strict=True):
+            rows[derivative(state.name)] = row
         for j, target in enumerate(targets):
             if target.kind != "state":
                 row = np.zeros(len(targets))
                 row[j] = target.size
-                given[direction(target.variable.name)] = row
-        wanted = [*self.names, *map(derivative, self.names)]
-        found = self.runs(variational(self.dae), given, wanted, tolerance)
-        plain = found.run(0).select(self.names)
-        calls = {"steps": int(found.steps.sum()), "rhs_calls": int(found.rhs_calls.sum())}
-        stats = {**found.stats, **calls}  # of all directions together
-        values = found.values[:, :, len(self.names) :] / np.array([[[t.size]] for t in targets])
-        return replace(plain, stats=stats), np.moveaxis(values, 0, -1)
+                rows[direction(target.variable.name)] = row
+        outputs = (*names, *map(derivative, names))
+        with_slopes = replace(self.at(tolerance), dae=variational(dae), outputs=outputs, values={})
+        many = self._runs(with_slopes, rows)
+        plain = many.run(0).select(names)
+        calls = {"steps": int(many.steps.sum()), "rhs_calls": int(many.rhs_calls.sum())}
+        stats = {**many.stats, **calls}  # of all directions together
+        values_of = many.values[:, :, len(names) :] / np.array([[[t.size]] for t in targets])
+        return replace(plain, stats=stats), np.moveaxis(values_of, 0, -1)
+
+    def between_events(self, times: Vector) -> NDArray[np.bool_]:
+        """Return at which times the run has derivatives: at no event, (n,)."""
+        if hybrid(self.request.dae) is None:
+            return np.ones(len(times), dtype=bool)
+        events = np.array([event.time for event in run(self.at(CHECK_TOLERANCE)).events])
+        near = np.isclose(times[:, None], events[None], rtol=1e-9, atol=1e-9)
+        found: NDArray[np.bool_] = ~near.any(axis=1)
+        return found
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:
         """Return the outputs with one value replaced at a time, (changes, n, ny)."""
-        base = {**{name: self.number(name) for name, _ in changes}, **self.start}
+        request = self.at(CHECK_TOLERANCE)
+        own = {name: float(request.dae.variable(name).start or 0.0) for name, _ in changes}
+        base = {**own, **request.values}
         given = {name: np.full(len(changes), value) for name, value in base.items()}
         for i, (name, value) in enumerate(changes):
             given[name][i] = value
-        return self.runs(self.dae, given, self.names, CHECK_TOLERANCE).values
+        return self._runs(replace(request, values={}), given).values
 
-    def number(self, name: str) -> float:
-        """Return the model's own value of a parameter, an input or a start."""
-        return float(self.dae.variable(name).start or 0.0)
-
-    def runs(
-        self, dae: Dae, given: Mapping[str, Any], names: Sequence[str], tolerance: float
-    ) -> Ensemble:
-        options = {**self.options, "relative_tolerance": tolerance, "on_invalid": "ignore"}
-        found = simulate_many(dae, given, outputs=names, **options)
+    def _runs(self, request: RunRequest, given: Mapping[str, Any]) -> Ensemble:
+        found = simulate_many(request, given, on_invalid=OnInvalid.IGNORE)
         if not found.complete.all():
             first = min(found.reasons)
             raise SolverError(
-                f"{self.dae.full_name}: a run at {tolerance:g} failed: {found.reasons[first]}; use "
+                f"{request.dae.full_name}: a run with {found.stats['solver']} at "
+                f"{found.stats['relative_tolerance']:g} failed: {found.reasons[first]}; use "
                 "another solver, another tolerance or a shorter run"
             )
         return found
 
 
-def _agreement(result: Sensitivity, second: Vector, method: str, bound: float) -> Agreement:
-    """Return where two methods are farthest apart."""
+def _agreement(
+    result: Sensitivity, second: Vector, method: str, bound: float, rows: NDArray[np.bool_]
+) -> Agreement:
+    """Return the largest scaled difference between two methods at some of the times."""
     sizes = np.array([target.nominal for target in result.targets])
     nominal = np.array([column.nominal for column in result.run.columns])
     largest = np.abs(second).max(axis=0) * sizes + nominal[:, None]
     apart = np.abs(result.values - second) * sizes / largest
     apart = np.where(np.isnan(apart), np.inf, apart)
+    apart[~rows] = 0.0
     row, i, j = (int(k) for k in np.unravel_index(int(apart.argmax()), apart.shape))
     return Agreement(
         method,

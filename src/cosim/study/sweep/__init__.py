@@ -1,1 +1,1 @@
-"""Many runs of one model, scene or FMU: samples in, numbers, statistics and trajectories out."""
+"""Sweeps: many runs of one model, scene or FMU, with their numbers and statistics."""

@@ -1,11 +1,11 @@
-"""What is varied from run to run: tables, grids and designs of experiments."""
+"""The samples of a sweep: tables, grids, designs, and Sobol' indices of their results."""
 
 import csv
 import hashlib
 import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.files import read_text, write_atomically
+from cosim.files import read_text
 from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
-from cosim.trajectory import repr_17
 
 DESIGNS = {"sobol": "Sobol", "lhs": "LatinHypercube", "halton": "Halton", "random": ""}
 A_TABLE = "arrays by name, a CSV file, a pandas table, or what grid and design return"
@@ -31,11 +30,11 @@ class Samples:
 
     Attributes:
         columns: Name to values, (runs,).
-        origin: Where they come from, in words; with the seed of a design.
-        problem: Names and bounds as SALib takes them, of a design for sensitivity indices.
+        origin: Their source: the file, or the design with its seed.
+        problem: Names and bounds for SALib, in a design for sensitivity indices.
 
     Raises:
-        ParameterError: Columns differ in length, or hold no numbers.
+        ParameterError: Columns differ in length, or a value is no number.
     """
 
     columns: Mapping[str, Vector]
@@ -45,44 +44,71 @@ class Samples:
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", as_arrays("samples", self.columns))
         if not len(self):
-            raise ParameterError("samples: there are none; give one row per run")
+            raise ParameterError("samples: there are none; give one row for each run")
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
 
     def part(self, first: int, count: int) -> dict[str, Vector]:
-        """Return some consecutive rows."""
+        """Return consecutive rows."""
         return {name: column[first : first + count] for name, column in self.columns.items()}
 
     @cached_property
     def digest(self) -> str:
-        """What these samples are known by."""
-        parts = (name.encode() + b"\0" + column.tobytes() for name, column in self.columns.items())
-        return hashlib.sha256(b"\0".join(parts)).hexdigest()
-
-    def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write one row per run with 17 significant digits; the file is whole or not there."""
-        rows = zip(*(column.tolist() for column in self.columns.values()), strict=True)
-        lines = [",".join(self.columns), *(",".join(map(repr_17, row)) for row in rows)]
-        write_atomically(path, ("\n".join(lines) + "\n").encode())
+        """Hash of names and numbers."""
+        return digest_of(n.encode() + b"\0" + own.tobytes() for n, own in self.columns.items())
 
 
-def as_samples(given: Any) -> Samples:
-    """Return samples of whatever a user may give.
+def as_samples(table: Any) -> Samples:
+    """Return samples from a CSV file, a mapping, a pandas table or samples."""
+    if isinstance(table, Samples):
+        return table
+    if isinstance(table, str | os.PathLike):
+        return read_samples(table)
+    if isinstance(table, Mapping):
+        return Samples(table)
+    if hasattr(table, "columns") and hasattr(table, "to_numpy"):  # of pandas
+        return Samples({str(name): table[name].to_numpy() for name in table.columns})
+    raise UsageError.of_type("sweep: samples", table, A_TABLE)
 
-    Raises:
-        UsageError: It is none of these.
-        ParameterError: A file cannot be read, or something is no number.
+
+def chosen_samples(
+    start_values: Mapping[str, Any] | None,
+    samples: Any = None,
+    named: str | None = None,
+    *,
+    seed: int = 0,
+) -> Samples:
+    """Return the samples of a sweep.
+
+    Args:
+        start_values: By name: arrays, (runs,), or single numbers. With samples: single numbers
+            only. With a design: see `grid` and `design`.
+        samples: A table; see `as_samples`.
+        named: A design: "grid" or KIND:N, e.g. "sobol:1024".
+        seed: Of the design.
     """
-    if isinstance(given, Samples):
-        return given
-    if isinstance(given, str | os.PathLike):
-        return read_samples(given)
-    if isinstance(given, Mapping):
-        return Samples(given)
-    if hasattr(given, "columns") and hasattr(given, "to_numpy"):  # of pandas
-        return Samples({str(name): given[name].to_numpy() for name in given.columns})
-    raise UsageError.of_type("sweep: samples", given, A_TABLE)
+    if not isinstance(start_values, Mapping | None):
+        expected = "arrays by name, e.g. {'phi': [0.1, 0.2]}; a table as samples"
+        raise UsageError.of_type("sweep: start_values", start_values, expected)
+    if samples is not None:
+        if named is not None:
+            raise UsageError("sweep: give samples or a design, not both")
+        table, fixed = as_samples(samples), dict(start_values or {})
+        for name, value in fixed.items():
+            if name in table.columns:
+                raise UsageError(f"sweep: {name} is in samples and in start_values; give it once")
+            if np.ndim(value):
+                raise UsageError(f"sweep: {name}: with samples give one value for all runs")
+        return replace(table, columns={**table.columns, **fixed})
+    if named in (None, "grid"):
+        if not start_values:
+            raise UsageError("sweep: nothing varies; give start_values or samples")
+        return Samples(start_values) if named is None else grid(start_values)
+    kind, _, count = str(named).partition(":")
+    if not count.isdecimal():
+        raise UsageError(f"sweep: design {named}: write KIND:N, e.g. sobol:1024, or grid")
+    return design(kind, int(count), start_values or {}, seed=seed)
 
 
 def read_samples(path: str | os.PathLike[str]) -> Samples:
@@ -102,7 +128,7 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
             )
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise ParameterError(f"{path}: the column {twice} is there twice; keep one")
+        raise ParameterError(f"{path}: the column {twice} occurs twice; remove one")
     try:
         table = np.array(rows, dtype=float).reshape(len(rows), len(names))
     except ValueError as error:
@@ -111,7 +137,12 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
 
 
 def grid(axes: Mapping[str, ArrayLike]) -> Samples:
-    """Return every combination of the values of each name; the last name varies fastest."""
+    """Return every combination of the values of each name; the last name varies fastest.
+
+    Example:
+        >>> grid({"g": [1.62, 9.81], "m": [1.0, 2.0]}).columns["m"]
+        array([1., 2., 1., 2.])
+    """
     columns = {name: np.atleast_1d(np.array(values, dtype=float)) for name, values in axes.items()}
     table = np.array(list(product(*columns.values())), dtype=float)
     return Samples(dict(zip(columns, table.T, strict=True)), "grid")
@@ -131,6 +162,10 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
         UnknownName: There is no such design.
         ParameterError: A range is none, or `runs` is not positive.
         MissingTool: scipy is not there.
+
+    Example:
+        >>> len(design("sobol", 8, {"phi": (0.0, 0.5)}))
+        8
     """
     if kind not in DESIGNS:
         raise UnknownName.among("sweep", "design", kind, DESIGNS)
@@ -167,5 +202,70 @@ def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
 
 
 def digest_of(parts: Iterable[bytes]) -> str:
-    """Return what some bytes are known by."""
+    """Return a hash of some bytes."""
     return hashlib.sha256(b"\0".join(parts)).hexdigest()
+
+
+METHODS = ("sobol", "morris")
+
+
+def sensitivity_design(
+    method: str, size: int, ranges: Mapping[str, Sequence[float]], *, seed: int = 0
+) -> Samples:
+    """Return the design that indices need.
+
+    Args:
+        method: "sobol" (size * (2 k + 2) runs for k names) or "morris" (size * (k + 1)).
+        size: Base samples, a power of two for "sobol"; trajectories of "morris".
+        ranges: By name (low, high).
+        seed: The same seed, the same design.
+
+    Raises:
+        UnknownName: There is no such method.
+        MissingTool: SALib is not there.
+
+    Example:
+        >>> len(sensitivity_design("morris", 4, {"g": (9.0, 10.0), "m": (1.0, 2.0)}))
+        12
+    """
+    if method not in METHODS:
+        raise UnknownName.among("sweep", "sensitivity method", method, METHODS)
+    names = list(ranges)
+    problem = {
+        "num_vars": len(names),
+        "names": names,
+        "bounds": [[float(low), float(high)] for low, high in ranges.values()],
+    }
+    module = optional_module(f"SALib.sample.{method}", "sweep")
+    table = module.sample(problem, size, seed=seed)
+    columns = dict(zip(names, np.array(table, dtype=float).T, strict=True))
+    return Samples(columns, f"SALib {method}:{size}, seed {seed}", problem)
+
+
+def indices(samples: Samples, number: Vector, method: str) -> dict[str, Vector]:
+    """Return the indices of a number of each run.
+
+    Returns:
+        "sobol": first-order "S1" and total "ST" with half-widths of 95 % "S1_conf", "ST_conf";
+        "morris": "mu_star", "sigma"; one per name, in the order of the samples.
+
+    Raises:
+        UsageError: The samples are no design of that method, or a run has no number.
+    """
+    if method not in METHODS:
+        raise UnknownName.among("sweep", "sensitivity method", method, METHODS)
+    if samples.problem is None or not samples.origin.startswith(f"SALib {method}"):
+        raise UsageError(f"indices: the samples are no {method} design; see sensitivity_design")
+    if not np.isfinite(number).all():
+        missing = int((~np.isfinite(number)).sum())
+        raise UsageError(f"indices: {missing} runs have no number; narrow the ranges")
+    analyze = optional_module(f"SALib.analyze.{method}", "sweep").analyze
+    found: Mapping[str, Any]
+    if method == "sobol":
+        found = analyze(dict(samples.problem), number, seed=0)
+        keys: tuple[str, ...] = ("S1", "S1_conf", "ST", "ST_conf")
+    else:
+        table = np.column_stack([samples.columns[name] for name in samples.problem["names"]])
+        found = analyze(dict(samples.problem), table, number, seed=0)
+        keys = ("mu_star", "sigma")
+    return {key: np.array(found[key], dtype=float) for key in keys}

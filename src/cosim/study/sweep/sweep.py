@@ -1,98 +1,83 @@
-"""`sweep`: many runs over the processes of a machine or a cluster, kept as they finish."""
+"""`sweep`: many runs of a model, a scene or an FMU, in this process or over a dask cluster."""
 
 import os
-import pickle
 import platform
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import ExitStack, closing
+from dataclasses import replace
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-import numpy as np
 from numpy.typing import ArrayLike
+from tqdm import tqdm
 
 from cosim.errors import Interrupted, ParameterError, UsageError
 from cosim.host.optional_packages import optional_module
-from cosim.host.temporary import temporary_folder
 from cosim.integrate.ensemble.simulate_many import processors
-from cosim.integrate.solver import Solver
-from cosim.study.sweep.chunk import Job
-from cosim.study.sweep.engines.cluster import connected, run_cluster
-from cosim.study.sweep.engines.processes import run_here, run_processes
-from cosim.study.sweep.engines.schedule import Schedule, gaps
-from cosim.study.sweep.keep import keep_from
-from cosim.study.sweep.progress import SweepProgress
-from cosim.study.sweep.result import SweepResult, collect
-from cosim.study.sweep.samples import Samples, as_samples, digest_of
-from cosim.study.sweep.store import Store
-from cosim.study.sweep.subjects.opening import as_subject, opened_subject
-from cosim.trajectory import Trajectory
+from cosim.study.sweep.block import Block, Job
+from cosim.study.sweep.reductions import Function, Keep, keep_from
+from cosim.study.sweep.result import SweepResult
+from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
+from cosim.study.sweep.store import Layout, Store, stored_samples
+from cosim.study.sweep.subject import RunKeywords, open_subject, run_settings
 
-_STORE_FORMAT = 1  # of the store
-_LANE_CHUNK = 16  # runs; fewer leave lanes empty
-
-Function = Callable[[Trajectory], Mapping[str, float]]
+_STORE_FORMAT = 2
+_LANE_BLOCK = 16, 1024  # fewest and most runs of a block in SIMD lanes
+_BLOCK = 1, 16  # fewest and most runs of a block, run one by one
+_BLOCKS = 24  # blocks of a sweep, if these bounds allow it
+_BLOCK_NUMBERS = 1 << 21  # of all trajectories in a block, in memory
 
 
 def sweep(
     subject: Any,
-    samples: Any = None,
+    start_values: Mapping[str, ArrayLike] | None = None,
     *,
-    outputs: Sequence[str] | None = None,
-    keep: Iterable[str] = ("final",),
-    function: Function | None = None,
-    times: ArrayLike | None = None,
-    start_time: float | None = None,
-    stop_time: float | None = None,
-    output_interval: float | None = None,
-    solver: str | Solver | None = None,
-    relative_tolerance: float | None = None,
-    absolute_tolerance: float | None = None,
-    step_size: float | None = None,
-    on_invalid: str | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    client: Any = None,
-    chunk: int | None = None,
+    samples: Any = None,
+    design: str | None = None,
+    keep: Iterable[str | Function] = ("final",),
     store: str | os.PathLike[str] | None = None,
     resume: bool = False,
+    scheduler: Any = None,
+    workers: int | None = None,
     progress: bool | None = None,
+    **run: Unpack[RunKeywords],
 ) -> SweepResult:
     """Run many variants of a model, a scene or an FMU.
 
-    What is returned is the same, bit for bit, for any number of workers and size of chunks, and
-    with interruptions; a run that fails or is refused is a row like the others.
+    The results are the same, bit for bit, for any number of workers and with interruptions; a run
+    that fails or has impossible values is a row like the others.
 
     Args:
         subject: A model's name, a `Dae`, SCENE.toml or FILE.fmu (its binary runs: trust it).
-        samples: What is varied: arrays by name, a CSV file, a pandas table, or what `grid`,
-            `design` and `sensitivity_design` of `cosim.study.sweep` return; SI units. The stored
-            ones when None, to resume.
-        outputs: Names to record; the model's own when None.
-        keep: Words: "trajectories", "statistics" (over all runs), and of each run "final", "max",
+        start_values: Values by name, SI: arrays with one number per run, or one number for all.
+            With a design: the range (low, high) of each, a distribution of `scipy.stats`, or one
+            number; with "grid": the values of each.
+        samples: Samples instead of arrays: a CSV file, a pandas table, or a result of `grid`,
+            `design` or `sensitivity_design` of `cosim.study.sweep.samples`. None with `resume`: the
+            stored samples.
+        design: "grid" for every combination, or KIND:N for N runs: sobol, lhs, halton, random.
+        keep: Results: "trajectories", "statistics" (over all runs), and of each run "final", "max",
             "min", "mean", "rms" of all outputs, or "max(phi)" of one, "first(phi, 0.5)" for the
-            time when it first crosses a level.
-        function: Of a run's `Trajectory`; returns more numbers by name.
-        times: Output times, s; see `simulate_many`.
-        start_time, stop_time, output_interval, solver, relative_tolerance, absolute_tolerance,
-            step_size, on_invalid: See `simulate_many`; the model's or the scene's own when None.
-        workers: Processes; one per processor when None; 0: this process itself, with threads.
-        scheduler: Instead: "local" for a Dask cluster of this machine, or a scheduler's address.
-        client: Instead: a `distributed.Client`. Its workers must see the store's folder.
-        chunk: Runs of a task, rounded down to a power of two; about a second when None.
-        store: Folder that keeps everything: manifest, samples, chunks, and at the end `runs.csv`
-            and `results.zarr`.
-        resume: Whether to go on with a store; nothing that is finished is computed again.
-        progress: Whether to say on stderr how far it is; where that is a terminal when None.
+            time when it first crosses a level. Functions of a run's `Trajectory` return more
+            numbers by name.
+        store: A zarr folder for the results, written block by block.
+        resume: Whether to continue the sweep in `store`; finished blocks are not repeated.
+        scheduler: "local" for processes of this machine, the address of a dask scheduler, or a
+            `distributed.Client`. None: this process for runs in SIMD lanes, which use all its
+            threads, and without the extra `sweep`; otherwise "local".
+        workers: Number of local processes; 0: this process. None: one per processor.
+        progress: Whether to show progress on stderr; None: if that is a terminal.
+        run: `outputs`, `output_times`, `start_time`, `stop_time`, `output_interval`, `solver`,
+            `relative_tolerance`, `absolute_tolerance`, `step_size`, `max_step`, `on_invalid` as
+            of `simulate_many`; otherwise those of the model or the scene.
 
     Raises:
         UnknownName, ParameterError, UsageError: A name, a number or a word is wrong; or the store
             holds another sweep.
-        MissingTool: A package of the extra `sweep` is not there.
-        Interrupted: Ctrl-C; `partial` holds what had finished, and the store keeps it.
+        MissingTool: A package of the extra `sweep` is not installed.
+        Interrupted: Ctrl-C; `partial` and the store hold the finished runs.
 
     Example:
         >>> run = {"stop_time": 1, "workers": 0}
@@ -100,161 +85,116 @@ def sweep(
         >>> found["omega_final"]
         array([50., 60.])
     """
-    thing = opened_subject(as_subject(subject))
-    if store is not None:
+    settings = run_settings(run)
+    opened = open_subject(subject)
+    folder = None if store is None else Path(store).resolve()
+    if folder is not None:
         optional_module("xarray", "sweep"), optional_module("zarr", "sweep")
-    if samples is None and (store is None or not resume):
-        raise UsageError("sweep: give samples; they may be left out to resume a store")
-    chosen = Store(store).samples() if samples is None and store else as_samples(samples)
-    settings = _kept_settings(
-        times=times,
-        start_time=start_time,
-        stop_time=stop_time,
-        output_interval=output_interval,
-        solver=solver,
-        relative_tolerance=relative_tolerance,
-        absolute_tolerance=absolute_tolerance,
-        step_size=step_size,
-        on_invalid=on_invalid,
-    )
-    columns = thing.columns(outputs)
+    elif resume:
+        raise UsageError("sweep: there is no store to resume; name it with store (--store)")
+    if resume and folder is not None and samples is None and start_values is None:
+        chosen = stored_samples(folder)
+    else:
+        chosen = chosen_samples(start_values, samples, design)
+    columns = opened.columns(settings.pop("outputs", None))
     names = tuple(column.name for column in columns)
-    kept = keep_from(keep, names)
-    how = thing.prepare([*chosen.columns], {**settings, "outputs": names})
-    lean = "lanes" in how
-    crew = _Crew.of(workers, scheduler, client)
-    with ExitStack() as stack:
-        temporary = store is None
-        folder = stack.enter_context(temporary_folder()) if store is None else os.fspath(store)
-        kept_here = Store(Path(folder).resolve() / "sweep" if temporary else Path(folder).resolve())
-        manifest = {
-            "format": _STORE_FORMAT,
-            "model": thing.name,
-            "model_digest": thing.digest,
-            "samples": chosen.origin,
-            "samples_digest": chosen.digest,
-            "problem": None if chosen.problem is None else dict(chosen.problem),
-            "runs": len(chosen),
-            "outputs": list(names),
-            "keep": kept.words(),
-            "function": _function_name(function),
-            "settings": settings,
-            "computed": how,
-            "versions": _versions(),
-        }
-        if resume and not temporary:
-            kept_here.reopen(manifest)
-        else:
-            kept_here.create(manifest, chosen)
-        packed = None if function is None else _packed(function, crew.processes > 0)
-        job = Job(
-            as_subject(subject),
-            names,
-            settings,
-            kept,
-            packed,
-            str(kept_here.folder),
-            1 if crew.processes or crew.scheduler or crew.client else processors(),
-        )
-        finished = kept_here.finished()
-        schedule = Schedule(
-            gaps(len(chosen), finished), max(1, crew.processes), chunk, _LANE_CHUNK if lean else 1
-        )
-        tell = SweepProgress(len(chosen), sum(count for _, count in finished), progress)
-        meanings = {r.name: r.meaning for r in kept.reductions}
-        gather = partial(
-            collect, kept_here, thing.name, chosen, columns, meanings, temporary=temporary
-        )
-        try:
-            if not schedule.over:
-                crew.compute(job, chosen, schedule, tell)
-        except KeyboardInterrupt as stopped:
-            result = gather()
-            done = int(result.computed.sum())
-            where = "" if temporary else f" are kept in {store}; go on with resume (--resume)"
-            told = f"sweep: interrupted; {done} of {len(chosen)} runs{where or ' had ended'}"
-            raise Interrupted(told, result) from stopped
-        finally:
-            tell.end()
-        result = gather()
-        if not temporary:
-            result.to_csv(kept_here.folder / "runs.csv")
-            result.to_zarr(kept_here.folder / "results.zarr")
-        return result
+    stored = keep_from(keep, names)
+    recorded = {**settings, "outputs": names}
+    computed = opened.prepare([*chosen.columns], recorded)
+    in_lanes = "lanes" in computed
+    scheduler = _chosen_scheduler(scheduler, workers, alone=in_lanes and not stored.functions)
+    time = opened.times(settings)
+    manifest = {
+        "format": _STORE_FORMAT,
+        "model": opened.name,
+        "model_digest": opened.digest,
+        "samples": chosen.origin,
+        "samples_digest": chosen.digest,
+        "problem": None if chosen.problem is None else dict(chosen.problem),
+        "outputs": list(names),
+        "keep": [*stored.words(), *map(_function_name, stored.functions)],
+        "settings": settings,
+        "computed": computed,
+        "versions": {name: version(name) for name in ("cosim-rigid", "casadi", "numpy")}
+        | {"machine": platform.machine()},
+    }
+    block = _block_size(len(chosen), len(time) * len(names), in_lanes=in_lanes)
+    layout = Layout(manifest, chosen, columns, time, stored, block)
+    if folder is None:
+        results = Store(layout)
+    else:
+        results = (Store.reopened if resume else Store.created)(layout, folder)
+    finished = {*results.finished()}
+    left = [part for part in layout.blocks() if part not in finished]
+    job = Job(opened, recorded, len(time), stored, processors())
+    bar = tqdm(
+        total=len(chosen),
+        initial=len(chosen) - sum(count for _, count in left),
+        unit=" runs",
+        disable=None if progress is None else not progress,  # None: if stderr is no terminal
+    )
+    computing = _computed(job, chosen, left, scheduler, workers or processors())
+    try:
+        with bar, closing(computing) as blocks:
+            for part in blocks:
+                results.write(part)
+                bar.update(len(part))
+    except KeyboardInterrupt as stopped:
+        result = SweepResult.of(results)
+        done = f"sweep: interrupted; {int(result.computed.sum())} of {len(chosen)} runs"
+        where = " had ended"
+        if store is not None:
+            where = f" are stored in {store}; continue with resume=True (--resume)"
+        raise Interrupted(done + where, result) from stopped
+    results.finish()
+    return SweepResult.of(results)
 
 
-@dataclass(frozen=True)
-class _Crew:
-    """Who computes: some processes, or a cluster."""
-
-    processes: int
-    scheduler: str | None
-    client: Any
-
-    @classmethod
-    def of(cls, workers: int | None, scheduler: str | None, client: Any) -> "_Crew":
-        if scheduler is not None and client is not None:
-            raise UsageError("sweep: give a scheduler or a client, not both")
-        if workers is not None and (not isinstance(workers, int) or workers < 0):
-            raise ParameterError(f"sweep: workers = {workers!r}; give 0 or more")
-        if scheduler not in (None, "local") and workers is not None:
-            raise UsageError("sweep: a scheduler has workers of its own; leave workers out")
-        return cls(processors() if workers is None else workers, scheduler, client)
-
-    def compute(self, job: Job, samples: Samples, schedule: Schedule, tell: SweepProgress) -> None:
-        if self.client is not None:
-            run_cluster(job, samples, schedule, tell, self.client)
-        elif self.scheduler is not None:
-            with connected(self.scheduler, max(1, self.processes)) as client:
-                run_cluster(job, samples, schedule, tell, client)
-        elif self.processes:
-            run_processes(job, samples, schedule, tell, self.processes)
-        else:
-            run_here(job, samples, schedule, tell)
+def _chosen_scheduler(scheduler: Any, workers: int | None, *, alone: bool) -> Any:
+    """Return the requested scheduler; by default this process (None) if `alone`, else "local"."""
+    if workers is not None and (not isinstance(workers, int) or workers < 0):
+        raise ParameterError(f"sweep: workers = {workers!r}; give 0 or more")
+    if scheduler not in (None, "local") and workers is not None:
+        raise UsageError("sweep: a scheduler has workers of its own; leave workers out")
+    if scheduler is None and workers != 0:
+        here = workers is None and (alone or find_spec("distributed") is None)
+        return None if here else "local"
+    return scheduler
 
 
-def _kept_settings(*, times: ArrayLike | None, **given: Any) -> dict[str, Any]:
-    """Return what is not None, in forms that JSON keeps."""
-    solver = given.get("solver")
-    if isinstance(solver, Solver):
-        numbers = {name: value for name, value in vars(solver).items() if value is not None}
-        twice = next((name for name in numbers if given.get(name) is not None), None)
-        if twice is not None:
-            raise UsageError(f"sweep: {twice} is given beside {solver}; give it once")
-        given |= {"solver": solver.name, **numbers}
-    settings = {name: value for name, value in given.items() if value is not None}
-    if times is not None:
-        if "stop_time" in settings or "output_interval" in settings:
-            raise UsageError("give times, or stop_time and output_interval, not both")
-        try:
-            settings["times"] = np.atleast_1d(np.array(times, dtype=float)).tolist()
-        except (TypeError, ValueError) as error:
-            raise ParameterError(f"times: {error}; give times in s") from error
-    return settings
+def _computed(
+    job: Job, samples: Samples, blocks: list[tuple[int, int]], scheduler: Any, workers: int
+) -> Generator[Block, None, None]:
+    """Yield every block as it is finished by this process, local processes or a cluster."""
+    if scheduler is None:
+        for first, count in blocks:
+            yield job.reduced(job.compute(first, samples.part(first, count)))
+    elif blocks:
+        from cosim.study.sweep.cluster import connected, over_cluster
+
+        there = replace(job, keep=_packed(job.keep), threads=1)
+        with ExitStack() as stack:
+            if isinstance(scheduler, str):
+                scheduler = stack.enter_context(connected(scheduler, workers))
+            yield from over_cluster(there, samples, blocks, scheduler)
 
 
-def _function_name(function: Function | None) -> str | None:
-    """Return by what a user's function is told from another."""
-    if function is None:
-        return None
+def _block_size(runs: int, numbers: int, *, in_lanes: bool) -> int:
+    """Return the number of runs in a block, a power of two, for a size of each trajectory."""
+    least, most = _LANE_BLOCK if in_lanes else _BLOCK
+    size = min(max(runs // _BLOCKS, least), most, max(_BLOCK_NUMBERS // max(numbers, 1), 1))
+    return int(1 << size.bit_length() - 1)
+
+
+def _function_name(function: Function | bytes) -> str:
+    """Return the name of a user's function and a digest of its code."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
     code = getattr(function, "__code__", None)
     digest = "" if code is None else digest_of([code.co_code, repr(code.co_consts).encode()])[:16]
     return f"{name} {digest}".strip()
 
 
-def _packed(function: Function, elsewhere: bool) -> bytes:
-    """Return a function as bytes; other processes know nothing of a script's own ones."""
-    if elsewhere:
-        found: bytes = optional_module("cloudpickle", "sweep").dumps(function)
-        return found
-    try:
-        return pickle.dumps(function)
-    except (pickle.PicklingError, AttributeError, TypeError):
-        packed: bytes = optional_module("cloudpickle", "sweep").dumps(function)
-        return packed
-
-
-def _versions() -> dict[str, str]:
-    packages = {name: version(name) for name in ("cosim-rigid", "casadi", "numpy")}
-    return {**packages, "machine": platform.machine()}
+def _packed(keep: Keep) -> Keep:
+    """Return users' functions as bytes: other processes may not find a script's own functions."""
+    pickler = optional_module("cloudpickle", "sweep")
+    return replace(keep, functions=tuple(pickler.dumps(f) for f in keep.functions))

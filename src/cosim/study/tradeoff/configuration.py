@@ -1,52 +1,77 @@
-"""What is measured: configurations, and the selection of them that a user asks for."""
+"""Configurations of a trade-off study, and the user's selection of them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 from casadi_models.dae import Dae
+from cosim.backend import Backend
 from cosim.errors import ParameterError, UnknownName
-from cosim.integrate.drift_control import DRIFT_CONTROLS, controllable
-from cosim.integrate.solver import Tolerance
-from cosim.integrate.solvers import SOLVERS
+from cosim.integrate.preparation import controllable
+from cosim.integrate.solvers import SOLVERS, requested_solver
+from cosim.model.request import DriftControl, RunRequest
+from cosim.model.solver import Solver, Tolerance
+from cosim.model.times import Times
 from cosim.model.values import number
-from cosim.scene.roads import Road
 
 TOLERANCES = tuple(float(f"1e-{i}") for i in range(2, 13))
 STEPS = (10.0, 5.0, 2.0, 1.0, 0.5, 0.25, 0.125)  # of fixed-step solvers, in output intervals
-UNROLLED = 5  # of them are measured interpreted: CasADi unrolls the steps, for half a minute
+UNROLLED = 5  # largest steps, also measured interpreted; CasADi unrolls smaller ones for too long
 COMMUNICATION = (1.0, 10.0)  # steps of co-simulation, in output intervals
-Family = tuple[str, bool, Road, str, str | None]  # model, reduced, road, solver, drift control
+Family = tuple[str, bool, Backend, str, DriftControl | None]
+# model, reduced, backend, solver, drift control
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """One way to compute a scene.
+    """A request and the backend that executes it.
 
     Attributes:
-        model: `MODEL/FORMULATION`.
-        reduced: Whether the model is reduced to the wanted outputs.
-        road: A `Road`, or its name.
-        solver: A name of `SOLVERS`; of an FMU, what integrates it.
-        tolerance: Relative tolerance of an adaptive solver.
-        step: Step of a fixed-step solver, or from one communication point to the next, s.
-        drift_control: One of `DRIFT_CONTROLS`; the model's own when None.
+        request: The run; for an FMU, its output interval is the communication step.
+        backend: The backend that executes it.
+        reduced: Whether the model is reduced to the selected outputs.
     """
 
-    model: str
-    reduced: bool
-    road: Road
-    solver: str
-    tolerance: float | None = None
-    step: float | None = None
-    drift_control: str | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "road", Road.named(self.road))
+    request: RunRequest
+    backend: Backend
+    reduced: bool = False
 
     def __str__(self) -> str:
-        size = " (kept outputs only)" if self.reduced else ""
+        size = " (reduced)" if self.reduced else ""
         control = "" if self.drift_control is None else f" (drift: {self.drift_control})"
-        return f"{self.model}{size}{control} {self.road} {self.solver} {self.setting}"
+        return f"{self.model}{size}{control} {self.backend} {self.solver} {self.setting}"
+
+    @property
+    def model(self) -> str:
+        """`MODEL/FORMULATION`."""
+        return self.request.dae.full_name
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver; for an FMU, the solver of the importer or of the FMU itself."""
+        if self.backend is Backend.MODEL_EXCHANGE:
+            return "cvode"
+        if self.backend is Backend.CO_SIMULATION:
+            return "rosenbrock" if self.request.dae.algebraics else "erk"
+        assert isinstance(self.request.solver, Solver)
+        return self.request.solver.name
+
+    @property
+    def tolerance(self) -> float | None:
+        """Relative tolerance; None for fixed steps."""
+        return self.request.relative_tolerance
+
+    @property
+    def step(self) -> float | None:
+        """Step of a fixed-step solver, or communication step, s."""
+        if self.backend is Backend.CO_SIMULATION:
+            return self.request.times.interval
+        return getattr(self.request.solver, "step_size", None)
+
+    @property
+    def drift_control(self) -> DriftControl | None:
+        """Drift control; the model's own when None."""
+        return self.request.policy.drift_control
 
     @property
     def setting(self) -> str:
@@ -56,48 +81,47 @@ class Configuration:
         return f"{tolerance} {step}".strip()
 
     @property
-    def short(self) -> str:
-        """The configuration without the model's name."""
-        return str(self).removeprefix(f"{self.model.partition('/')[0]}/")
-
-    @property
     def family(self) -> Family:
-        """What configurations share that differ in tolerance and step only."""
-        return self.model, self.reduced, self.road, self.solver, self.drift_control
+        """Everything except tolerance and step; configurations of one family share it."""
+        return self.model, self.reduced, self.backend, self.solver, self.drift_control
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which configurations a user wants; the default is all of them.
+    """The user's selection of configurations; the default is all of them.
 
     Attributes:
-        solvers: Names of `SOLVERS`; all of them when empty.
-        tolerances: Relative tolerances; a decade apart from 1e-2 to 1e-12 when empty.
-        steps: Of fixed-step solvers, s; from ten output intervals to an eighth when empty.
-        roads: Roads, or their names; all that work here when empty.
-        drift_controls: Of `DRIFT_CONTROLS`, for CasADi's integrators; the model's own when empty.
+        solvers: Names of `SOLVERS` (empty: all of them).
+        tolerances: Relative tolerances (empty: 1e-2 to 1e-12, a decade apart).
+        steps: Steps of fixed-step solvers, s (empty: from ten output intervals to an eighth).
+        backends: Backends, or their names (empty: all that work on this machine).
+        drift_controls: Values of `DriftControl`, for CasADi's integrators (empty: the model's own).
 
     Raises:
-        UnknownName: A solver, a road or a drift control does not exist.
+        UnknownName: A solver, a backend or a drift control does not exist.
         ParameterError: A tolerance or a step is out of range.
+
+    Example:
+        >>> Selection(("erk",), tolerances=(1e-6,), backends=("native",)).used_backends
+        (<Backend.NATIVE: 'native'>,)
     """
 
     solvers: tuple[str, ...] = ()
     tolerances: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
-    roads: tuple[Road | str, ...] = ()
+    backends: tuple[Backend | str, ...] = ()
     drift_controls: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for kind, names, known in (
             ("solver", self.solvers, SOLVERS),
-            ("drift control", self.drift_controls, DRIFT_CONTROLS),
+            ("drift control", self.drift_controls, tuple(DriftControl)),
         ):
             for name in names:
                 if name not in known:
                     raise UnknownName.among("cosim tradeoff", kind, name, known)
-        roads = tuple(dict.fromkeys(Road.named(road, "cosim tradeoff") for road in self.roads))
-        object.__setattr__(self, "roads", roads)
+        backends = tuple(dict.fromkeys(Backend.named(backend) for backend in self.backends))
+        object.__setattr__(self, "backends", backends)
         for tolerance in self.tolerances:
             if Tolerance(tolerance).relative == 0:
                 raise ParameterError("a relative tolerance of 0 leaves nothing to vary")
@@ -105,86 +129,95 @@ class Selection:
             number("tradeoff", "step", step, positive=True)
 
     @property
-    def ways(self) -> tuple[Road, ...]:
-        """The roads that are wanted."""
-        return tuple(Road(road) for road in self.roads) or tuple(Road)
+    def used_backends(self) -> tuple[Backend, ...]:
+        """The backends that are measured."""
+        return tuple(Backend(backend) for backend in self.backends) or tuple(Backend)
 
-    def configurations(
-        self, dae: Dae, small: Dae | None, span: float, interval: float
-    ) -> Iterator[Configuration]:
-        """Yield what is to be measured of one formulation.
-
-        Args:
-            dae: The full model.
-            small: The reduced one, where there is one.
-            span, interval: Length of the run and distance of its outputs, s.
-        """
-        for reduced, model in ((False, dae), (True, small)):
-            if model is None:
+    def configurations(self, full: RunRequest, small: RunRequest | None) -> Iterator[Configuration]:
+        """Yield the configurations of one formulation, of the full and of the reduced model."""
+        for reduced, request in ((False, full), (True, small)):
+            if request is None:
                 continue
-            for road in self.ways:
-                if road.native:
-                    for plain in self._integrators(dae, reduced, road, span, interval):
-                        for control in self._drift_controls(model, plain):
-                            yield replace(plain, drift_control=control)
+            for backend in self.used_backends:
+                if backend.native:
+                    yield from self._native(request, backend, reduced)
                 elif not self.solvers:
-                    yield from self._fmus(dae, reduced, road, span, interval)
+                    yield from self._fmus(request, backend, reduced)
 
     def impossible(self, dae: Dae) -> Iterator[tuple[str, str]]:
-        """Yield what of the selection is not measured of one formulation, and the reason."""
-        solvers, roads = self.solvers or tuple(SOLVERS), self.ways
+        """Yield the parts of the selection that one formulation does not allow, with the reason."""
+        solvers, backends = self.solvers or tuple(SOLVERS), self.used_backends
         unable = [s for s in solvers if dae.algebraics and not SOLVERS[s].solves_dae]
-        if unable and any(road.native for road in roads):
+        if unable and any(backend.native for backend in backends):
             yield f"{dae.full_name} {', '.join(unable)}", "cannot integrate algebraic unknowns"
         compiled = [s for s in solvers if SOLVERS[s].compiled_only]
-        if Road.INTERPRETED in roads and compiled:
-            what = f"{dae.full_name} {Road.INTERPRETED} {', '.join(compiled)}"
+        if Backend.INTERPRETED in backends and compiled:
+            what = f"{dae.full_name} {Backend.INTERPRETED} {', '.join(compiled)}"
             yield what, "exists as compiled code only"
         fixed = [s for s in solvers if not SOLVERS[s].adaptive and s not in unable]
-        if Road.INTERPRETED in roads and fixed and not self.steps:
-            what = f"{dae.full_name} {Road.INTERPRETED} {', '.join(fixed)} in smaller steps"
-            yield what, "CasADi unrolls the steps, which takes far longer than to run them"
-        if refused := [c for c in self.drift_controls if not controllable(dae, c)]:
-            yield f"{dae.full_name} {', '.join(refused)}", "the model cannot drift or be controlled"
+        if Backend.INTERPRETED in backends and fixed and not self.steps:
+            what = f"{dae.full_name} {Backend.INTERPRETED} {', '.join(fixed)} in smaller steps"
+            yield what, "CasADi unrolls the steps, which takes far longer than the run"
+        if unable := [c for c in self.drift_controls if not controllable(dae, DriftControl(c))]:
+            yield f"{dae.full_name} {', '.join(unable)}", "the model cannot drift or be controlled"
         if "projection" in self.drift_controls:
             others = [s for s in solvers if not SOLVERS[s].projects]
             yield f"{dae.full_name} projection, {', '.join(others)}", "do not project their steps"
 
-    def _drift_controls(self, dae: Dae, plain: Configuration) -> Iterator[str | None]:
-        """Yield the drift controls that a model and a solver can have."""
-        if not self.drift_controls:
-            yield None
-        for control in self.drift_controls:
-            able = SOLVERS[plain.solver].projects and plain.road is Road.NATIVE
-            if controllable(dae, control) and (able or control != "projection"):
-                yield control
-
-    def _integrators(
-        self, dae: Dae, reduced: bool, road: Road, span: float, interval: float
+    def _native(
+        self, request: RunRequest, backend: Backend, reduced: bool
     ) -> Iterator[Configuration]:
+        dae, (begin, end) = request.dae, request.times.span(request.dae)
+        interval = request.times.interval or dae.experiment.output_interval
+        compiled = backend is Backend.NATIVE
         for name in self.solvers or SOLVERS:
-            if dae.algebraics and not SOLVERS[name].solves_dae:
+            kind = SOLVERS[name]
+            if (dae.algebraics and not kind.solves_dae) or (kind.compiled_only and not compiled):
                 continue
-            if SOLVERS[name].compiled_only and road is Road.INTERPRETED:
-                continue
-            if SOLVERS[name].adaptive:
-                for tolerance in self.tolerances or TOLERANCES:
-                    yield Configuration(dae.full_name, reduced, road, name, tolerance)
+            if kind.adaptive:
+                found = [
+                    replace(request, solver=requested_solver(dae, name, tolerance))
+                    for tolerance in self.tolerances or TOLERANCES
+                ]
             else:
-                factors = STEPS if road == Road.NATIVE else STEPS[:UNROLLED]
-                for step in self.steps or _dividing(factors, span, interval):
-                    yield Configuration(dae.full_name, reduced, road, name, step=step)
+                factors = STEPS if compiled else STEPS[:UNROLLED]
+                found = [
+                    replace(
+                        request,
+                        solver=requested_solver(dae, name, step_size=step),
+                        times=Times(begin, end, max(step, interval)),
+                    )
+                    for step in self.steps or _dividing(factors, end - begin, interval)
+                ]
+            for plain, control in product(found, self._drift_controls(dae, kind, backend)):
+                policy = replace(plain.policy, compiled=compiled, drift_control=control)
+                yield Configuration(replace(plain, policy=policy), backend, reduced)
+
+    def _drift_controls(
+        self, dae: Dae, kind: type[Solver], backend: Backend
+    ) -> tuple[DriftControl | None, ...]:
+        """Return the selected drift controls that a model and a solver support."""
+        if not self.drift_controls:
+            return (None,)
+        able = kind.projects and backend is Backend.NATIVE
+        return tuple(
+            DriftControl(control)
+            for control in self.drift_controls
+            if controllable(dae, DriftControl(control))
+            and (able or control != DriftControl.PROJECTION)
+        )
 
     def _fmus(
-        self, dae: Dae, reduced: bool, road: Road, span: float, interval: float
+        self, request: RunRequest, backend: Backend, reduced: bool
     ) -> Iterator[Configuration]:
-        inside = "rosenbrock" if dae.algebraics else "erk"
-        for tolerance in self.tolerances or TOLERANCES:
-            if road == Road.MODEL_EXCHANGE:
-                yield Configuration(dae.full_name, reduced, road, "cvode", tolerance)
-                continue
-            for step in _dividing(COMMUNICATION, span, interval):
-                yield Configuration(dae.full_name, reduced, road, inside, tolerance, step)
+        dae, (begin, end) = request.dae, request.times.span(request.dae)
+        interval = request.times.interval or dae.experiment.output_interval
+        exchange = backend is Backend.MODEL_EXCHANGE
+        steps = [interval] if exchange else _dividing(COMMUNICATION, end - begin, interval)
+        for tolerance, step in product(self.tolerances or TOLERANCES, steps):
+            times = Times(begin, end, step)
+            own = replace(request, solver=Tolerance(tolerance), times=times)
+            yield Configuration(own, backend, reduced)
 
 
 def _dividing(factors: tuple[float, ...], span: float, interval: float) -> list[float]:

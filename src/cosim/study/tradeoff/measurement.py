@@ -1,7 +1,7 @@
-"""From single runs to measurements: error, counts, and median and spread of the times."""
+"""Measured error and cost of configurations: of single runs and of repeated ones."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any
 
@@ -9,12 +9,35 @@ import numpy as np
 
 from cosim.errors import CosimError, SolverError
 from cosim.study.tradeoff.configuration import Configuration
-from cosim.study.tradeoff.record import Event, Outcome
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 from cosim.verify.reference import Reference
 
+COMPLETE, LEFT_OUT = "complete", "left out"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        kind: "complete", "left out", or the type of the error.
+        reason: Why there is no result.
+    """
+
+    kind: str = COMPLETE
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}" if self.reason else self.kind
+
+
 COSTS = ("rhs_calls", "solver_time")
+_SETTINGS = ("backend", "solver", "drift_control", "tolerance", "step")
+_RESULTS = (
+    *("error", "worst", "drift", "drifting"),
+    *("rhs_calls", "jacobian_calls", "steps", "points"),
+)
 
 
 @dataclass(frozen=True)
@@ -26,31 +49,32 @@ class Timing:
     slowest: float
     repeats: int
 
+    @classmethod
+    def of(cls, times: Iterable[float | None]) -> "Timing | None":
+        """Return the timing of the known times; None if there are none."""
+        known = [time for time in times if time is not None]
+        return cls(median(known), min(known), max(known), len(known)) if known else None
+
 
 @dataclass(frozen=True)
 class Measurement:
-    """A configuration with its error and its cost.
+    """Error and cost of a configuration, of one run or of several.
 
     Attributes:
-        configuration: What ran.
-        outcome: How its first run ended.
-        error: Largest global error of the kept outputs, in nominal values.
-        worst: The output that has it.
-        errors: Of each kept output.
-        drift: Largest change of what the reference keeps constant, in nominal values.
-        drifting: What changes most.
-        rhs_calls, jacobian_calls, steps: Counts; None where the road does not tell.
-        solver_time, total_time: Of the integration alone, and with everything around it.
-        first_time: s; of the first run, with whatever had to be compiled.
+        configuration: The configuration that was run.
+        outcome: How the first run ended.
+        errors: Largest global error by name, in nominal values.
+        drifts: Largest change of each invariant of the reference, in nominal values, by name.
+        rhs_calls, jacobian_calls, steps: Counts; None if the backend does not report them.
+        points: Number of output times that were compared.
+        solver_time, total_time: Times of the integration alone, and of the whole run.
+        first_time: Time of the first run, compilation included, s.
     """
 
     configuration: Configuration
-    outcome: Outcome
-    error: float | None = None
-    worst: str | None = None
-    errors: Mapping[str, float] | None = None
-    drift: float | None = None
-    drifting: str | None = None
+    outcome: Outcome = Outcome()
+    errors: Mapping[str, float] = field(default_factory=dict)
+    drifts: Mapping[str, float] = field(default_factory=dict)
     rhs_calls: int | None = None
     jacobian_calls: int | None = None
     steps: int | None = None
@@ -60,9 +84,29 @@ class Measurement:
     first_time: float | None = None
 
     @property
-    def known_error(self) -> float:
-        """The error; infinite where there is no result."""
-        return float("inf") if self.error is None else self.error
+    def worst(self) -> str | None:
+        """The output with the largest error; None if there is no result."""
+        return max(self.errors, key=self.errors.__getitem__, default=None)
+
+    @property
+    def error(self) -> float | None:
+        """Largest global error of the outputs, in nominal values; None if there is no result."""
+        return None if self.worst is None else self.errors[self.worst]
+
+    @property
+    def run_time(self) -> float:
+        """Median time of the integration without compilation, s; 0 if it is not known."""
+        return self.solver_time.median if self.solver_time else 0.0
+
+    @property
+    def drifting(self) -> str | None:
+        """The invariant of the reference that changes most; None if there is none."""
+        return max(self.drifts, key=self.drifts.__getitem__, default=None)
+
+    @property
+    def drift(self) -> float | None:
+        """Largest change of an invariant of the reference, in nominal values."""
+        return None if self.drifting is None else self.drifts[self.drifting]
 
     def cost(self, kind: str) -> float | None:
         """Return the cost of one of `COSTS`: calls, or the median time in s."""
@@ -76,19 +120,8 @@ class Measurement:
         return {
             "model": configuration.model,
             "reduced": "yes" if configuration.reduced else "no",
-            "road": configuration.road,
-            "solver": configuration.solver,
-            "drift_control": configuration.drift_control,
-            "tolerance": configuration.tolerance,
-            "step": configuration.step,
-            "error": self.error,
-            "worst": self.worst,
-            "drift": self.drift,
-            "drifting": self.drifting,
-            "rhs_calls": self.rhs_calls,
-            "jacobian_calls": self.jacobian_calls,
-            "steps": self.steps,
-            "points": self.points,
+            **{name: getattr(configuration, name) for name in _SETTINGS},
+            **{name: getattr(self, name) for name in _RESULTS},
             **_in_ms("solver", self.solver_time),
             **_in_ms("total", self.total_time),
             "repeats": self.total_time.repeats if self.total_time else 0,
@@ -97,55 +130,49 @@ class Measurement:
         }
 
 
-def gather(events: Iterable[Event]) -> tuple[Measurement, ...]:
-    """Put the runs of each configuration together, in the order of their first run."""
-    groups: dict[Configuration, list[Event]] = {}
-    for event in events:
-        groups.setdefault(event.configuration, []).append(event)
-    return tuple(_measurement(group) for group in groups.values())
-
-
-def observed_event(
+def measurement_of(
     configuration: Configuration,
     run: Trajectory,
     reference: Reference,
-    kept: Sequence[str],
+    outputs: Sequence[str],
     invariants: Sequence[str],
-) -> Event:
+) -> Measurement:
     """Compare a run with the reference at the output times that both have."""
     truth = at_times(reference.run, run)
-    differences = compare(truth.select(kept), run).differences
-    drift = {
+    differences = compare(truth.select(outputs), run).differences
+    drifts = {
         name: float(np.ptp(run[name])) / truth.column(name).nominal
         for name in invariants
         if name in run.names
     }
     stats = run.stats
-    return Event(
+    return Measurement(
         configuration,
         errors={d.name: d.scaled for d in differences},
-        drift=drift,
+        drifts=drifts,
         rhs_calls=stats.get("rhs_calls"),
         jacobian_calls=stats.get("jacobian_calls"),
         steps=stats.get("steps"),
         points=len(run),
-        solver_time=stats.get("solve_time"),
-        total_time=stats["wall_time"],
+        solver_time=Timing.of([stats.get("solve_time")]),
+        total_time=Timing.of([stats["wall_time"]]),
+        first_time=stats["wall_time"],
     )
 
 
-def failed_event(configuration: Configuration, error: CosimError) -> Event:
-    """Keep the reason why a configuration has no result, and the time that the solver took."""
+def failed(configuration: Configuration, error: CosimError) -> Measurement:
+    """Return the measurement of a failed run: the reason, and the time of the solver."""
     partial = error.partial if isinstance(error, SolverError) else None
     time = partial.stats.get("solve_time") if partial is not None else None
-    return Event(configuration, Outcome(type(error).__name__, str(error)), solver_time=time)
+    outcome = Outcome(type(error).__name__, str(error))
+    return Measurement(configuration, outcome, solver_time=Timing.of([time]))
 
 
 def invariants(reference: Reference) -> tuple[str, ...]:
-    """Return what the reference keeps constant though it is computed from what moves.
+    """Return the invariants of a motion: outputs that are computed but constant in the reference.
 
-    Energy and momenta of conservative systems, residuals of constraints: their change needs no
-    reference to be called an error.
+    Examples are energy and momenta of conservative systems, and residuals of constraints. Their
+    change is an error, even without a reference.
     """
     run = reference.run
     found = []
@@ -158,7 +185,7 @@ def invariants(reference: Reference) -> tuple[str, ...]:
 
 
 def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
-    """Return the reference at those of its times that a run with longer intervals has."""
+    """Return the reference at the output times of a run with longer intervals."""
     if len(reference) == len(run):
         return reference
     rows = np.searchsorted(reference.time, run.time - 1e-9 * max(1.0, reference.time[-1]))
@@ -168,33 +195,16 @@ def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
     )
 
 
-def _measurement(events: Sequence[Event]) -> Measurement:
-    first, repeats = events[0], events[1:] or events
+def combined(runs: Sequence[Measurement]) -> Measurement:
+    """Return the measurement of a configuration from its runs; the first one is not timed."""
+    first, repeats = runs[0], runs[1:] or runs
     if not first.errors:
         return Measurement(first.configuration, first.outcome)
-    worst = max(first.errors, key=first.errors.__getitem__)
-    drifting = max(first.drift, key=first.drift.__getitem__, default=None)
-    return Measurement(
-        first.configuration,
-        first.outcome,
-        error=first.errors[worst],
-        worst=worst,
-        errors=first.errors,
-        drift=None if drifting is None else first.drift[drifting],
-        drifting=drifting,
-        rhs_calls=first.rhs_calls,
-        jacobian_calls=first.jacobian_calls,
-        steps=first.steps,
-        points=first.points,
-        solver_time=_timing([event.solver_time for event in repeats]),
-        total_time=_timing([event.total_time for event in repeats]),
-        first_time=first.total_time,
+    return replace(
+        first,
+        solver_time=Timing.of(run.solver_time.median for run in repeats if run.solver_time),
+        total_time=Timing.of(run.total_time.median for run in repeats if run.total_time),
     )
-
-
-def _timing(times: Iterable[float | None]) -> Timing | None:
-    known = [time for time in times if time is not None]
-    return Timing(median(known), min(known), max(known), len(known)) if known else None
 
 
 def _in_ms(what: str, timing: Timing | None) -> dict[str, float | None]:

@@ -1,176 +1,297 @@
-"""`tradeoff`: run every selected configuration of a scene, several times, in turn."""
+"""Trade-off study: every configuration is run in turn, within a time limit."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
-from cosim.codegen.cache import private_folder
+from cosim import backend as backends
+from cosim.backend import Backend
 from cosim.codegen.compiler import find_compiler, has_compiler
 from cosim.errors import CosimError, UsageError
+from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.exported import run_file
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.solvers import SOLVERS
-from cosim.model.catalogue import load
-from cosim.scene.roads import Road
+from cosim.model.catalogue import load, observable
+from cosim.model.reduction import size
+from cosim.model.request import Policy, RunRequest
 from cosim.scene.scene import Scene
+from cosim.scene.variants import fitting_formulations
 from cosim.study.tradeoff.configuration import Configuration, Selection
-from cosim.study.tradeoff.convergence import observed_order
-from cosim.study.tradeoff.measurement import failed_event, gather, invariants, observed_event
-from cosim.study.tradeoff.record import Event, Record
+from cosim.study.tradeoff.fixed_steps import observed_order, stability_limit
+from cosim.study.tradeoff.measurement import (
+    LEFT_OUT,
+    Measurement,
+    Outcome,
+    combined,
+    failed,
+    invariants,
+    measurement_of,
+)
 from cosim.study.tradeoff.result import Tradeoff, provenance
-from cosim.study.tradeoff.rounds import Tell, measure
-from cosim.study.tradeoff.stability import stability_limit
-from cosim.study.tradeoff.variants import Workshop, kept_outputs, members, span
-from cosim.verify.reference import Reference, reference
+from cosim.trajectory import Trajectory
+from cosim.verify.reference import reference
+
+SLOW = 5.0  # s; beyond it, tighter tolerances, smaller steps and interpreted runs are left out
+LONG = 0.5  # s; longer runs are timed once
+Progress = Callable[[str], None]
+
+
+def measure(
+    selected: Sequence[Configuration],
+    run: Callable[[Configuration], Measurement],
+    repeats: int,
+    deadline: float,
+    progress: Progress,
+) -> dict[Configuration, list[Measurement]]:
+    """Run every configuration, round by round; return the runs of each.
+
+    Of each family, the cheapest configuration comes first. No run begins after the deadline, s, by
+    `perf_counter`; `progress` gets a line of text after each first run and after each round.
+    """
+    measured: dict[Configuration, list[Measurement]] = {each: [] for each in selected}
+    for number in range(repeats + 1):
+        began = perf_counter()
+        for i, (configuration, runs) in enumerate(measured.items(), start=1):
+            if number and (not runs[0].errors or runs[0].run_time > LONG):
+                continue
+            if perf_counter() > deadline:
+                if number:
+                    progress(f"time limit: {number - 1} of {repeats} repeats are complete")
+                    return measured
+                left = Outcome(LEFT_OUT, "the time limit was reached; increase seconds")
+                runs.append(Measurement(configuration, left))
+                continue
+            reason = None if number else _too_slow(configuration, measured)
+            left = Outcome(LEFT_OUT, reason or "")
+            runs.append(Measurement(configuration, left) if reason else run(configuration))
+            if number == 0:
+                progress(f"{i}/{len(measured)} {_description(runs[0])}")
+        progress(f"round {number} of {repeats}: {perf_counter() - began:.0f} s")
+    return measured
+
+
+def _too_slow(
+    configuration: Configuration, measured: Mapping[Configuration, Sequence[Measurement]]
+) -> str | None:
+    """Return which run was too slow that is no slower than this one; None if there is none."""
+    for other, runs in measured.items():
+        if runs and runs[0].run_time > SLOW and _no_slower(other, configuration):
+            return f"{other} took {runs[0].run_time:.1f} s, more than {SLOW:g} s"
+    return None
+
+
+def _no_slower(other: Configuration, configuration: Configuration) -> bool:
+    """Return whether another run is coarser, or the compiled one of an interpreted run."""
+    pair = (other.backend, configuration.backend) == (Backend.NATIVE, Backend.INTERPRETED)
+    similar = replace(other, backend=configuration.backend) if pair else other
+    return similar.family == configuration.family and (
+        (other.tolerance or 0) >= (configuration.tolerance or 0)
+        and (other.step or 0) >= (configuration.step or 0)
+    )
+
+
+def _description(run: Measurement) -> str:
+    """Return one line on a run: its error and cost, or why it has no result."""
+    if not run.errors:
+        return f"{run.configuration}: {run.outcome}"
+    calls = "" if run.rhs_calls is None else f", {run.rhs_calls} calls"
+    facts = f"error {run.error:.1e} ({run.worst}){calls}, {1e3 * run.run_time:.2f} ms"
+    return f"{run.configuration}: {facts}"
+
 
 REPEATS = 5
-SECONDS = 240.0  # from the beginning of a study until its last run begins
+SECONDS = 240.0  # after this time of a study, no run begins
 
 
 def tradeoff(
-    scene: Scene | str,
+    subject: Scene | RunRequest | str,
     *,
     selection: Selection | None = None,
     every_formulation: bool | None = None,
     repeats: int = REPEATS,
     seconds: float = SECONDS,
-    resume: bool = False,
-    tell: Tell | None = None,
+    progress: Progress | None = None,
 ) -> Tradeoff:
     """Measure error against cost.
 
-    Every configuration runs once for its error and its counts; then all of them are timed in turn,
-    so that what else the machine does strikes all of them alike.
+    Every configuration runs once for its error and its counts. Then all of them are timed in turn,
+    so that other work of the machine affects them equally.
 
     Args:
-        scene: A scene, `MODEL`, `MODEL/FORMULATION` or `PATH.py:FUNCTION`.
-        selection: Which solvers, tolerances, steps and roads.
-        every_formulation: Whether the model's other formulations are measured, too; unless one is
-            named when None.
-        repeats: Most timed runs of each configuration.
-        seconds: Time from the beginning after which no run begins. What has not run by then is
-            listed as left out; what has run once has that run's time.
-        resume: Whether to go on where an interrupted study of the same scene stopped.
-        tell: Called with a line of progress before and after each run.
+        subject: A scene, a request, `MODEL`, `MODEL/FORMULATION` or `PATH.py:FUNCTION`.
+        selection: Solvers, tolerances, steps and backends to measure.
+        every_formulation: Whether the model's other formulations are measured as well. None: yes,
+            unless `subject` names a formulation.
+        repeats: Largest number of timed runs of each configuration.
+        seconds: Time after which no run begins, s. A configuration that has not run by then is
+            listed as left out; one that has run once has the time of that run.
+        progress: Called with a line of progress before and after each run.
 
     Raises:
-        CosimError: The scene cannot be run at all, or there is no reference for it.
+        CosimError: The model cannot be run at all, or there is no reference for it.
 
     Example:
         >>> from cosim.study.tradeoff.configuration import Selection
-        >>> few = Selection(solvers=("erk",), tolerances=(1e-6, 1e-9), roads=("native",))
+        >>> few = Selection(solvers=("erk",), tolerances=(1e-6, 1e-9), backends=("native",))
         >>> study = tradeoff("crank_shaft/driven", selection=few, repeats=1)
         >>> len(study.measurements)
         2
     """
-    if isinstance(scene, str):
-        if every_formulation is None:
-            every_formulation = "/" not in scene and ".py:" not in scene
-        scene = Scene(scene, load(scene))
-    if not isinstance(scene, Scene):
-        raise UsageError.of_type("tradeoff", scene, "a Scene, or the name of a model")
+    if isinstance(subject, str) and every_formulation is None:
+        every_formulation = "/" not in subject and ".py:" not in subject
+    name, request = _named_request(subject)
     if not isinstance(repeats, int) or repeats < 0:
         raise UsageError(f"tradeoff: repeats = {repeats!r}; give a whole number, 0 or more")
-    began, tell = perf_counter(), tell or (lambda _: None)
-    selection = _possible(selection or Selection(), tell)
-    if not scene.dae.states:
-        raise UsageError(f"{scene.name} has no states: there is nothing to integrate")
-    scenes = members(scene, every_formulation=every_formulation is not False)
-    kept = kept_outputs(scenes)
-    tell("reference ...")
-    truth = reference(scene)
-    tell(f"reference: {truth}")
+    began, progress = perf_counter(), progress or (lambda _: None)
+    selection = _possible(selection or Selection(), progress)
+    if not request.dae.states:
+        raise UsageError(f"{name} has no states: there is nothing to integrate")
+    every = every_formulation is not False
+    requests = tuple(fitting_formulations(request)) if every else (request,)
+    outputs = selected_outputs(requests)
+    progress("reference ...")
+    truth = reference(request)
+    progress(f"reference: {truth}")
     constant = invariants(truth)
-    record = study_record(truth)
-    events = record.begin(resume=resume)
+    selected = configurations(requests, outputs, selection)
     with temporary_folder() as folder:
-        workshop = Workshop({s.dae.full_name: s for s in scenes}, kept, Path(folder))
-        wanted = configurations(workshop, scene, selection)
+        runner = Runner(Path(folder))
 
-        def run(configuration: Configuration) -> Event:
+        def run(configuration: Configuration) -> Measurement:
             try:
-                trajectory = workshop.run(configuration)
+                trajectory = runner.run(configuration)
             except CosimError as error:
-                return failed_event(configuration, error)
-            return observed_event(configuration, trajectory, truth, kept, constant)
+                return failed(configuration, error)
+            return measurement_of(configuration, trajectory, truth, outputs, constant)
 
-        events = [event for event in events if event.configuration in wanted]
-        measure(wanted, events, run, record, repeats, began + seconds, tell)
-        impossible = _impossible(workshop, selection)
-    ordered = sorted(events, key=lambda event: wanted.index(event.configuration))
-    fixed = _fixed_step_solvers(scene, selection)
-    limits = [stability_limit(scene, truth, solver) for solver in fixed]
+        measured = measure(selected, run, repeats, began + seconds, progress)
+    fixed = _fixed_step_solvers(request, selection)
+    limits = [stability_limit(request, truth, solver) for solver in fixed]
     return Tradeoff(
-        scene.name,
-        kept,
+        name,
+        outputs,
         constant,
         truth,
-        gather(ordered),
-        tuple(observed_order(scene, truth, solver) for solver in fixed),
+        tuple(map(combined, measured.values())),
+        tuple(observed_order(request, truth, solver) for solver in fixed),
         tuple(limit for limit in limits if limit is not None),
-        _run_facts(scene) | provenance(truth),
-        impossible,
+        _run_facts(request) | provenance(truth),
+        _impossible(requests, selection),
     )
+
+
+def _named_request(subject: object) -> tuple[str, RunRequest]:
+    """Return a name and a request without solver and policy, which the study varies."""
+    if isinstance(subject, str):
+        return subject, RunRequest(load(subject))
+    name = subject.name if isinstance(subject, Scene) else ""
+    request = subject.request if isinstance(subject, Scene) else subject
+    if not isinstance(request, RunRequest):
+        raise UsageError.of_type("tradeoff", subject, "a Scene, or the name of a model")
+    return name or request.dae.full_name, replace(request, solver=None, policy=Policy())
 
 
 def configurations(
-    workshop: Workshop, scene: Scene, selection: Selection
+    requests: Sequence[RunRequest], outputs: tuple[str, ...], selection: Selection
 ) -> tuple[Configuration, ...]:
-    """Return what is to be measured.
-
-    Raises:
-        UsageError: The selection fits no formulation.
-    """
-    begin, end = span(scene)
-    interval = scene.configured().experiment.output_interval
+    """Return the configurations to measure."""
+    reducing = requests[0].outputs is not None
     found = tuple(
         configuration
-        for _, full, small in workshop.pairs()
-        for configuration in selection.configurations(full, small, end - begin, interval)
+        for request in requests
+        for configuration in selection.configurations(
+            replace(request, outputs=None), small_request(request, outputs) if reducing else None
+        )
     )
     if not found:
         raise UsageError(
-            f"{scene.name}: nothing to measure with solvers {', '.join(selection.solvers)} on "
-            f"{', '.join(selection.roads) or 'any road'}; an FMU has its own solvers"
+            f"{requests[0].dae.full_name}: nothing to measure with solvers "
+            f"{', '.join(selection.solvers)} on {', '.join(selection.backends) or 'any backend'}; "
+            "an FMU has its own solvers"
         )
     return found
 
 
-def _run_facts(scene: Scene) -> dict[str, str]:
-    """Return what was run: the values that the scene sets, and the output times."""
-    begin, end = span(scene)
-    interval = scene.configured().experiment.output_interval
-    values = ", ".join(f"{name} = {value:.6g}" for name, value in scene.values.items())
+def _run_facts(request: RunRequest) -> dict[str, str]:
+    """Return the values that the request sets, and the output times, as text."""
+    begin, end = request.times.span(request.dae)
+    interval = request.times.interval or request.dae.experiment.output_interval
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in request.values.items())
     facts = {"values": values} if values else {}
     return facts | {"output times": f"{begin:g} to {end:g} s, every {interval:g} s"}
 
 
-def _impossible(workshop: Workshop, selection: Selection) -> tuple[tuple[str, str], ...]:
-    """Return what is not measured because it cannot be, each with the reason."""
-    found = [pair for _, dae, _ in workshop.pairs() for pair in selection.impossible(dae)]
+def _impossible(
+    requests: Sequence[RunRequest], selection: Selection
+) -> tuple[tuple[str, str], ...]:
+    """Return the configurations that cannot be run, each with the reason."""
+    found = [pair for request in requests for pair in selection.impossible(request.dae)]
     if not has_compiler():
-        compiling = ", ".join(road for road in Road if road is not Road.INTERPRETED)
+        compiling = ", ".join(backend for backend in Backend if backend is not Backend.INTERPRETED)
         found.append((compiling, "no C compiler"))
     return tuple(found)
 
 
-def _fixed_step_solvers(scene: Scene, selection: Selection) -> tuple[str, ...]:
-    """Return the selected solvers of fixed steps; none for a DAE, which they cannot integrate."""
-    if scene.dae.algebraics or not any(road.native for road in selection.ways):
+def _fixed_step_solvers(request: RunRequest, selection: Selection) -> tuple[str, ...]:
+    """Return the selected fixed-step solvers; none for a DAE, which they cannot integrate."""
+    native = any(backend.native for backend in selection.used_backends)
+    if request.dae.algebraics or not native:
         return ()
-    wanted = selection.solvers or SOLVERS
-    return tuple(n for n, solver in SOLVERS.items() if n in wanted and not solver.adaptive)
+    selected = selection.solvers or SOLVERS
+    return tuple(n for n, solver in SOLVERS.items() if n in selected and not solver.adaptive)
 
 
-def _possible(selection: Selection, tell: Tell) -> Selection:
-    """Leave out what needs a C compiler where there is none, unless it is asked for by name."""
+def _possible(selection: Selection, progress: Progress) -> Selection:
+    """Return the selection without the backends that need a missing C compiler."""
     if has_compiler():
         return selection
-    if selection.roads and selection.roads != (Road.INTERPRETED,):
-        find_compiler()  # says what is missing
-    tell("no C compiler: interpreted equations only")
-    return replace(selection, roads=(Road.INTERPRETED,))
+    if selection.backends and selection.backends != (Backend.INTERPRETED,):
+        find_compiler()  # raises MissingTool
+    progress("no C compiler: interpreted equations only")
+    return replace(selection, backends=(Backend.INTERPRETED,))
 
 
-def study_record(truth: Reference) -> Record:
-    """Return where the runs of a study are kept."""
-    return Record(private_folder() / "tradeoffs" / f"{truth.key}.jsonl", truth.key)
+def selected_outputs(requests: Sequence[RunRequest]) -> tuple[str, ...]:
+    """Return the outputs whose errors are measured: the requested ones, or all shared ones."""
+    first = requests[0]
+    if first.outputs:
+        return first.outputs
+    own = first.dae.own_meanings if len(requests) > 1 else {}
+    shared = [name for name in first.dae.observed if name not in own]
+    for request in requests[1:]:
+        known = set(observable(request.dae)) - request.dae.own_meanings.keys()
+        shared = [name for name in shared if name in known]
+    if not shared:
+        raise UsageError(f"{first.dae.full_name}: the formulations have no output in common")
+    return tuple(shared)
+
+
+def small_request(request: RunRequest, outputs: tuple[str, ...]) -> RunRequest | None:
+    """Return the request reduced to outputs; None if reduction removes nothing."""
+    small = replace(request, outputs=outputs).reduced()
+    return small if size(small.dae) != size(request.dae) else None
+
+
+class Runner:
+    """Runs configurations; each FMU is exported once, to a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._fmus: dict[tuple[str, bool], Path] = {}
+
+    def run(self, configuration: Configuration) -> Trajectory:
+        """Run one configuration."""
+        request, interface = configuration.request, configuration.backend.interface
+        if interface is None:
+            return backends.run(request, configuration.backend)
+        return run_file(request, self._fmu(configuration), interface)
+
+    def _fmu(self, configuration: Configuration) -> Path:
+        key = configuration.model, configuration.reduced
+        if key not in self._fmus:
+            small = "_reduced" if configuration.reduced else ""
+            path = self._folder / f"{configuration.model.replace('/', '_')}{small}.fmu"
+            self._fmus[key] = export_fmu(configuration.request.configured(), path)
+        return self._fmus[key]

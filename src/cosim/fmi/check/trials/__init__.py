@@ -1,1 +1,1 @@
-"""What an FMU must do when it runs: one small function per rule, each on instances of its own."""
+"""Trials that run an FMU: one small function per rule, each on instances of its own."""

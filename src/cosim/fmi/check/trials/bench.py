@@ -16,14 +16,13 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION
 from cosim.fmi.check.finding import Finding
 from cosim.fmi.check.parsed import Described, Description, parse
-from cosim.fmi.run.instance import instantiated, read_description
+from cosim.fmi.run.instance import enter_continuous_time, instantiated, read_description
 
 MOST_NAMES = 5  # in one finding
-_MOST_UPDATES = 100  # of discrete states at one time
 
 
 class Note(str):
-    """What a trial has to say besides findings."""
+    """A remark of a trial that is no finding."""
 
 
 Trial = Callable[["Bench", str], Iterator[Finding | Note]]
@@ -72,7 +71,7 @@ class Bench:
         return frozenset(e.get("valueReference", "") for e in found)
 
     def single(self, variable: Described) -> bool:
-        """Tell whether a variable is one number of double precision."""
+        """Return whether a variable is one number of double precision."""
         return variable.kind in ("Real", "Float64") and variable.reference not in self.arrays
 
     def outputs(self) -> tuple[Described, ...]:
@@ -102,7 +101,7 @@ class Bench:
         return None if text is None else float(text)
 
     def offers(self, kind: str, *names: str) -> bool:
-        """Tell whether an interface has one of these capabilities."""
+        """Return whether an interface has one of these capabilities."""
         attributes = self.described.interfaces[kind]
         return any(attributes.get(name) == "true" for name in names)
 
@@ -153,14 +152,8 @@ class Session:
         """Initialize, and in model exchange go on to continuous-time mode."""
         self.enter(stop_time)
         self.instance.exitInitializationMode()
-        if self.kind == "CoSimulation":
-            return
-        second = self.bench.second
-        update = self.instance.newDiscreteStates if second else self.instance.updateDiscreteStates
-        for _ in range(_MOST_UPDATES):
-            if not update()[0]:
-                break
-        self.instance.enterContinuousTimeMode()
+        if self.kind == "ModelExchange":
+            enter_continuous_time(self.instance, self.bench.fmpy)
 
     def values(self, variables: Sequence[Described]) -> Vector:
         """Return values of real variables, (n,)."""
@@ -194,20 +187,20 @@ class Session:
                 if self.bench.second and self._terminated():
                     return
                 raise
-            if isinstance(result, tuple) and result[1]:  # it asks to end the simulation
+            if isinstance(result, tuple) and result[1]:  # it requests the end of the simulation
                 return
             self.time += size
             yield self.time
 
     def _terminated(self) -> bool:
-        """Tell whether a step was discarded because the FMU (2.0) wants to end."""
+        """Return whether a step was discarded because the FMU (2.0) requests the end."""
         from fmpy.fmi2 import fmi2Terminated
 
-        told = ctypes.c_int(0)
+        ended = ctypes.c_int(0)
         with suppress(Exception):
             component = self.instance.component
-            self.instance.fmi2GetBooleanStatus(component, fmi2Terminated, ctypes.byref(told))
-        return bool(told.value)
+            self.instance.fmi2GetBooleanStatus(component, fmi2Terminated, ctypes.byref(ended))
+        return bool(ended.value)
 
     def instantiate_bare(self, *, logger: bool) -> None:
         """Instantiate anew without the callbacks that importers need not pass, nor with a log.
@@ -220,13 +213,13 @@ class Session:
         instance = self.instance
         if self.bench.second:
             instance.fmi2FreeInstance(instance.component)
-            given = fmi2.defaultCallbacks
+            usual = fmi2.defaultCallbacks
             bare = fmi2.fmi2CallbackFunctions(componentEnvironment=None)
             if logger:  # fmpy's own needs an environment
                 instance.quiet = fmi2.fmi2CallbackLoggerTYPE(lambda *_message: None)
                 bare.logger = instance.quiet
             if not self.bench.offers(self.kind, "canNotUseMemoryManagementFunctions"):
-                bare.allocateMemory, bare.freeMemory = given.allocateMemory, given.freeMemory
+                bare.allocateMemory, bare.freeMemory = usual.allocateMemory, usual.freeMemory
             instance.instantiate(callbacks=bare, loggingOn=False)
             return
         instance.fmi3FreeInstance(instance.component)
@@ -243,8 +236,3 @@ class Session:
         instance.component = made
         if not made:
             raise FmuError("it does not instantiate")
-
-
-def some(names: Sequence[str]) -> str:
-    """Return the first few names, as a list in words."""
-    return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")

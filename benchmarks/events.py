@@ -1,0 +1,95 @@
+"""Cost of events: a bouncing ball against scipy, and a relation that never switches.
+
+Prints medians over interleaved repeats: the whole time of `simulate` and of `solve_ivp(events=)`
+for 16 impacts at rtol 1e-10, with the largest error of an impact's time; then the solver's own time
+of the bicycle with and without a relation in its equations, for the solvers that look at relations
+in their compiled loops.
+"""
+
+import statistics
+from time import perf_counter
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import cosim
+
+REPEATS = 15
+STOP, G, E = 2.5, 9.81, 0.7
+FIRST = np.sqrt(2 / G)
+EXACT = FIRST + np.concatenate(([0.0], np.cumsum(2 * FIRST * E ** np.arange(1, 40))))
+EXACT = EXACT[EXACT < STOP]
+
+
+def ball():
+    model = cosim.Model("ball", stop_time=STOP)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(h, v)
+    model.derivative(v, -G)
+    model.when(h < 0, {v: -E * v}, name="impact")
+    return model.freeze()
+
+
+def by_scipy() -> list[float]:
+    def height(_t, y):
+        return y[0]
+
+    height.terminal, height.direction = True, -1
+    t, y, found = 0.0, [1.0, 0.0], []
+    options = {"method": "DOP853", "events": height, "rtol": 1e-10, "atol": 1e-12}
+    while True:
+        end = solve_ivp(lambda _t, y: [y[1], -G], (t, STOP), y, **options)
+        if end.status != 1:
+            return found
+        t, y = end.t[-1], [0.0, -E * end.y[1, -1]]
+        found.append(t)
+
+
+def main() -> None:
+    dae = ball()
+    calls = {"scipy DOP853": by_scipy} | {
+        solver: lambda solver=solver: [
+            event.time
+            for event in cosim.simulate(dae, solver=solver, relative_tolerance=1e-10).events
+        ]
+        for solver in ("dop853", "erk", "cvodes")
+    }
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    errors: dict[str, float] = {}
+    for repeat in range(REPEATS + 1):
+        for name, call in calls.items():
+            began = perf_counter()
+            found = call()
+            if repeat:  # the first one compiles
+                times[name].append(perf_counter() - began)
+            errors[name] = float(np.abs(np.array(found) - EXACT).max())
+    base = statistics.median(times["scipy DOP853"])
+    for name, values in times.items():
+        median = statistics.median(values)
+        print(f"{name:14} {median * 1e3:7.1f} ms, {base / median:5.2f} times as fast as scipy, "
+              f"error {errors[name]:.1e} s")  # fmt: skip
+
+    plain = cosim.load("bicycle")
+    far = ca.if_else(plain.x[0] > 1e6, 1.0, 0.0)  # the path is shorter
+    related = plain.rewritten(list)
+    ode = ca.vertcat(related.ode[:-1], related.ode[-1] + ca.substitute(far, plain.x, related.x))
+    related = type(related)(**{**vars(related), "ode": ca.densify(ode)})
+    for solver, options in (("dop853", {"relative_tolerance": 1e-8}), ("rk4", {}), ("ode8", {})):
+        whole: dict[str, list[float]] = {"smooth": [], "one relation": []}
+        inner: dict[str, list[float]] = {"smooth": [], "one relation": []}
+        for repeat in range(REPEATS + 1):
+            for name, model in zip(whole, (plain, related), strict=True):
+                began = perf_counter()
+                run = cosim.simulate(model, solver=solver, on_invalid="ignore", **options)
+                if repeat:
+                    whole[name].append(perf_counter() - began)
+                    inner[name].append(run.stats["solve_time"])
+        for what, taken in (("whole run", whole), ("solver alone", inner)):
+            smooth, one = (statistics.median(values) for values in taken.values())
+            print(f"bicycle, {solver}, {what}: {smooth * 1e3:.2f} ms smooth, {one / smooth:.2f} "
+                  "times that with a relation that never switches")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,545 @@
+"""`Hybrid`: a DAE whose relations are frozen at modes, so that solvers see smooth equations.
+
+Every relation of the equations (a comparison, `sign`, `fabs`, `fmin`, `floor`, ...) has an argument
+and a mode. The mode of a sign is 1 or -1, that of a floor an integer. Between events the modes are
+constant inputs of the frozen equations; where an argument leaves the range of its mode is an event.
+
+Source  Cellier & Kofman, Continuous System Simulation, Springer 2006, chapter 9; sliding: Filippov,
+        Differential Equations with Discontinuous Righthand Sides, Kluwer 1988.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, pairwise
+
+import casadi as ca
+from casadi import MX, SX
+
+from casadi_models.dae.events import Event
+from casadi_models.dae.frozen import Dae
+from casadi_models.dae.variables import Variable
+
+COMPARISONS = ("<", "<=")
+_COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay equal
+_OF_ONE = (ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL)
+_OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
+_RELATIONS = {*_COMPARISONS, *_OF_ONE, *_OF_TWO}
+_LOGIC: dict[int, Callable[..., SX]] = {  # as polynomials of truth values between 0 and 1
+    ca.OP_AND: lambda a, b: a * b,
+    ca.OP_OR: lambda a, b: a + b - a * b,
+    ca.OP_NOT: lambda a: 1 - a,
+    ca.OP_IF_ELSE_ZERO: lambda a, b: a * b,
+}
+
+
+@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
+class Relation:
+    """What switches, and where.
+
+    Attributes:
+        argument: Its sign, or its floor, is the mode; of the frozen equations' symbols.
+        floor: Whether the mode is the floor of the argument, not its sign.
+        at_zero: Mode while the argument stays 0.
+        operation: The operation of the equations, for messages.
+    """
+
+    argument: SX
+    floor: bool
+    at_zero: int
+    operation: str
+
+
+@dataclass(frozen=True, eq=False)
+class Hybrid:
+    """Frozen equations with their events.
+
+    Attributes:
+        dae: The frozen model. Its inputs are those of the model and, after them, the modes.
+        relations: One per mode.
+        events: Events, with conditions in modes.
+        of_time: For each relation, whether its argument depends on time and parameters alone.
+        sliding: Positions of the relations whose modes follow from their arguments staying 0.
+        solved: The modes of these, (n, 1), as expressions.
+    """
+
+    dae: Dae
+    relations: tuple[Relation, ...]
+    events: tuple[Event, ...]
+    of_time: tuple[bool, ...]
+    sliding: tuple[int, ...] = ()
+    solved: SX = SX(0, 1)  # noqa: RUF009  # an empty column, which nothing changes
+
+    @property
+    def modes(self) -> SX:
+        """Symbols of the modes, (n, 1)."""
+        return self.dae.u[self.dae.u.numel() - len(self.relations) :]
+
+    @cached_property
+    def floors(self) -> tuple[bool, ...]:
+        """For each relation, whether its mode is a floor."""
+        return tuple(relation.floor for relation in self.relations)
+
+    @cached_property
+    def arguments(self) -> SX:
+        """Arguments of the relations, (n, 1)."""
+        return ca.densify(ca.vertcat(SX(0, 1), *(r.argument for r in self.relations)))
+
+    @cached_property
+    def in_laws(self) -> tuple[bool, ...]:
+        """For each relation, whether dx/dt or an algebraic equation depends on its mode."""
+        laws = ca.vertcat(self.dae.ode, self.dae.alg)
+        return tuple(ca.depends_on(laws, mode) for mode in ca.vertsplit(self.modes))
+
+    @cached_property
+    def linear(self) -> tuple[bool, ...]:
+        """For each relation, whether its argument depends on time alone, and linearly."""
+        rates = ca.vertsplit(ca.jtimes(self.arguments, self.dae.t, 1)) if self.relations else []
+        return tuple(
+            alone and not ca.depends_on(rate, self.dae.t)
+            for alone, rate in zip(self.of_time, rates, strict=True)
+        )
+
+    @property
+    def rules(self) -> tuple[SX, SX]:
+        """Conditions of all events, and all values that they assign; columns."""
+        conditions = (event.condition for event in self.events)
+        values = (event.values for event in self.events)
+        return (
+            ca.densify(ca.vertcat(SX(0, 1), *conditions)),
+            ca.densify(ca.vertcat(SX(0, 1), *values)),
+        )
+
+    def described(self, i: int) -> str:
+        """Return a relation as text, e.g. "sign of v"."""
+        return self._descriptions[i]
+
+    @cached_property
+    def _descriptions(self) -> tuple[str, ...]:
+        return tuple(map(self._described, self.relations))
+
+    @staticmethod
+    def _described(relation: Relation) -> str:
+        symbols = ca.symvar(relation.argument)
+        count = ca.Function("f", symbols, [relation.argument]).n_instructions()
+        # CasADi prints by recursion, and a deep expression would end the process
+        text = str(relation.argument) if count < 40 else ", ".join(s.name() for s in symbols[:8])
+        return f"{relation.operation} of {text}"
+
+    def watching(self, name: str, *, closely: bool = True) -> ca.Function:
+        """Return a function of t, x, z, u, p and du/dt, where z solves the algebraic equations.
+
+        Its results are the arguments of the relations with their first time derivatives along a
+        solution, and `solved` with its time derivative; then the second time derivatives and dx/dt,
+        unless `closely` is False.
+        """
+        dae = self.dae
+        w, v = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
+        rates = self.rates(self.arguments, w, v)
+        results = [self.arguments, rates, self.solved, self.rates(self.solved, w, v)]
+        results += [self.rates(rates, w, v), dae.ode] if closely else []
+        return self._with_unknown_rates(name, dae.ode, w, [v], results)
+
+    @property
+    def of_states(self) -> tuple[int, ...]:
+        """Positions of the relations whose arguments do not depend on time alone."""
+        return tuple(i for i, alone in enumerate(self.of_time) if not alone)
+
+    def margins(self, name: str) -> ca.Function:
+        """Return a function of t, x, z, u, p, du/dt and dx/dt, where z solves its equations.
+
+        Its results are how far the relations of the states are within their modes, and the time
+        derivatives of that; of a relation that slides, how far its mode is within -1 ... 1.
+        """
+        dae = self.dae
+        f, w, v = (SX.sym("d", s.numel()) for s in (dae.x, dae.z, dae.u))
+        inside, rates = list[SX](), list[SX]()
+        values, towards = self.arguments, self.rates(self.arguments, w, v, f)
+        leaving = self.rates(self.solved, w, v, f)
+        for i in self.of_states:
+            mode, value = self.modes[i], values[i]
+            sign = mode
+            if i in self.sliding:
+                k = self.sliding.index(i)
+                mode, rate = self.solved[k], leaving[k]
+                inside.append(1 - ca.fabs(mode))
+                rates.append(-ca.sign(mode) * rate)
+                continue
+            if self.relations[i].floor:
+                low, high = value - mode, mode + 1 - value
+                inside.append(ca.fmin(low, high))
+                sign = ca.if_else(low < high, 1, -1)
+            else:
+                inside.append(mode * value)
+            rates.append(sign * towards[i])
+        results = [ca.densify(ca.vertcat(SX(0, 1), *rows)) for rows in (inside, rates)]
+        return self._with_unknown_rates(name, f, w, [v, f], results)
+
+    def _with_unknown_rates(
+        self, name: str, ode: SX, w: SX, others: Sequence[SX], results: Sequence[SX]
+    ) -> ca.Function:
+        """Return results as a function that solves for dz/dt, if one of them depends on it.
+
+        Args:
+            name: Name of the function.
+            ode: dx/dt as an expression of `others` or of the symbols of the equations.
+            w: Symbols of dz/dt.
+            others: Arguments of the function after t, x, z, u, p, the first of them du/dt.
+            results: Results of the function.
+        """
+        dae = self.dae
+        given = [*dae.arguments, *others]
+        law = ca.Function("law", [*given, w], results, {"cse": True})
+        symbols = [MX.sym("argument", s.numel()) for s in given]
+        dz = MX.zeros(w.numel())
+        if dae.algebraics and ca.depends_on(ca.vertcat(*results), w):
+            known, along = ca.vertcat(dae.t, dae.x, dae.u), ca.vertcat(1, ode, others[0])
+            pair = [ca.jacobian(dae.alg, dae.z), ca.jtimes(dae.alg, known, along)]
+            matrix, rate = ca.Function("slopes", given, pair)(*symbols)
+            dz = -ca.solve(matrix, ca.densify(rate), "qr")
+        return ca.Function(name, symbols, [ca.densify(found) for found in law(*symbols, dz)])
+
+    def rates(
+        self, column: SX, unknown_rates: SX, input_rates: SX, state_rates: SX | None = None
+    ) -> SX:
+        """Return the time derivative of a column along a solution.
+
+        Args:
+            column: Of the frozen equations' symbols, (n, 1).
+            unknown_rates: Time derivatives of the algebraic unknowns, (nz, 1).
+            input_rates: Those of the inputs, (nu, 1).
+            state_rates: Those of the states, (nx, 1); by the equations if None.
+        """
+        dae = self.dae
+        moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
+        ode = dae.ode if state_rates is None else state_rates
+        along = ca.vertcat(1, ode, unknown_rates, input_rates)
+        return ca.densify(ca.jtimes(column, moving, along))
+
+    def along(self, column: SX, dt: SX | float = 0.0) -> SX:
+        """Return the change of a column along the direction of the derivatives of the states.
+
+        Args:
+            column: Of the symbols of a DAE with `derived` states, (n, 1).
+            dt: Change of time along it.
+        """
+        dae, nx = self.dae, self.dae.derived
+        nu = dae.u.numel() - len(self.relations)
+        np_ = (dae.p.numel() - nu) // 2  # the directions of inputs and parameters follow these
+        moving = ca.vertcat(dae.t, dae.x[:nx], dae.u[:nu], dae.p[:np_])
+        return ca.densify(
+            ca.jtimes(column, moving, ca.vertcat(dt, dae.x[nx : 2 * nx], dae.p[np_:]))
+        )
+
+    def blended(self) -> "Hybrid":
+        """Return the equations as polynomials of the modes of signs, between -1 and 1.
+
+        Where all modes are -1 or 1, they have the same values: a branch that is not taken is not
+        evaluated. Equations that call functions stay as they are.
+        """
+        first = self.dae.u.numel() - len(self.relations)
+        modes = {
+            first + i
+            for i, (relation, alone) in enumerate(zip(self.relations, self.of_time, strict=True))
+            if not (relation.floor or alone)
+        }
+        laws = ca.Function(
+            "laws", self.dae.arguments, [self.dae.ode, self.dae.alg, self.dae.outputs]
+        )
+        calls = any(laws.instruction_id(k) == ca.OP_CALL for k in range(laws.n_instructions()))
+        return (
+            self
+            if calls or not modes
+            else replace(self, dae=_polynomial(self.dae, modes, taken=True))
+        )
+
+    def slid(self, which: Collection[int]) -> "Hybrid":
+        """Return the equations in which the modes of some relations keep their arguments at 0.
+
+        Raises:
+            ValueError: The arguments do not depend on the modes, or not linearly.
+        """
+        chosen = tuple(sorted(which))
+        if not chosen:
+            return self
+        dae, rows = self.dae, list(chosen)
+        first = dae.u.numel() - len(self.relations)
+        polynomial = _polynomial(dae, {first + i for i in rows})
+        modes = SX.sym("slid", len(rows))
+        every = self.modes
+        values = SX(every)
+        values[rows] = modes
+        ode, alg = ca.substitute([polynomial.ode, polynomial.alg], [every], [values])
+        arguments = self.arguments[rows]
+        if ca.depends_on(arguments, ca.vertcat(dae.z, every[rows])):
+            raise ValueError("an expression that stays at 0 depends on algebraic unknowns")
+        inner = replace(self, dae=replace(dae, ode=ode, alg=alg))
+        none = SX.zeros(dae.u.numel())
+        law = inner.rates(arguments, SX.zeros(dae.z.numel()), none)
+        if dae.algebraics:
+            if dae.derived:
+                raise ValueError("the derivatives of a DAE that slides are not known")
+            more = tuple(
+                Variable(f"slid_{i}", "1", "mode of a relation that stays at 0", 0.0) for i in rows
+            )
+            unknowns = ca.vertcat(dae.z, modes)
+            frozen = replace(
+                dae, z=unknowns, alg=ca.vertcat(alg, law), ode=ode,
+                algebraics=dae.algebraics + more, closing=None,
+            )  # fmt: skip
+            return replace(self, dae=frozen, sliding=chosen, solved=modes)
+        matrix = ca.jacobian(law, modes)
+        if ca.depends_on(matrix, modes) or ca.sprank(matrix) < len(rows):
+            raise ValueError("nothing that depends on its sign keeps an expression at 0")
+        offset = ca.substitute(law, modes, SX.zeros(len(rows)))
+        solved = ca.densify(-ca.solve(matrix, offset))
+        if dae.derived:  # the derivatives of the states hold those of the modes
+            nx = dae.derived
+            change = ca.jacobian(ode[:nx], modes) @ self.along(solved)
+            ode[nx : 2 * nx] += change
+        ode = ca.densify(ca.substitute(ode, modes, solved))
+        return replace(self, dae=replace(dae, ode=ode), sliding=chosen, solved=solved)
+
+
+def hybrid(dae: Dae) -> Hybrid | None:
+    """Return the equations of a model with every relation frozen at a mode; None without events.
+
+    Relations that depend on parameters alone, and those in `Model.smooth`, stay as they are, and so
+    do those that only outputs and validity conditions have.
+
+    Raises:
+        ValueError: The equations call several functions of equal sizes.
+    """
+    function = ca.Function("laws", dae.arguments, [dae.ode, dae.alg])
+    used = {function.instruction_id(k) for k in range(function.n_instructions())}
+    if used.isdisjoint(_RELATIONS) and not dae.events:
+        return None
+    conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))
+    walk = _Walk([dae.ode, dae.alg, conditions], [dae.outputs], dae)
+    ode, alg, conditions, outputs = walk.results
+    relations = walk.relations
+    if not relations and not dae.events:
+        return None
+    count = len(dae.inputs)
+    more = tuple(
+        Variable(f"mode_{i + 1}", "1", f"mode of {relation.operation}", 1.0)
+        for i, relation in enumerate(relations)
+    )
+    smooth = replace(
+        dae,
+        u=ca.densify(ca.vertcat(dae.u, *walk.modes)),
+        inputs=(*dae.inputs, *more),
+        ode=ode,
+        alg=alg,
+        outputs=outputs,
+        events=(),
+        smooth=(),
+    )
+    assert smooth.u.numel() == count + len(relations)
+    events = tuple(
+        replace(event, condition=condition)
+        for event, condition in zip(dae.events, ca.vertsplit(conditions), strict=True)
+    ) if dae.events else ()  # fmt: skip
+    return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
+
+
+def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:
+    """Tell which arguments depend on time, parameters and modes that do so alone."""
+    first = dae.u.numel() - len(relations)
+    found = list[bool]()
+    for relation in relations:
+        others = [dae.u[first + i] for i, alone in enumerate(found) if not alone]
+        moving = ca.vertcat(dae.x, dae.z, dae.u[:first], *others)
+        found.append(not ca.depends_on(relation.argument, moving))
+    return found
+
+
+class _Walk:
+    """The laws of a model, rebuilt operation by operation with modes for relations."""
+
+    def __init__(self, laws: Sequence[SX], others: Sequence[SX], dae: Dae) -> None:
+        self.relations: list[Relation] = []
+        self.modes: list[SX] = []
+        smooth = ca.vertcat(SX(0, 1), *dae.smooth)
+        columns = [*laws, *others, smooth]
+        symbols = [*dae.arguments]
+        self._function = ca.Function("laws", symbols, columns, {"cse": True})
+        self._symbols = [ca.vertsplit(column) for column in symbols]
+        self._read(len(laws), len(columns) - 1)
+        sizes = [column.numel() for column in columns[:-1]]
+        self.results = self._rebuilt(sizes)
+
+    def _read(self, laws: int, smooth: int) -> None:
+        """Read the instructions: operands, whether they change, and which are in the laws."""
+        function = self._function
+        # by place of the work vector: the instruction that wrote there, and which of its results
+        place: dict[int, tuple[int, int]] = {}
+        self._codes, self._operands = list[int](), list[list[tuple[int, int]]]()
+        changes, wanted, literal = list[bool](), set[int](), set[int]()
+        self._targets: dict[tuple[int, int], tuple[int, int]] = {}
+        for k in range(function.n_instructions()):
+            code, given = function.instruction_id(k), function.instruction_input(k)
+            operands = [] if code in (ca.OP_INPUT, ca.OP_CONST) else [place[i] for i in given]
+            self._codes.append(code)
+            self._operands.append(operands)
+            if code == ca.OP_OUTPUT:
+                output, row = function.instruction_output(k)
+                self._targets[output, row] = operands[0]
+                if output < laws:
+                    wanted.add(operands[0][0])
+                if output == smooth:
+                    literal.add(operands[0][0])
+                changes.append(False)
+                continue
+            for part, i in enumerate(function.instruction_output(k)):
+                place[i] = (k, part)
+            parameter = code == ca.OP_INPUT and given[0] == 4
+            changes.append(
+                not parameter if code == ca.OP_INPUT else any(changes[i] for i, _ in operands)
+            )
+        for k in range(len(self._codes) - 1, -1, -1):  # what a law depends on is in it
+            if k in wanted:
+                wanted.update(i for i, _ in self._operands[k])
+            if k in literal:
+                literal.update(i for i, _ in self._operands[k])
+        self._events = {
+            k
+            for k in wanted - literal
+            if changes[k] and self._codes[k] in _RELATIONS
+        }  # fmt: skip
+
+    def _rebuilt(self, sizes: Sequence[int]) -> list[SX]:
+        function, values = self._function, list[list[SX]]()
+        for k, (code, operands) in enumerate(zip(self._codes, self._operands, strict=True)):
+            terms = [values[i][part] for i, part in operands]
+            if code == ca.OP_INPUT:
+                column, row = function.instruction_input(k)
+                values.append([self._symbols[column][row]])
+            elif code == ca.OP_CONST:
+                values.append([SX(function.instruction_constant(k))])
+            elif code == ca.OP_OUTPUT:
+                values.append([])
+            elif code == ca.OP_CALL:
+                values.append(self._called(terms, len(function.instruction_output(k))))
+            elif k in self._events:
+                values.append([self._switched(code, terms)])
+            else:
+                values.append([_applied(code, terms)])
+        rows = [[self._targets[output, row] for row in range(n)] for output, n in enumerate(sizes)]
+        return [
+            ca.densify(ca.vertcat(SX(0, 1), *(values[k][part] for k, part in places)))
+            for places in rows
+        ]
+
+    def _called(self, terms: Sequence[SX], results: int) -> list[SX]:
+        """Return the results of a function that the laws call.
+
+        Raises:
+            ValueError: Several functions have these sizes, and CasADi does not tell which it is.
+        """
+        fitting = [
+            f
+            for f in self._function.find_functions(0)
+            if f.nnz_in() == len(terms) and f.nnz_out() == results
+        ]
+        if len(fitting) != 1:
+            raise ValueError("equations that call several functions of equal sizes have no events")
+        (called,) = fitting
+        ends = accumulate((called.nnz_in(i) for i in range(called.n_in())), initial=0)
+        column = ca.vertcat(*terms)
+        given = [
+            SX(called.sparsity_in(i), column[begin:end])
+            for i, (begin, end) in enumerate(pairwise(ends))
+        ]
+        return [row for result in called.call(given) for row in _nonzeros(result)]
+
+    def _switched(self, code: int, terms: Sequence[SX]) -> SX:
+        """Return a relation with a mode, or several, in its place."""
+        if code in _COMPARISONS:
+            a, b = terms
+            name = COMPARISONS[code == ca.OP_LE]
+            return self._sign(b - a, name, _COMPARISONS[code]) > 0
+        if len(terms) == 1:
+            (a,) = terms
+            match code:
+                case ca.OP_SIGN:
+                    return self._sign(a, "sign")
+                case ca.OP_FABS:
+                    return self._sign(a, "fabs") * a
+                case ca.OP_FLOOR:
+                    return self._floor(a, "floor")
+            return -self._floor(-a, "ceil")
+        a, b = terms
+        match code:
+            case ca.OP_FMIN:
+                return ca.if_else(self._sign(b - a, "fmin") > 0, a, b)
+            case ca.OP_FMAX:
+                return ca.if_else(self._sign(b - a, "fmax") > 0, b, a)
+            case ca.OP_COPYSIGN:
+                return self._sign(a, "copysign") * a * self._sign(b, "copysign")
+            case ca.OP_REMAINDER:
+                return a - b * self._floor(a / b + 0.5, "remainder")
+        side = self._sign(a / b, "fmod")
+        return a - b * side * self._floor(side * a / b, "fmod")
+
+    def _sign(self, argument: SX, operation: str, at_zero: int = 1) -> SX:
+        return self._mode(Relation(argument, False, at_zero, operation))
+
+    def _floor(self, argument: SX, operation: str) -> SX:
+        return self._mode(Relation(argument, True, 1, operation))
+
+    def _mode(self, relation: Relation) -> SX:
+        for known, mode in zip(self.relations, self.modes, strict=True):
+            same = known.floor == relation.floor and known.at_zero == relation.at_zero
+            if same and ca.is_equal(known.argument, relation.argument, 3):
+                return mode
+        self.relations.append(relation)
+        self.modes.append(SX.sym(f"mode_{len(self.relations)}"))
+        return self.modes[-1]
+
+
+def _nonzeros(matrix: SX) -> list[SX]:
+    """Return the nonzeros of a sparse matrix, column by column."""
+    return ca.vertsplit(matrix.nz[:]) if matrix.nnz() else []
+
+
+def _applied(code: int, terms: Sequence[SX]) -> SX:
+    return SX.unary(code, *terms) if len(terms) == 1 else SX.binary(code, *terms)
+
+
+def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae:
+    """Return frozen laws that are polynomials of some modes, which may lie between -1 and 1.
+
+    Args:
+        dae: A frozen model.
+        modes: Positions of the modes in `dae.u`.
+        taken: Whether a branch that is not taken has no influence even where it has no value; the
+            derivatives with respect to modes are then wrong.
+    """
+    laws = [dae.ode, dae.alg, dae.outputs]
+    function = ca.Function("laws", dae.arguments, laws, {"cse": True})
+    symbols = [ca.vertsplit(column) for column in dae.arguments]
+    work: dict[int, tuple[SX, bool]] = {}  # value, and whether it is a truth value of modes
+    results = [[SX(0)] * law.numel() for law in laws]
+    for k in range(function.n_instructions()):
+        code, given = function.instruction_id(k), function.instruction_input(k)
+        to = function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            results[to[0]][to[1]] = work[given[0]][0]
+        elif code == ca.OP_INPUT:
+            column, row = given
+            work[to[0]] = symbols[column][row], column == 3 and row in modes
+        elif code == ca.OP_CONST:
+            work[to[0]] = SX(function.instruction_constant(k)), False
+        else:
+            terms, of_mode = [work[i][0] for i in given], any(work[i][1] for i in given)
+            if of_mode and code == ca.OP_LT:  # 0 < mode
+                work[to[0]] = (1 + terms[1]) / 2, True
+            elif of_mode and taken and code == ca.OP_IF_ELSE_ZERO:
+                work[to[0]] = terms[0] * SX.binary(code, *terms), False
+            elif of_mode and code in _LOGIC:
+                work[to[0]] = _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
+            else:
+                work[to[0]] = _applied(code, terms), False
+    ode, alg, outputs = (ca.densify(ca.vertcat(SX(0, 1), *column)) for column in results)
+    return replace(dae, ode=ode, alg=alg, outputs=outputs)

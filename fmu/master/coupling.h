@@ -1,0 +1,624 @@
+/* Co-simulation of parts whose outputs drive inputs of other parts.
+ *
+ * At a communication point the interface is settled: inputs equal the outputs that drive them, also
+ * through loops of direct feedthrough, and so do their rates. Within a macro step each input is a
+ * cubic through values and rates at both ends; the parts are rolled back and step again until the
+ * interface at the end agrees with what they were given. What the cubic before the step predicts
+ * for its end differs from that by four powers of the step: that is the estimate of the error.
+ *
+ * Source  Kuebler, Schiehlen, Multibody Syst. Dyn. 4, 2000 (loops); Arnold, Clauss, Schierz, Arch.
+ *         Mech. Eng. 60, 2013, 75-94 (error of macro steps).
+ */
+#ifndef COUPLING_H
+#define COUPLING_H
+
+#include "fixed_point.h"
+#include "interrupt.h"
+#include "part.h"
+#include "run.h"
+
+enum { JACOBI, GAUSS_SEIDEL, EXTRAPOLATED, ITERATED }; /* as `Method` in cosim/coupling */
+enum { LOOP_UNSOLVED = NOT_A_NUMBER + 1 };             /* how a run ended, after those of run.h */
+enum { MOST_ITERATIONS = 40, MOST_SOLUTIONS = 30, PAST = 3, MOST_FORCED = 1000 };
+
+/* Differences that iterations leave, of the correction: where the error of a step is estimated, and
+ * where the step is given. */
+static const double AGREED = 1e-2, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double ROUNDED = 1e-13; /* relative difference of interfaces that agree */
+static const double SAFE = 0.8, SHORTER = 0.2, LONGER = 2.0; /* of macro steps */
+static const double SHORTEST = 1e-9;                         /* macro step, of the span */
+static const double LONGEST = 0.1;
+
+typedef struct {
+    Part *parts;
+    long long n_parts, inputs, outputs; /* connected ones of all parts, part after part */
+    const long long *source;            /* of each input: the output that drives it */
+    const double *factor, *offset;      /* input = factor output + offset */
+    const long long *feeds;             /* (outputs, inputs): whether it is felt at once */
+    double *u;                          /* inputs at the start: a guess, then their values */
+    double *scale;                      /* sizes of the inputs */
+    const long long *grows;             /* whether a scale is the largest value so far */
+    const double *times;                /* of outputs */
+    long long points;
+    double start, stop;
+    double macro_step; /* 0: chosen by the error */
+    double tolerance;  /* of the inputs, in their scales */
+    long long method;
+    /* answers */
+    long long how, rows, macro_steps, rejected, iterations, unsettled, part, input, status;
+    const char *function;
+    double time, mismatch; /* of inputs and outputs at output times, the largest */
+} System;
+
+/* The interface at a communication point: inputs and their rates. */
+typedef struct {
+    double t, *u, *r;
+} Interface;
+
+typedef struct {
+    System *system;
+    Fmu fmu;
+    int feedthrough, all_roll_back;
+    Interface now, next, past[PAST]; /* the newest of the past first */
+    long long known;                 /* points of the past */
+    double mismatch;                 /* of outputs and inputs, at output times within the step */
+    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
+    FixedPoint iteration;
+    double *memory;
+} Coupling;
+
+/* -- the interface at a communication point --------------------------------------------------- */
+
+static inline int give_up(Coupling *self, long long part) {
+    self->system->part = part;
+    return 1;
+}
+
+static inline int set_inputs(Coupling *self, const double *u) {
+    const System *system = self->system;
+    for (long long p = 0; p < system->n_parts; u += system->parts[p++].inputs)
+        if (part_set(&self->fmu, system->parts + p, u)) return give_up(self, p);
+    return 0;
+}
+
+static inline int get_outputs(Coupling *self) {
+    const System *system = self->system;
+    double *y = self->y;
+    for (long long p = 0; p < system->n_parts; y += system->parts[p++].outputs)
+        if (part_get(&self->fmu, system->parts + p, y)) return give_up(self, p);
+    return 0;
+}
+
+/* An input as the outputs want it. */
+static inline double driven(const Coupling *self, long long k) {
+    const System *system = self->system;
+    return system->factor[k] * self->y[system->source[k]] + system->offset[k];
+}
+
+/* Derivatives of driven inputs by inputs at a communication point, (inputs, inputs). */
+static inline int find_gain(Coupling *self, const double *u) {
+    const System *system = self->system;
+    const long long m = system->inputs;
+    long long input = 0, output = 0;
+    memset(self->gain, 0, (size_t)(m * m) * sizeof *self->gain);
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        for (long long i = 0; i < part->inputs; ++i, ++input) {
+            int felt = 0;
+            for (long long k = 0; k < part->outputs; ++k)
+                felt |= system->feeds[(output + k) * m + input] != 0;
+            if (!felt) continue;
+            if (part->directional) {
+                if (part_column(&self->fmu, part, i, self->column)) return give_up(self, p);
+            } else {
+                const double step = 1e-6 * system->scale[input];
+                memcpy(self->part_u, u + input - i, (size_t)part->inputs * sizeof *u);
+                self->part_u[i] += step;
+                if (part_set(&self->fmu, part, self->part_u) ||
+                    part_get(&self->fmu, part, self->column) ||
+                    part_set(&self->fmu, part, u + input - i))
+                    return give_up(self, p);
+                for (long long k = 0; k < part->outputs; ++k)
+                    self->column[k] = (self->column[k] - self->y[output + k]) / step;
+            }
+            for (long long k = 0; k < m; ++k)
+                if (system->source[k] >= output && system->source[k] < output + part->outputs)
+                    self->gain[k * m + input] =
+                        system->factor[k] * self->column[system->source[k] - output];
+        }
+        output += part->outputs;
+    }
+    return 0;
+}
+
+/* Solve (1 - gain) x = b; b becomes x. */
+static inline int through_loops(Coupling *self, double *b) {
+    const long long m = self->system->inputs;
+    for (long long i = 0; i < m * m; ++i) self->matrix[i] = -self->gain[i];
+    for (long long i = 0; i < m; ++i) self->matrix[i * m + i] += 1;
+    return solve_dense(m, self->matrix, b);
+}
+
+static inline double size_of(const System *system, long long i, double u) {
+    return system->scale[i] + fabs(u);
+}
+
+/* Inputs that equal the outputs that drive them; `u` is a guess. Returns how the run goes on. */
+static inline int settle_values(Coupling *self, double *u) {
+    System *system = self->system;
+    const long long m = system->inputs;
+    double last = INFINITY;
+    if (!self->feedthrough) { /* no output feels an input at once */
+        if (get_outputs(self)) return CALL_FAILED;
+        for (long long k = 0; k < m; ++k)
+            if (!isfinite(u[k] = driven(self, k))) return NOT_A_NUMBER;
+        return set_inputs(self, u) ? CALL_FAILED : DONE;
+    }
+    for (int n = 0; n < MOST_SOLUTIONS; ++n) {
+        double worst = 0;
+        if (set_inputs(self, u) || get_outputs(self)) return CALL_FAILED;
+        for (long long k = 0; k < m; ++k) {
+            self->change[k] = driven(self, k) - u[k];
+            const double off = fabs(self->change[k]) / size_of(system, k, u[k]);
+            if (!(off <= worst)) {
+                worst = off;
+                system->input = k;
+            }
+        }
+        if (!isfinite(worst)) return NOT_A_NUMBER;
+        if (worst <= ROUNDED || (worst >= last / 2 && last < 1e-10)) return DONE;
+        if (n % 4 == 0 && find_gain(self, u)) return CALL_FAILED;
+        if (through_loops(self, self->change)) return LOOP_UNSOLVED;
+        for (long long k = 0; k < m; ++k) u[k] += self->change[k];
+        last = worst;
+    }
+    return LOOP_UNSOLVED;
+}
+
+/* Derivative at the newest point of the polynomial through it and those of the past. */
+static inline double rate_of_values(const Coupling *self, const Interface *at, long long k) {
+    const long long n = self->known;
+    double sum = 0;
+    for (long long i = 0; i < n; ++i) { /* of the Lagrange polynomial of each past point */
+        const double since = at->t - self->past[i].t;
+        double weight = 1 / since;
+        for (long long j = 0; j < n; ++j)
+            if (j != i) weight *= (at->t - self->past[j].t) / (self->past[i].t - self->past[j].t);
+        sum += weight * (at->u[k] - self->past[i].u[k]);
+    }
+    return sum;
+}
+
+/* Rates of the inputs of a settled interface. */
+static inline int settle_rates(Coupling *self, Interface *at) {
+    System *system = self->system;
+    if (self->feedthrough && find_gain(self, at->u)) return CALL_FAILED;
+    double *rates = self->y;
+    memset(self->change, 0, (size_t)system->inputs * sizeof *self->change);
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        if (part->rates &&
+            ((part->order && part_set_derivatives(&self->fmu, part, 1, self->change)) ||
+             part_rates(&self->fmu, part, rates)))
+            return give_up(self, p), CALL_FAILED;
+        for (long long i = 0; !part->rates && i < part->outputs; ++i) rates[i] = NAN;
+        rates += part->outputs;
+    }
+    for (long long k = 0; k < system->inputs; ++k) {
+        const double rate = system->factor[k] * self->y[system->source[k]];
+        at->r[k] = isnan(rate) ? rate_of_values(self, at, k) : rate;
+    }
+    return self->feedthrough && through_loops(self, at->r) ? LOOP_UNSOLVED : DONE;
+}
+
+static inline int settle(Coupling *self, Interface *at) {
+    const int how = settle_values(self, at->u);
+    if (how != DONE) return how;
+    return self->system->method >= EXTRAPOLATED ? settle_rates(self, at) : DONE;
+}
+
+/* -- macro steps ------------------------------------------------------------------------------ */
+
+/* A cubic by its derivatives at the time `since` after the first of two points. */
+static inline void cubic_at(const Interface *a, const Interface *b, long long k, double since,
+                            double derivatives[4]) {
+    const double h = b->t - a->t, chord = (b->u[k] - a->u[k]) / h;
+    const double second = 2 * (3 * chord - 2 * a->r[k] - b->r[k]) / h;
+    const double third = 6 * (a->r[k] + b->r[k] - 2 * chord) / (h * h);
+    derivatives[0] = a->u[k] + since * (a->r[k] + since * (second / 2 + since * third / 6));
+    derivatives[1] = a->r[k] + since * (second + since * third / 2);
+    derivatives[2] = second + since * third;
+    derivatives[3] = third;
+}
+
+/* Give a part its inputs for a step of a length, as well as it takes them. */
+static inline int drive(Coupling *self, long long p, long long first, double since, double length) {
+    const Part *part = self->system->parts + p;
+    double *u = self->part_u, *by_order = self->given;
+    const long long n = part->inputs;
+    for (long long i = 0; i < n; ++i) {
+        double d[4] = {self->next.u[first + i]};
+        if (self->system->method >= EXTRAPOLATED)
+            cubic_at(&self->now, &self->next, first + i, since, d);
+        const double mean = d[0] + length * (d[1] / 2 + length * (d[2] / 6 + length * d[3] / 24));
+        const double chord = d[1] + length * (d[2] / 2 + length * d[3] / 6);
+        u[i] = part->order == MOST_ORDER ? d[0] : mean - (part->order ? chord * length / 2 : 0);
+        by_order[i] = part->order == MOST_ORDER ? d[1] : chord;
+        by_order[n + i] = d[2];
+        by_order[2 * n + i] = d[3];
+    }
+    if (part_set(&self->fmu, part, u)) return 1;
+    if (self->system->method < EXTRAPOLATED) return 0;
+    for (int order = 1; order <= part->order; ++order)
+        if (part_set_derivatives(&self->fmu, part, order, by_order + (order - 1) * n)) return 1;
+    return 0;
+}
+
+/* Note by how much the outputs of a part differ from the cubics that they drive, within a step. */
+static inline int compare_with_cubics(Coupling *self, long long p, double since) {
+    const System *system = self->system;
+    const Part *part = system->parts + p;
+    long long first = 0;
+    for (long long other = 0; other < p; ++other) first += system->parts[other].outputs;
+    if (part_get(&self->fmu, part, self->y + first)) return 1;
+    for (long long k = 0; k < system->inputs; ++k) {
+        const long long output = system->source[k] - first;
+        if (output < 0 || output >= part->outputs) continue;
+        double d[4];
+        cubic_at(&self->now, &self->next, k, since, d);
+        const double off = fabs(driven(self, k) - d[0]) / size_of(system, k, d[0]);
+        if (!(off <= self->mismatch)) self->mismatch = off;
+    }
+    return 0;
+}
+
+/* Whether a row is that of an output time before a time. */
+static inline int is_before(const System *system, long long row, double t) {
+    return row < system->points && system->times[row] < t && !near(system->times[row], t);
+}
+
+/* Step a part to the end of the macro step; if it records, by way of the output times within. */
+static inline int step_part(Coupling *self, long long p, long long first, int recording) {
+    const System *system = self->system;
+    Part *part = system->parts + p;
+    const double begin = self->now.t, end = self->next.t;
+    double t = begin;
+    long long row = system->rows;
+    for (;; ++row) {
+        const int last = !(recording && is_before(system, row, end));
+        const double to = last ? end : system->times[row];
+        if (to > t) {
+            if (drive(self, p, first, t - begin, to - t)) return PART_FAILED;
+            const int how = part_step(&self->fmu, part, t, to - t);
+            if (how != STEPPED) return how;
+        }
+        t = to;
+        if (last) return STEPPED;
+        if (part_record(&self->fmu, part, row)) return PART_FAILED;
+        if (system->method >= EXTRAPOLATED && compare_with_cubics(self, p, t - begin))
+            return PART_FAILED;
+    }
+}
+
+/* Inputs of a part that other parts, which have stepped already, drive: their values there. */
+static inline int take_new_outputs(Coupling *self, long long stepped, long long first,
+                                   long long count) {
+    const System *system = self->system;
+    double *y = self->y;
+    long long outputs = 0;
+    for (long long p = 0; p < stepped; ++p) {
+        if (part_get(&self->fmu, system->parts + p, y + outputs)) return 1;
+        outputs += system->parts[p].outputs;
+    }
+    for (long long k = first; k < first + count; ++k)
+        if (system->source[k] < outputs) self->next.u[k] = driven(self, k);
+    return 0;
+}
+
+/* Step all parts; from the second pass on those that roll back. */
+static inline int step_parts(Coupling *self, int pass, int recording) {
+    System *system = self->system;
+    long long first = 0;
+    for (long long p = 0; p < system->n_parts; first += system->parts[p++].inputs) {
+        Part *part = system->parts + p;
+        system->part = p;
+        if (pass > 0 && !part->rolls_back) continue;
+        if (pass > 0 && part_restore(&self->fmu, part)) return PART_FAILED;
+        if (system->method == GAUSS_SEIDEL && take_new_outputs(self, p, first, part->inputs))
+            return PART_FAILED;
+        const int how = step_part(self, p, first, recording || !part->rolls_back);
+        if (how != STEPPED) return how;
+    }
+    return STEPPED;
+}
+
+/* What the cubic of the last step, or the rates at first, give for the next point. */
+static inline void predict(const Coupling *self, Interface *next) {
+    const double h = next->t - self->now.t;
+    for (long long k = 0; k < self->system->inputs; ++k) {
+        double d[4] = {self->now.u[k] + h * self->now.r[k], self->now.r[k]};
+        if (self->known > 0) cubic_at(&self->past[0], &self->now, k, next->t - self->past[0].t, d);
+        next->u[k] = d[0];
+        next->r[k] = d[1];
+    }
+}
+
+static inline void copy(const Coupling *self, Interface *to, const Interface *from) {
+    const size_t size = (size_t)self->system->inputs * sizeof *to->u;
+    to->t = from->t;
+    memcpy(to->u, from->u, size);
+    memcpy(to->r, from->r, size);
+}
+
+/* The interface as one vector without units. */
+static inline void as_vector(const Coupling *self, const Interface *at, double *w) {
+    const long long m = self->system->inputs;
+    const double h = self->next.t - self->now.t;
+    for (long long k = 0; k < m; ++k) {
+        const double size = size_of(self->system, k, self->now.u[k]);
+        w[k] = at->u[k] / size;
+        w[m + k] = h * at->r[k] / size;
+    }
+}
+
+static inline void from_vector(const Coupling *self, const double *w, Interface *at) {
+    const long long m = self->system->inputs;
+    const double h = self->next.t - self->now.t;
+    for (long long k = 0; k < m; ++k) {
+        const double size = size_of(self->system, k, self->now.u[k]);
+        at->u[k] = w[k] * size;
+        at->r[k] = w[m + k] * size / h;
+    }
+}
+
+static inline double largest(long long n, const double *a, const double *b) {
+    double found = 0;
+    for (long long i = 0; i < n; ++i) {
+        const double difference = fabs(b ? a[i] - b[i] : a[i]);
+        if (!(difference <= found)) found = difference;
+    }
+    return found;
+}
+
+enum { ACCEPTED, REJECTED, BROKEN }; /* a macro step */
+
+static inline int may_be_shortened(const Coupling *self) {
+    return self->all_roll_back && !self->system->macro_step;
+}
+
+/* What a part that did not make its step means for the macro step. */
+static inline int after_failed_step(Coupling *self, int how) {
+    System *system = self->system;
+    if (how == NOT_STEPPED && may_be_shortened(self)) {
+        self->fmu.function = NULL;
+        return REJECTED;
+    }
+    system->how = how == PART_ENDED ? ENDED_BY_FMU : CALL_FAILED;
+    return BROKEN;
+}
+
+static inline int settled_next(Coupling *self) {
+    System *system = self->system;
+    const int how = settle(self, &self->next);
+    if (how == DONE) return ACCEPTED;
+    if (how != CALL_FAILED && may_be_shortened(self)) return REJECTED;
+    system->how = how;
+    return BROKEN;
+}
+
+/* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree. `error` is the
+ * estimate of the interface's error within, in scales. */
+static inline int macro_step(Coupling *self, int iterates, double *error) {
+    System *system = self->system;
+    const long long m = system->inputs, n = 2 * m;
+    const double share = system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS : AGREED;
+    const int records = is_before(system, system->rows, self->next.t);
+    if (system->method >= EXTRAPOLATED)
+        predict(self, &self->next);
+    else
+        memcpy(self->next.u, self->now.u, (size_t)m * sizeof *self->next.u);
+    double *predicted = self->found + n, *w = self->w;
+    as_vector(self, &self->next, predicted);
+    memcpy(w, predicted, (size_t)n * sizeof *w);
+    int agreed = !iterates;
+    self->mismatch = 0;
+    for (int pass = 0; pass < MOST_ITERATIONS; ++pass) {
+        ++system->iterations;
+        const int how = step_parts(self, pass, agreed && records);
+        if (how != STEPPED) return after_failed_step(self, how);
+        const int settled = settled_next(self);
+        if (settled != ACCEPTED) return settled;
+        as_vector(self, &self->next, self->found);
+        if (agreed) break;
+        for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
+        const double left = largest(n, self->change, NULL);
+        const double correction = largest(n, self->found, predicted);
+        if (!isfinite(left)) return REJECTED;
+        agreed = left <= fmax(share * correction, ROUNDED);
+        if (agreed && !records) break;
+        if (agreed)
+            memcpy(w, self->found, (size_t)n * sizeof *w);
+        else
+            accelerate(&self->iteration, w, self->change, pass == 0);
+        from_vector(self, w, &self->next);
+    }
+    if (!agreed) {
+        if (may_be_shortened(self)) return REJECTED;
+        ++system->unsettled;
+    }
+    const double h = self->next.t - self->now.t;
+    const double before = self->known ? self->now.t - self->past[0].t : h;
+    *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;
+    *error = fmax(*error, self->mismatch);
+    return ACCEPTED;
+}
+
+/* -- the run ---------------------------------------------------------------------------------- */
+
+static inline int record_all(Coupling *self) {
+    System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (part_record(&self->fmu, system->parts + p, system->rows)) return give_up(self, p);
+    ++system->rows;
+    return 0;
+}
+
+static inline int save_all(Coupling *self) {
+    System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (part_save(&self->fmu, system->parts + p)) return give_up(self, p);
+    return 0;
+}
+
+static inline int restore_all(Coupling *self) {
+    System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (part_restore(&self->fmu, system->parts + p)) return give_up(self, p);
+    return 0;
+}
+
+/* The point that has been reached becomes the present one. */
+static inline int arrive(Coupling *self) {
+    System *system = self->system;
+    const Interface oldest = self->past[PAST - 1];
+    for (int i = PAST - 1; i > 0; --i) self->past[i] = self->past[i - 1];
+    self->past[0] = oldest;
+    copy(self, &self->past[0], &self->now);
+    if (self->known < PAST) ++self->known;
+    copy(self, &self->now, &self->next);
+    system->time = self->now.t;
+    while (is_before(system, system->rows, self->now.t))
+        ++system->rows; /* recorded within the step */
+    if (system->rows < system->points && near(system->times[system->rows], self->now.t) &&
+        record_all(self))
+        return 1;
+    for (long long k = 0; k < system->inputs; ++k)
+        if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
+    ++system->macro_steps;
+    return 0;
+}
+
+static inline int run_adaptive(Coupling *self) {
+    System *system = self->system;
+    const double span = system->stop - system->start;
+    double h = 1e-3 * span;
+    long long forced = 0;
+    while (system->time < system->stop && !near(system->time, system->stop)) {
+        if (halted) return INTERRUPTED;
+        const int last = system->time + 1.01 * h >= system->stop;
+        double error = 0;
+        self->next.t = last ? system->stop : system->time + h;
+        const double length = self->next.t - self->now.t;
+        if (save_all(self)) return CALL_FAILED;
+        const int how = macro_step(self, system->method == ITERATED, &error);
+        if (how == BROKEN) return (int)system->how;
+        const int shortest = length <= SHORTEST * span;
+        const int too_far = error > system->tolerance && self->all_roll_back;
+        const double factor =
+            how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
+        if (how == REJECTED || (too_far && !shortest)) {
+            if (shortest) return STEP_VANISHED;
+            ++system->rejected;
+            if (restore_all(self)) return CALL_FAILED;
+            h = length * fmin(fmax(factor, SHORTER), SAFE);
+            continue;
+        }
+        if (too_far && ++forced > MOST_FORCED) return STEP_VANISHED;
+        if (arrive(self)) return CALL_FAILED;
+        h = fmin(fmax(length * fmin(fmax(factor, SHORTER), LONGER), SHORTEST * span),
+                 LONGEST * span);
+    }
+    return DONE;
+}
+
+static inline int run_fixed(Coupling *self) {
+    System *system = self->system;
+    for (long long n = 1; system->time < system->stop && !near(system->time, system->stop); ++n) {
+        if (halted) return INTERRUPTED;
+        double error = 0;
+        self->next.t = fmin(system->start + (double)n * system->macro_step, system->stop);
+        if (near(self->next.t, system->stop)) self->next.t = system->stop;
+        const int begins = system->method == EXTRAPOLATED && n == 1 && self->all_roll_back;
+        const int iterates = system->method == ITERATED || begins;
+        if (iterates && save_all(self)) return CALL_FAILED;
+        const int how = macro_step(self, iterates, &error);
+        if (how == BROKEN) return (int)system->how;
+        if (how == REJECTED) return NOT_A_NUMBER;
+        system->mismatch = fmax(system->mismatch, self->mismatch);
+        if (arrive(self)) return CALL_FAILED;
+    }
+    return DONE;
+}
+
+static inline double *take(double **memory, long long count) {
+    double *taken = *memory;
+    *memory += count;
+    return taken;
+}
+
+/* Room for everything: returns 0 unless there is none. */
+static inline int make_room(Coupling *self) {
+    const long long m = self->system->inputs + 1, y = self->system->outputs + 1, n = 2 * m;
+    const long long count =
+        2 * m * (2 + PAST) + 2 * y + 2 * m * m + 4 * m + n + 3 * n + n * (2 + 3 * MOST_KEPT);
+    double *memory = self->memory = calloc((size_t)count, sizeof *memory);
+    if (!memory) return 1;
+    Interface *points[2 + PAST] = {&self->now, &self->next};
+    for (int i = 0; i < PAST; ++i) points[2 + i] = &self->past[i];
+    for (int i = 0; i < 2 + PAST; ++i) {
+        points[i]->u = take(&memory, m);
+        points[i]->r = take(&memory, m);
+    }
+    self->y = take(&memory, y);
+    self->column = take(&memory, y);
+    self->gain = take(&memory, m * m);
+    self->matrix = take(&memory, m * m);
+    self->part_u = take(&memory, m);
+    self->given = take(&memory, 3 * m);
+    self->change = take(&memory, n);
+    self->w = take(&memory, n);
+    self->found = take(&memory, 2 * n);
+    FixedPoint *iteration = &self->iteration;
+    iteration->n = 2 * self->system->inputs;
+    iteration->w = take(&memory, n);
+    iteration->f = take(&memory, n);
+    for (int j = 0; j < MOST_KEPT; ++j) {
+        iteration->dw[j] = take(&memory, n);
+        iteration->df[j] = take(&memory, n);
+        iteration->q[j] = take(&memory, n);
+    }
+    return 0;
+}
+
+static inline int run_from_start(Coupling *self) {
+    System *system = self->system;
+    const long long m = system->inputs;
+    self->now.t = system->time = system->start;
+    memcpy(self->now.u, system->u, (size_t)m * sizeof *self->now.u);
+    self->all_roll_back = 1;
+    for (long long p = 0; p < system->n_parts; ++p)
+        self->all_roll_back &= system->parts[p].rolls_back != 0;
+    for (long long i = 0; i < system->outputs * m; ++i) self->feedthrough |= system->feeds[i] != 0;
+    const int how = settle(self, &self->now);
+    if (how != DONE) return how;
+    if (record_all(self)) return CALL_FAILED;
+    return system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
+}
+
+/* Settles the inputs of parts in initialization mode, whose start values may follow from them. */
+static inline int settle_start(Coupling *self) {
+    self->feedthrough = 1;
+    return settle_values(self, self->system->u);
+}
+
+static inline void answer_of(System *system, int (*task)(Coupling *)) {
+    Coupling self = {.system = system, .fmu = {NULL, NULL, OK}};
+    system->part = system->input = -1;
+    system->how = make_room(&self) ? CALL_FAILED : task(&self);
+    system->function = self.fmu.function;
+    system->status = self.fmu.status;
+    for (long long p = 0; p < system->n_parts; ++p) part_forget(system->parts + p);
+    free(self.memory);
+}
+
+#endif

@@ -1,0 +1,138 @@
+/* A part of a coupled system: an FMU for co-simulation with the inputs that outputs drive. */
+#ifndef PART_H
+#define PART_H
+
+#include "recording.h"
+
+enum { MOST_ORDER = 3 }; /* of derivatives of inputs */
+
+typedef struct {
+    const Functions *call;
+    const Recording *recording;
+    long long inputs, outputs; /* connected ones */
+    const uint32_t *input_references, *output_references;
+    long long order;      /* of derivatives of inputs that it takes, 0 to MOST_ORDER */
+    long long rates;      /* whether it gives derivatives of outputs */
+    long long rolls_back; /* whether its state can be saved and restored */
+    long long directional;
+    /* answers */
+    long long steps, restored;
+    void *saved; /* its state at the last communication point; NULL at first */
+} Part;
+
+static inline int part_get(Fmu *fmu, const Part *self, double *y) {
+    const Functions *call = self->call;
+    const size_t n = (size_t)self->outputs;
+    if (n == 0) return 0;
+    if (call->version == 2)
+        return failed(fmu, "fmi2GetReal",
+                      call->get_real(call->instance, self->output_references, n, y));
+    return failed(fmu, "fmi3GetFloat64",
+                  call->get_float64(call->instance, self->output_references, n, y, n));
+}
+
+static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
+    const Functions *call = self->call;
+    const size_t n = (size_t)self->inputs;
+    if (n == 0) return 0;
+    if (call->version == 2)
+        return failed(fmu, "fmi2SetReal",
+                      call->set_real(call->instance, self->input_references, n, u));
+    return failed(fmu, "fmi3SetFloat64",
+                  call->set_float64(call->instance, self->input_references, n, u, n));
+}
+
+/* Derivatives of one order of all inputs, for the next step. */
+static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
+                                       const double *values) {
+    const Functions *call = self->call;
+    int orders[1] = {order};
+    for (long long i = 0; i < self->inputs; ++i)
+        if (failed(fmu, "fmi2SetRealInputDerivatives",
+                   call->set_input_derivatives(call->instance, self->input_references + i, 1,
+                                               orders, values + i)))
+            return 1;
+    return 0;
+}
+
+/* First derivatives of the outputs by time. */
+static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
+    const Functions *call = self->call;
+    for (long long i = 0; i < self->outputs; ++i) {
+        const int32_t order[1] = {1};
+        const uint32_t *reference = self->output_references + i;
+        if (call->version == 2
+                ? failed(fmu, "fmi2GetRealOutputDerivatives",
+                         call->output_derivatives_2(call->instance, reference, 1, order, rates + i))
+                : failed(fmu, "fmi3GetOutputDerivatives",
+                         call->output_derivatives_3(call->instance, reference, 1, order, rates + i,
+                                                    1)))
+            return 1;
+    }
+    return 0;
+}
+
+/* Derivatives of all outputs by one input. */
+static inline int part_column(Fmu *fmu, const Part *self, long long input, double *column) {
+    const Functions *call = self->call;
+    const uint32_t *unknown = self->output_references, *known = self->input_references + input;
+    const size_t n = (size_t)self->outputs;
+    const double seed = 1;
+    if (call->version == 2)
+        return failed(fmu, "fmi2GetDirectionalDerivative",
+                      call->directional_2(call->instance, unknown, n, known, 1, &seed, column));
+    return failed(fmu, "fmi3GetDirectionalDerivative",
+                  call->directional_3(call->instance, unknown, n, known, 1, &seed, 1, column, n));
+}
+
+static inline int part_save(Fmu *fmu, Part *self) {
+    return self->rolls_back &&
+           failed(fmu, self->call->version == 2 ? "fmi2GetFMUstate" : "fmi3GetFMUState",
+                  self->call->get_fmu_state(self->call->instance, &self->saved));
+}
+
+static inline int part_restore(Fmu *fmu, Part *self) {
+    ++self->restored;
+    return failed(fmu, self->call->version == 2 ? "fmi2SetFMUstate" : "fmi3SetFMUState",
+                  self->call->set_fmu_state(self->call->instance, self->saved));
+}
+
+static inline void part_forget(Part *self) {
+    if (self->saved) self->call->free_fmu_state(self->call->instance, &self->saved);
+}
+
+/* Writes a row of what the part records. */
+static inline int part_record(Fmu *fmu, const Part *self, long long row) {
+    fmu->call = self->call;
+    return record(fmu, self->recording, row);
+}
+
+enum { STEPPED, NOT_STEPPED, PART_ENDED, PART_FAILED };
+
+/* A communication step, after which a state may be restored. A part that ends the run within it
+ * says so; one that discards the step may take a shorter one. */
+static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
+    const Functions *call = self->call;
+    bool event = false, terminate = false, early = false;
+    double last = time + length;
+    int status;
+    ++self->steps;
+    if (call->version == 2)
+        status = call->do_step_2(call->instance, time, length, !self->rolls_back);
+    else
+        status = call->do_step_3(call->instance, time, length, !self->rolls_back, &event,
+                                 &terminate, &early, &last);
+    const char *function = call->version == 2 ? "fmi2DoStep" : "fmi3DoStep";
+    if (status == DISCARD) {
+        int terminated = 0;
+        if (call->version == 2 &&
+            (call->get_boolean_status(call->instance, TERMINATED, &terminated), terminated))
+            return PART_ENDED;
+        failed(fmu, function, status);
+        return NOT_STEPPED;
+    }
+    if (failed(fmu, function, status)) return PART_FAILED;
+    return terminate ? PART_ENDED : STEPPED;
+}
+
+#endif

@@ -1,0 +1,28 @@
+/* The first event of the states within a step of a solver. */
+#ifndef CROSSING_H
+#define CROSSING_H
+
+#include "modes.h"
+
+#if HAS_EVENTS
+#define RELATIONS N_MODES
+#include "crossings.h"
+
+/* What the solver knows of the motion within its step. */
+typedef struct {
+    void *solver;
+    void (*at)(void *solver, double t, double x[], double z[], double u[]);
+} Motion;
+
+INSIDE_BEGIN
+
+Crossing first_crossing(Instance *self, const Motion *motion, double begin, double end);
+
+/* By how much a crossing is later than a time near it, at a state of that time; 0 where its rate
+   does not tell. */
+double crossing_delay(Instance *self, int relation, const Point *at);
+
+INSIDE_END
+#endif
+
+#endif

@@ -1,0 +1,47 @@
+/* Events: relations that leave their modes, assignments, ends of runs. Without HAS_EVENTS there are
+   none. */
+#ifndef EVENTS_H
+#define EVENTS_H
+
+#include "modes.h"
+
+/* What has happened at an instant. */
+typedef struct {
+    bool states_changed, ends;
+} Outcome;
+
+#if HAS_EVENTS
+INSIDE_BEGIN
+
+/* Where events go on from at the end of initialization. */
+Status begin_events(Instance *self);
+
+/* All that happens at the present time; `crossing` is the relation whose argument is 0, or -1. */
+Status happen(Instance *self, int crossing, Outcome *outcome);
+
+/* The next time event; `NO_EVENT` where there is none. */
+double next_event(const Instance *self);
+bool run_stopped(const Instance *self);
+
+/* What inputs and parameters that have just been set make happen before a step of co-simulation;
+   false where it fails or ends the run. */
+bool start_over(Instance *self);
+
+INSIDE_END
+#else
+static inline Status begin_events(Instance *self) {
+    (void)self;
+    return OK;
+}
+static inline Status happen(Instance *self, int crossing, Outcome *outcome) {
+    (void)self, (void)crossing;
+    *outcome = (Outcome){false, false};
+    return OK;
+}
+static inline bool run_stopped(const Instance *self) {
+    (void)self;
+    return false;
+}
+#endif
+
+#endif

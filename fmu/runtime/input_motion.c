@@ -1,0 +1,42 @@
+/* Inputs within a communication step: polynomials of the time since that of the instance. */
+#include "input_motion.h"
+
+/* A derivative of the polynomial of an input, by Horner's scheme from that of order 3 downward. */
+static double derivative_at(const Instance *self, int input, int order, double since) {
+    const State *state = &self->state;
+    double sum = 0;
+    for (int n = MOST_INPUT_ORDER; n > order; n--)
+        sum = (sum + state->motion[n - 1][input]) * since / (n - order);
+    return sum + (order > 0 ? state->motion[order - 1][input] : state->values[FIRST_INPUT + input]);
+}
+
+static void derivatives_at(const Instance *self, int order, double time, double found[]) {
+    const double since = time - self->state.values[TIME];
+    for (int i = 0; i < NU; i++) found[i] = derivative_at(self, i, order, since);
+}
+
+void inputs_at(const Instance *self, double time, double u[]) {
+    derivatives_at(self, 0, time, u);
+}
+
+void input_slopes_at(const Instance *self, double time, double du[]) {
+    derivatives_at(self, 1, time, du);
+}
+
+void move_inputs(Instance *self, double time) {
+    double *values = self->state.values;
+    const double since = time - values[TIME];
+    for (int i = 0; i < NU; i++) {
+        values[FIRST_INPUT + i] = derivative_at(self, i, 0, since);
+        for (int order = 1; order < MOST_INPUT_ORDER; order++)
+            self->state.motion[order - 1][i] = derivative_at(self, i, order, since);
+    }
+    values[TIME] = time;
+}
+
+bool inputs_rest(const Instance *self) {
+    for (int order = 0; order < MOST_INPUT_ORDER; order++)
+        for (int i = 0; i < NU; i++)
+            if (self->state.motion[order][i] != 0) return false;
+    return true;
+}

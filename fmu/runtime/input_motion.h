@@ -1,0 +1,21 @@
+/* Inputs within a communication step: polynomials of the time since that of the instance. */
+#ifndef INPUT_MOTION_H
+#define INPUT_MOTION_H
+
+#include "state.h"
+#include "visibility.h"
+
+INSIDE_BEGIN
+
+/* Values, and first derivatives, at a time. */
+void inputs_at(const Instance *self, double time, double u[]);
+void input_slopes_at(const Instance *self, double time, double du[]);
+
+/* Bring values and derivatives to a time, which becomes that of the instance. */
+void move_inputs(Instance *self, double time);
+
+bool inputs_rest(const Instance *self);
+
+INSIDE_END
+
+#endif

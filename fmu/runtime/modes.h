@@ -1,0 +1,72 @@
+/* Modes of relations: which ones are consistent at an instant. Without HAS_EVENTS there are none.
+ */
+#ifndef MODES_H
+#define MODES_H
+
+#include "state.h"
+#include "visibility.h"
+
+#if HAS_EVENTS
+#include <float.h>
+
+#define NO_EVENT DBL_MAX
+#define NOT_PLANNED (-DBL_MAX)
+
+enum { MOST_ROUNDS = 100 }; /* of event iteration at one instant */
+
+/* A point of a motion; the modes in `u` that slide, and z from its guess, are found. */
+typedef struct {
+    double t;
+    const double *x;
+    double *z, *u;
+} Point;
+
+/* Arguments of the relations, and their time derivatives. */
+typedef struct {
+    double arguments[ROOM(N_MODES)], rates[ROOM(N_MODES)], seconds[ROOM(N_MODES)];
+} Seen;
+
+INSIDE_BEGIN
+
+/* The relations at the present values; how far arguments are within modes, and the rates of that.
+ */
+Status watch_relations(Instance *self, Seen *seen);
+void measure(const Instance *self, const double modes[], const Seen *seen, double inside[],
+             double rates[]);
+
+/* How far each relation is within its mode; false where there is no value. */
+bool inside_at(Instance *self, const Point *at, double inside[], double rates[]);
+
+/* The same at the present values for those that are watched, which are not of time alone. */
+Status get_insides(Instance *self, double inside[]);
+
+/* Set the modes of relations that slide; false where there are none that keep their arguments. */
+bool follow(Instance *self, const Point *at);
+Status follow_present(Instance *self);
+bool is_sliding(const Instance *self);
+
+/* The modes of the start values; consistent modes at an instant. */
+Status begin_modes(Instance *self);
+Status settle_modes(Instance *self, bool zero[], const bool decided[], Status severity);
+
+INSIDE_END
+#else
+static inline Status begin_modes(Instance *self) {
+    (void)self;
+    return OK;
+}
+static inline Status follow_present(Instance *self) {
+    (void)self;
+    return OK;
+}
+static inline Status get_insides(Instance *self, double inside[]) {
+    (void)self, (void)inside;
+    return OK;
+}
+static inline bool is_sliding(const Instance *self) {
+    (void)self;
+    return false;
+}
+#endif
+
+#endif

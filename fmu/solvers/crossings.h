@@ -1,0 +1,108 @@
+/* The first place within a step of a solver where a relation leaves its mode: looked for at several
+   places, and at the least values between them, so that two crossings of a relation are seen, too.
+
+   A margin is how far a relation is within its mode; RELATIONS is how many there are. */
+#ifndef CROSSINGS_H
+#define CROSSINGS_H
+
+#include <math.h>
+
+#ifndef RELATIONS
+#error "define RELATIONS, the number of margins, before solvers are included"
+#endif
+
+enum { PLACES = 9, MOST_HALVINGS = 100 };
+
+/* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
+   step, and of a part of it. */
+static const double SHALLOW = 0.5, SHALLOW_PART = 0.2;
+
+/* Margins and their rates at a time. What has no value is no event: the solver rejects such steps
+   itself. */
+typedef struct {
+    double t, inside[RELATIONS + 1], rates[RELATIONS + 1];
+} Place;
+
+typedef void LookAt(void *motion, double t, Place *found);
+
+typedef struct {
+    double time;
+    int relation; /* -1: none */
+} Crossing;
+
+static inline int outside(const Place *place) {
+    for (int i = 0; i < RELATIONS; ++i)
+        if (place->inside[i] < 0) return i;
+    return -1;
+}
+
+/* Between a place within all modes and one that is not, to the rounding of time. */
+static inline Crossing narrow(LookAt *look, void *motion, double low, Place high) {
+    Place place;
+    for (int n = 0; n < MOST_HALVINGS; ++n) {
+        const double middle = low + (high.t - low) / 2;
+        if (!(middle > low && middle < high.t)) break;
+        look(motion, middle, &place);
+        if (outside(&place) >= 0)
+            high = place;
+        else
+            low = middle;
+    }
+    return (Crossing){high.t, outside(&high)};
+}
+
+/* May a relation that first falls and then rises have been outside between two places? */
+static inline int may_dip(const Place *a, const Place *b, int i, double shallow) {
+    if (!(a->rates[i] < 0 && b->rates[i] > 0)) return 0;
+    const double h = b->t - a->t, most = fmax(a->inside[i], b->inside[i]);
+    double least = most;
+    for (int k = 1; k < PLACES; ++k) { /* on the cubic */
+        const double s = (double)k / PLACES, r = 1 - s;
+        const double ends = r * r * (1 + 2 * s) * a->inside[i] + s * s * (1 + 2 * r) * b->inside[i];
+        least = fmin(least, ends + h * s * r * (r * a->rates[i] - s * b->rates[i]));
+    }
+    return least < shallow * most;
+}
+
+/* Whether a relation has, or may have, left its mode between two places. */
+static inline int is_suspect(const Place *a, const Place *b) {
+    for (int i = 0; i < RELATIONS; ++i)
+        if (b->inside[i] < 0 || may_dip(a, b, i, SHALLOW)) return 1;
+    return 0;
+}
+
+/* The place where a relation is least. */
+static inline Place bottom(LookAt *look, void *motion, int i, Place a, Place b) {
+    Place place;
+    for (int n = 0; n < MOST_HALVINGS; ++n) {
+        const double middle = a.t + (b.t - a.t) / 2;
+        if (!(middle > a.t && middle < b.t)) break;
+        look(motion, middle, &place);
+        if (place.inside[i] < 0) return place;
+        if (place.rates[i] < 0)
+            a = place;
+        else
+            b = place;
+    }
+    return b;
+}
+
+/* The first crossing after a place, up to a time. */
+static inline Crossing crossing_between(LookAt *look, void *motion, Place before, double end) {
+    const double from = before.t;
+    Place place;
+    if (outside(&before) >= 0) return (Crossing){from, outside(&before)};
+    for (int k = 1; k <= PLACES; ++k) {
+        look(motion, k < PLACES ? from + (end - from) * k / PLACES : end, &place);
+        for (int i = 0; i < RELATIONS && outside(&place) < 0; ++i)
+            if (may_dip(&before, &place, i, SHALLOW_PART)) {
+                const Place least = bottom(look, motion, i, before, place);
+                if (least.inside[i] < 0) place = least;
+            }
+        if (outside(&place) >= 0) return narrow(look, motion, before.t, place);
+        before = place;
+    }
+    return (Crossing){end, -1};
+}
+
+#endif

@@ -1,0 +1,129 @@
+/* The relations of the equations, looked at as a solver goes: a step in which one leaves its mode
+ * ends exactly there.
+ *
+ * watch(t, x, z, u, c, dx) -> (inside, rates): how far every relation is within its mode, and the
+ * rate of that, at solved unknowns z.
+ */
+#ifndef WATCH_H
+#define WATCH_H
+
+#include <float.h>
+
+#include "crossings.h"
+#include "projection.h"
+
+enum { MOST_TRIALS_OF_A_TIME = 40 };
+
+/* A step that was accepted: its states within it, a fresh step to a time in it. */
+typedef struct {
+    Problem *problem;
+    double t, h;
+    void *motion;
+    int (*within)(void *motion, double t, double *x, double *dx);
+    int (*step_to)(void *motion, double t, double *x);
+} Step;
+
+/* Margins at a state; what is 0 at the start of a run by definition counts from there. */
+static inline int look(Problem *self, double t, const double *x, double *z, const double *dx,
+                       Place *found) {
+    found->t = t;
+    self->arg[0] = &t;
+    self->arg[1] = x;
+    self->arg[2] = z;
+    self->arg[3] = self->u;
+    self->arg[4] = self->c;
+    self->arg[5] = dx;
+    self->res[0] = found->inside;
+    self->res[1] = found->rates;
+    if (self->watch(self->arg, self->res, self->iw, self->w, 0)) return 1;
+    for (int i = 0; i < RELATIONS; ++i) {
+        if (!self->looked_at && self->zero[i] > 0) self->offsets[i] = found->inside[i];
+        found->inside[i] -= self->offsets[i];
+    }
+    self->looked_at = 1;
+    return 0;
+}
+
+/* The same where the derivatives and the algebraic unknowns are not known yet. */
+static inline int look_afresh(Problem *self, double t, const double *x, double *dx, Place *found) {
+    double z[NZ + 1];
+    return equations_at(self, t, x, dx, z) || look(self, t, x, z, dx, found);
+}
+
+static inline void look_within(void *accepted, double t, Place *found) {
+    const Step *self = accepted;
+    double x[NX], dx[NX], slopes[NX], z[NZ + 1];
+    const int lost = self->within(self->motion, t, x, dx) ||
+                     (NZ > 0 && equations_at(self->problem, t, x, slopes, z)) ||
+                     look(self->problem, t, x, z, dx, found);
+    for (int i = 0; lost && i < RELATIONS; ++i) {
+        found->inside[i] = 1;
+        found->rates[i] = 0;
+    }
+    found->t = t;
+}
+
+/* The first crossing in an accepted step that ends at a place, from the place where it begins: at
+ * the output times in it, and between all these places. */
+static inline Crossing crossing_of(Step *self, const double *times, const Place *begin,
+                                   const Place *end) {
+    Place before = *begin, place;
+    for (const double *time = times; before.t < end->t; before = place) {
+        while (*time <= before.t && *time < end->t) ++time;
+        if (*time < end->t)
+            look_within(self, *time, &place);
+        else
+            place = *end;
+        if (!is_suspect(&before, &place)) continue;
+        const Crossing found = crossing_between(look_within, self, before, place.t);
+        if (found.relation >= 0) return found;
+        if (outside(&place) >= 0) return (Crossing){place.t, outside(&place)};
+    }
+    return (Crossing){end->t, -1};
+}
+
+/* By how much the first crossing is later than a place near it. */
+static inline double delay_at(const Place *place, Crossing *crossing) {
+    double least = 0;
+    int first = -1;
+    for (int i = 0; i < RELATIONS; ++i) {
+        const double rate = place->rates[i], delay = -place->inside[i] / rate;
+        const int earlier = place->inside[i] < 8 * DBL_EPSILON * fabs(place->t) * rate;
+        if (!(rate < 0) || !(i == crossing->relation || earlier)) continue;
+        if (first < 0 || delay < least) {
+            least = delay;
+            first = i;
+        }
+    }
+    if (first >= 0) crossing->relation = first;
+    return least;
+}
+
+/* Ends a step at a crossing, by Newton's method on the ends of such steps. */
+static inline int end_at(const Step *self, Crossing *crossing, double *x) {
+    const double latest = self->t + self->h;
+    double dx[NX];
+    Place place;
+    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
+        double *when = &crossing->time;
+        if (self->step_to(self->motion, *when, x) ||
+            look_afresh(self->problem, *when, x, dx, &place))
+            return 1;
+        const double better = fmin(fmax(*when + delay_at(&place, crossing), self->t), latest);
+        if (fabs(better - *when) <= 2 * DBL_EPSILON * fabs(better)) break;
+        *when = better;
+    }
+    return 0;
+}
+
+/* Writes the state at a crossing after the last output time that was passed. */
+static inline int ends_run(Problem *self, const Crossing *crossing, const double *x, double *out,
+                           double *z) {
+    double dx[NX];
+    memcpy(out, x, NX * sizeof *x);
+    if (z && equations_at(self, crossing->time, x, dx, z)) return NOT_FINITE;
+    self->relation = crossing->relation;
+    return EVENT;
+}
+
+#endif

@@ -1,0 +1,415 @@
+"""Co-simulation of coupled FMUs by the compiled master of fmu/master/coupling.h."""
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.arrays import Vector
+from cosim.codegen.c_sources import master_source
+from cosim.codegen.compiler import cached_library
+from cosim.coupling.opened_part import OpenedPart, explained
+from cosim.coupling.parts import Connection
+from cosim.errors import FmuError, Interrupted, SolverError, UnknownName, UsageError
+from cosim.fmi.run.c_structures import Ending, Functions, Recorded, Recording
+from cosim.fmi.run.instance import (
+    by_name,
+)
+from cosim.fmi.run.request import column_of, output_names
+from cosim.host.signals import interruptible
+from cosim.memo import cached_per_thread
+from cosim.model.times import time_grid
+from cosim.trajectory import Trajectory
+
+_ACCURACY = 1e-6  # if neither accuracy nor macro step is given
+_TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
+_FIRST, _TIGHTER, _OF_PARTS = 0.4, 1 / 16, 0.01  # of the accuracy; of the last; of the coupling's
+_FALLS, _TIGHTEST = 0.75, 1e-13
+_LOOP_UNSOLVED = len(Ending)
+_LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
+
+
+class Method(StrEnum):
+    """How inputs move within a macro step, in the order of fmu/master/coupling.h."""
+
+    JACOBI = "jacobi"
+    GAUSS_SEIDEL = "gauss_seidel"
+    EXTRAPOLATED = "extrapolated"
+    ITERATED = "iterated"
+
+    @classmethod
+    def of(cls, name: str) -> "Method":
+        """Return the method of a name; raise `UnknownName` if there is none."""
+        if name not in tuple(cls):
+            raise UnknownName.among("the system", "method", str(name), tuple(cls))
+        return cls(name)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to simulate: times, s; accuracy or macro step; method; tolerance of the parts."""
+
+    start: float
+    stop: float
+    interval: float
+    accuracy: float | None
+    macro_step: float | None
+    method: Method
+    tolerance: float | None
+
+    def __post_init__(self) -> None:
+        if self.accuracy is not None and self.macro_step is not None:
+            raise UsageError("accuracy chooses the macro steps; leave macro_step out")
+        if self.macro_step is None and self.method in (Method.JACOBI, Method.GAUSS_SEIDEL):
+            raise UsageError(
+                f"{self.method} has no estimate of its error; give macro_step, or take the "
+                f"method {Method.ITERATED}"
+            )
+
+
+class _Part(ctypes.Structure):
+    """`Part` in fmu/master/part.h."""
+
+    _fields_ = (
+        ("call", ctypes.POINTER(Functions)),
+        ("recording", ctypes.POINTER(Recording)),
+        ("inputs", _LONG),
+        ("outputs", _LONG),
+        ("input_references", _POINTER),
+        ("output_references", _POINTER),
+        *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional")),
+        *((name, _LONG) for name in ("steps", "restored")),
+        ("saved", _POINTER),
+    )
+
+
+class _System(ctypes.Structure):
+    """`System` in fmu/master/coupling.h."""
+
+    _fields_ = (
+        ("parts", ctypes.POINTER(_Part)),
+        *((name, _LONG) for name in ("n_parts", "inputs", "outputs")),
+        *(
+            (name, _POINTER)
+            for name in ("source", "factor", "offset", "feeds", "u", "scale", "grows")
+        ),
+        ("times", _POINTER),
+        ("points", _LONG),
+        *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance")),
+        ("method", _LONG),
+        *((name, _LONG) for name in ("how", "rows", "macro_steps", "rejected", "iterations")),
+        *((name, _LONG) for name in ("unsettled", "part", "input", "status")),
+        ("function", ctypes.c_char_p),
+        ("time", _DOUBLE),
+        ("mismatch", _DOUBLE),
+    )
+
+
+class CoSimulation:
+    """The FMUs of a system, open for several runs.
+
+    Args:
+        name: Of the system.
+        files: FMUs by part.
+        wires: What drives what.
+
+    Raises:
+        FmuError: A file cannot be loaded.
+    """
+
+    def __init__(self, name: str, files: Mapping[str, Path], wires: Sequence[Connection]) -> None:
+        self.name = name
+        self._open = ExitStack()
+        wires = sorted(wires, key=lambda wire: (list(files).index(wire.input[0]), wire.input[1]))
+        self.parts = dict[str, OpenedPart]()
+        sources = list[tuple[str, str]]()
+        for part, path in files.items():
+            inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
+            outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})
+            sources += [(part, output) for output in outputs]
+            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs)
+            self._open.callback(opened.close)
+        self._inputs = [wire.input for wire in wires]
+        self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
+        self._factor = np.array([wire.factor for wire in wires])
+        self._offset = np.array([wire.offset for wire in wires])
+        self._feeds = np.zeros((len(sources), len(wires)), dtype=np.int64)
+        row = column = 0
+        for opened in self.parts.values():
+            block = opened.feeds()
+            end, right = row + block.shape[0], column + block.shape[1]
+            self._feeds[row:end, column:right] = block
+            row, column = end, right
+
+    def close(self) -> None:
+        """Free all instances."""
+        self._open.close()
+
+    def run(
+        self,
+        settings: Settings,
+        values: Mapping[str, Mapping[str, float]],
+        outputs: Sequence[tuple[str, str]] | None,
+    ) -> Trajectory:
+        """Simulate; see `System.simulate`.
+
+        Args:
+            settings: How.
+            values: Start values by part, by variable.
+            outputs: What to record; all outputs and connected inputs when None.
+        """
+        began = perf_counter()
+        columns = self._columns(outputs)
+        if settings.macro_step is not None:
+            run = self._once(settings, values, columns, 0.0, settings.tolerance or _TOLERANCE)
+        else:
+            run = self._accurate(settings, values, columns)
+        return replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
+
+    def _accurate(
+        self,
+        settings: Settings,
+        values: Mapping[str, Mapping[str, float]],
+        columns: Mapping[str, list[str]],
+    ) -> Trajectory:
+        """Tighten the tolerance of the coupling until two runs in succession agree."""
+        accuracy = settings.accuracy or _ACCURACY
+        last, steps, ratio = None, 0, 1.0
+        tolerance = max(_FIRST * accuracy, 2 * _TIGHTEST)
+        while True:
+            of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
+            try:
+                run = self._once(settings, values, columns, tolerance, of_parts)
+            except SolverError as error:
+                if last is None:
+                    raise
+                raise SolverError(
+                    f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {error}",
+                    partial=last,
+                ) from error
+            steps += run.stats["macro_steps"]
+            tighter = _TIGHTER
+            if last is not None:
+                sizes = np.array([column.nominal for column in run.columns])
+                change = np.abs(run.values - last.values).max(axis=0) / sizes
+                # the error falls like the tolerance; less than that is on the safe side
+                estimate = float(change.max()) * ratio**_FALLS
+                of = run.columns[int(change.argmax())].name
+                found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
+                run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
+                if estimate <= accuracy:
+                    return run
+                tighter = min(_TIGHTER, accuracy / estimate / 2)
+                if tolerance <= _TIGHTEST:
+                    break
+            last, ratio = run, max(tighter, _TIGHTEST / tolerance)
+            tolerance *= ratio
+        raise SolverError(
+            f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: the last two "
+            f"runs differ by {estimate:.2g} ({of}); allow a larger error, or give macro_step",
+            partial=run,
+        )
+
+    def _once(
+        self,
+        settings: Settings,
+        values: Mapping[str, Mapping[str, float]],
+        columns: Mapping[str, list[str]],
+        tolerance: float,
+        of_parts: float,
+    ) -> Trajectory:
+        experiment = {"startTime": settings.start, "stopTime": settings.stop}
+        experiment["tolerance"] = of_parts
+        for name, part in self.parts.items():
+            with explained(self.name, part):
+                part.start(values[name], **experiment)
+        times = time_grid(settings.start, settings.stop, settings.interval)
+        recorded = {name: self._recorded(name, wanted) for name, wanted in columns.items()}
+        tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
+        parts, held = self._structures(recorded, tables)
+        scale, grows = self._scales()
+        guess = np.array([float(v.start or 0) for p in self.parts.values() for v in p.inputs] + [0])
+        system = _System(
+            parts=parts,
+            n_parts=len(self.parts),
+            inputs=len(self._inputs),
+            outputs=len(self._feeds),
+            source=self._source.ctypes.data,
+            factor=self._factor.ctypes.data,
+            offset=self._offset.ctypes.data,
+            u=guess.ctypes.data,
+            scale=scale.ctypes.data,
+            grows=grows.ctypes.data,
+            times=times.ctypes.data,
+            points=len(times),
+            start=settings.start,
+            stop=settings.stop,
+            macro_step=settings.macro_step or 0.0,
+            tolerance=tolerance,
+            method=list(Method).index(settings.method),
+        )
+        library, everything = _library(), np.ones_like(self._feeds)
+        system.feeds = everything.ctypes.data  # a start value may follow from any input
+        with interruptible(library) as interrupts:
+            library.settle_coupled(ctypes.byref(system))
+            if system.how == Ending.DONE:
+                for part in self.parts.values():
+                    with explained(self.name, part):
+                        part.instance.exitInitializationMode()
+                system.feeds = self._feeds.ctypes.data
+                library.run_coupled(ctypes.byref(system))
+        del held
+        return self._result(system, settings, times, tables, columns, parts, bool(interrupts))
+
+    def _result(
+        self,
+        system: _System,
+        settings: Settings,
+        times: Vector,
+        tables: Mapping[str, Vector],
+        columns: Mapping[str, list[str]],
+        parts: Any,
+        interrupted: bool,
+    ) -> Trajectory:
+        rows = int(system.rows)
+        shown = [
+            replace(column_of(by_name(part.description)[v]), name=f"{name}.{v}")
+            for name, part in self.parts.items()
+            for v in columns[name]
+        ]
+        stats: dict[str, Any] = {
+            "solver": f"co-simulation, {settings.method}",
+            "macro_steps": int(system.macro_steps),
+            "rejected_steps": int(system.rejected),
+            "iterations": int(system.iterations),
+            "part_steps": {n: int(parts[i].steps) for i, n in enumerate(self.parts)},
+            "order": self.orders(settings.method),
+        }
+        if settings.macro_step is not None:
+            stats |= {"macro_step": settings.macro_step, "interface_error": float(system.mismatch)}
+        if notes := self._notes(system, settings):
+            stats["note"] = "; ".join(notes)
+        run = Trajectory(
+            self.name,
+            times[:rows],
+            tuple(shown),
+            np.hstack([np.zeros((rows, 0)), *(tables[n][:rows] for n in self.parts)]),
+            stats,
+            status="complete",
+        )
+        if interrupted or system.how == Ending.INTERRUPTED:
+            raise Interrupted(f"{self.name}: interrupted", partial=run)
+        if system.how != Ending.DONE:
+            failure = self._failure(system)
+            raise SolverError(
+                f"{self.name}: {failure}", partial=replace(run, status=f"stopped: {failure}")
+            )
+        return run
+
+    def orders(self, method: Method) -> dict[str, str]:
+        """Return how the inputs of each part move within a macro step, in words."""
+        if method in (Method.JACOBI, Method.GAUSS_SEIDEL):
+            return dict.fromkeys(self.parts, "constant inputs")
+        found = {}
+        for name, part in self.parts.items():
+            words = [f"{part.order.name.lower()} inputs"]
+            if not part.rates and part.outputs:
+                words.append("output derivatives from values")
+            if method is Method.ITERATED and not part.rolls_back:
+                words.append("one step without repetition: it cannot restore its state")
+            found[name] = ", ".join(words)
+        return found
+
+    def _notes(self, system: _System, settings: Settings) -> list[str]:
+        notes = []
+        if system.unsettled:
+            notes.append(
+                f"{system.unsettled} of {system.macro_steps} macro steps did not settle; "
+                "give a shorter macro_step, or accuracy"
+            )
+        fixed = [n for n, part in self.parts.items() if not part.rolls_back]
+        if fixed and settings.macro_step is None:
+            notes.append(
+                f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected"
+            )
+        return notes
+
+    def _failure(self, system: _System) -> str:
+        time = f"{system.time:.9g} s"
+        name = list(self.parts)[system.part] if 0 <= system.part < len(self.parts) else ""
+        if system.how == _LOOP_UNSOLVED:
+            entry = ".".join(self._inputs[system.input])
+            return f"the loop of direct feedthrough through {entry} has no solution at {time}"
+        if system.how == Ending.NOT_A_NUMBER:
+            return f"the inputs are not finite after {time}; give a shorter macro_step"
+        if system.how == Ending.ENDED_BY_FMU:
+            return f"part '{name}' ended the run after {time}"
+        if system.how == Ending.STEP_VANISHED:
+            return f"the macro steps become too short at {time}"
+        if system.how == Ending.CALL_FAILED and system.function and name:
+            call = f"{system.function.decode()} returned {system.status}"
+            why = self.parts[name].explained(FmuError(call))
+            return f"part '{name}' failed after {time}: {why}"
+        return f"it failed at {time}"
+
+    def _columns(self, outputs: Sequence[tuple[str, str]] | None) -> dict[str, list[str]]:
+        if outputs is not None:
+            return {n: [v for part, v in outputs if part == n] for n in self.parts}
+        found = {}
+        for name, part in self.parts.items():
+            known = output_names(part.path, by_name(part.description), None)
+            inputs = [v.name for v in part.inputs]
+            found[name] = [*known, *(v for v in inputs if v not in known)]
+        return found
+
+    def _recorded(self, name: str, wanted: Sequence[str]) -> Recorded:
+        part = self.parts[name]
+        known = by_name(part.description)
+        return Recorded(part.instance, part.description, [known[v] for v in wanted])
+
+    def _structures(
+        self, recorded: Mapping[str, Recorded], tables: Mapping[str, Vector]
+    ) -> tuple[Any, list[Any]]:
+        """Return the parts for the C code, and what must live as long as they."""
+        parts, held = (_Part * len(self.parts))(), list[Any]()
+        for place, (name, part) in zip(parts, self.parts.items(), strict=True):
+            references = [
+                np.array([v.valueReference for v in variables] + [0], dtype=np.uint32)
+                for variables in (part.inputs, part.outputs)
+            ]
+            held += [*references, recorded[name]]
+            structure = recorded[name].structure
+            structure.rows = tables[name].ctypes.data
+            place.call = ctypes.pointer(part.functions)
+            place.recording = ctypes.pointer(structure)
+            place.inputs, place.outputs = len(part.inputs), len(part.outputs)
+            place.input_references, place.output_references = (r.ctypes.data for r in references)
+            place.order, place.rates = int(part.order), part.rates
+            place.rolls_back, place.directional = part.rolls_back, part.directional
+        return parts, held
+
+    def _scales(self) -> tuple[Vector, NDArray[np.int64]]:
+        """Return the sizes of the inputs, and whether they grow as their FMU declares none."""
+        variables = [v for part in self.parts.values() for v in part.inputs]
+        declared = [v.nominal is not None for v in variables]
+        scale = np.array([float(v.nominal or 1.0) for v in variables] + [1.0])
+        return scale, np.array([not known for known in declared] + [False], dtype=np.int64)
+
+
+@cached_per_thread(1)
+def _library() -> ctypes.CDLL:
+    text = master_source("coupling.h")
+    for function, task in (("settle_coupled", "settle_start"), ("run_coupled", "run_from_start")):
+        text += f"SHARED void {function}(System *system) {{\n    answer_of(system, {task});\n}}\n"
+    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
+    for call in (library.settle_coupled, library.run_coupled):
+        call.argtypes = [ctypes.POINTER(_System)]
+        call.restype = None
+    return library

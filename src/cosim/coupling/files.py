@@ -1,0 +1,252 @@
+"""Coupled systems as files: TOML, and SSP 1.0 and 2.0 packages."""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from math import isfinite
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from casadi_models.dae.variables import is_name
+from cosim.coupling.system import System, couple, transformed
+from cosim.errors import FmuError, UsageError
+from cosim.fmi.archive import SYSTEM_DESCRIPTION, reject_dangerous_xml, unpacked
+from cosim.toml_file import TomlFile, read_toml, typed
+from cosim.trajectory import Trajectory
+
+_KEYS = ("title", "stop_time", "output_interval", "parts", "connections", "start_values")
+_TABLES = ("parts", "connections", "start_values")
+_FMU_TYPES = (None, "application/x-fmu-sharedlibrary")
+
+
+def is_system(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a coupled system: an .ssp file, or a TOML file with [parts]."""
+    file = Path(path)
+    if file.suffix == ".ssp":
+        return True
+    if file.suffix != ".toml" or not file.is_file():
+        return False
+    return re.search(r"^\s*\[parts\]", file.read_text(errors="replace"), re.MULTILINE) is not None
+
+
+def read_system(path: str | os.PathLike[str]) -> System:
+    """Read a coupled system from a TOML or an SSP file.
+
+    Raises:
+        CosimError: See `couple` and `read_ssp`; a message names the line of a TOML file.
+    """
+    return read_ssp(path) if Path(path).suffix == ".ssp" else _read_toml(Path(path))
+
+
+def simulate_file(path: str | os.PathLike[str], **options: Any) -> Trajectory:
+    """Read a system and simulate it; see `System.simulate`."""
+    return read_system(path).simulate(**options)
+
+
+def coupling_report(run: Trajectory) -> str:
+    """Return one line about a co-simulation: its error where that was estimated, and its steps."""
+    stats = run.stats
+    steps = f"{stats['macro_steps']} macro steps, {stats['rejected_steps']} rejected"
+    if "error_estimate" not in stats:
+        return f"{run.model}: {steps}; the error of the coupling is not estimated (--accuracy does)"
+    return (
+        f"{run.model}: error of the coupling at most about {stats['error_estimate']:.1e} "
+        f"({stats['error_estimate_of']}); {steps}"
+    )
+
+
+def _read_toml(path: Path) -> System:
+    file = read_toml(path)
+    file.reject_unknown((), file.data, _KEYS)
+    parts, connections, values = (_table(file, key) for key in _TABLES)
+    for key in ("parts", "connections"):
+        for name, value in (parts if key == "parts" else connections).items():
+            typed(value, str, "a text", file.at(key, name))
+    times = {
+        key: float(typed(file.data[key], int | float, "a number", file.at(key)))  # type: ignore[arg-type] # isinstance takes a union
+        for key in ("stop_time", "output_interval")
+        if key in file.data
+    }
+    title = typed(file.data.get("title", ""), str, "a text", file.at("title"))
+    with file.naming("parts"):
+        return couple(
+            parts,
+            connections,
+            start_values=values,
+            name=_identifier(path.stem),
+            title=title,
+            folder=path.parent,
+            **times,
+        )
+
+
+def _table(file: TomlFile, key: str) -> dict[str, Any]:
+    return dict(typed(file.data.get(key, {}), dict, f"[{key}]", file.at(key)))
+
+
+def _identifier(text: str) -> str:
+    name = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return name if is_name(name) else f"system_{name}"
+
+
+def read_ssp(path: str | os.PathLike[str]) -> System:
+    """Read a coupled system from an SSP file of version 1.0 or 2.0.
+
+    Its FMUs, their connections with linear transformations, connectors of the whole system, start
+    values within the description or in .ssv files, and the default experiment are read.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FmuError, SecurityError: It is no SSP file, or unpacking it is not safe.
+        UsageError: It holds what cannot be simulated here: nested systems, parts that are no FMUs.
+        CosimError: See `couple`.
+
+    Example:
+        >>> import cosim
+        >>> path = cosim.couple({"shaft": "crank_shaft"}, {}).write_ssp("shaft.ssp")
+        >>> list(read_ssp(path).parts)
+        ['shaft']
+    """
+    held = ExitStack()
+    try:
+        folder = held.enter_context(unpacked(path, description=SYSTEM_DESCRIPTION))
+        system = _Description(Path(path), folder).system()
+    except BaseException:
+        held.close()
+        raise
+    system.holds(held)
+    return system
+
+
+class _Description:
+    """The system description of an unpacked SSP file."""
+
+    def __init__(self, path: Path, folder: Path) -> None:
+        self._path, self._folder = path, folder
+        self._root = self._xml(SYSTEM_DESCRIPTION)
+        found = _child(self._root, "System")
+        if found is None:
+            raise FmuError(f"{path}: {SYSTEM_DESCRIPTION} describes no system")
+        self._system = found
+
+    def system(self) -> System:
+        """Return the system.
+
+        Raises:
+            CosimError: See `read_ssp`.
+        """
+        parts = {part.get("name", ""): self._file(part) for part in self._parts()}
+        experiment = _child(self._root, "DefaultExperiment")
+        stop = None if experiment is None else experiment.get("stopTime")
+        names = {name: _identifier(name) for name in parts}
+        wires = dict[str, str]()
+        changes = dict[str, tuple[float, float]]()
+        for connection in _children(_child(self._system, "Connections"), "Connection"):
+            sides = [connection.get(f"{end}Element") for end in ("start", "end")]
+            if None in sides:
+                continue  # with a connector of the whole system, which nothing drives here
+            source, sink = (
+                f"{names.get(side or '', side)}.{connection.get(f'{end}Connector')}"
+                for side, end in zip(sides, ("start", "end"), strict=True)
+            )
+            if sink in wires:
+                raise UsageError(f"{self._path}: {sink} is connected twice; connect it once")
+            wires[sink] = source
+            linear = _child(connection, "LinearTransformation")
+            if linear is not None:
+                changes[sink] = float(linear.get("factor", 1)), float(linear.get("offset", 0))
+        found = couple(
+            {names[name]: file for name, file in parts.items()},
+            wires,
+            start_values={
+                f"{names[part]}.{variable}": value
+                for part, variable, value in self._start_values(parts)
+            },
+            name=_identifier(self._system.get("name") or self._path.stem),
+            title=self._system.get("description", ""),
+            stop_time=None if stop is None else float(stop),
+        )
+        return transformed(found, changes)
+
+    def _parts(self) -> Iterator[ET.Element]:
+        elements = _child(self._system, "Elements")
+        for element in () if elements is None else elements:
+            kind = _local(element)
+            if kind != "Component" or element.get("type") not in _FMU_TYPES:
+                name = element.get("name")
+                raise UsageError(
+                    f"{self._path}: '{name}' ({kind}, {element.get('type') or 'no FMU'}) cannot be "
+                    "simulated here; only FMUs directly in the system can"
+                )
+            yield element
+
+    def _file(self, part: ET.Element) -> Path:
+        return self._inside(part.get("source", ""))
+
+    def _inside(self, source: str) -> Path:
+        file = (self._folder / source).resolve()
+        if not file.is_relative_to(self._folder.resolve()) or not file.is_file():
+            raise FmuError(f"{self._path}: it has no file {source}")
+        return file
+
+    def _start_values(self, parts: Mapping[str, Path]) -> Iterator[tuple[str, str, float]]:
+        for part in self._parts():
+            for variable, value in self._bound(part, ""):
+                yield part.get("name", ""), variable, value
+        for name, value in self._bound(self._system, ""):
+            part_name, _, variable = name.partition(".")
+            if part_name in parts:
+                yield part_name, variable, value
+
+    def _bound(self, element: ET.Element, prefix: str) -> Iterator[tuple[str, float]]:
+        for binding in _children(_child(element, "ParameterBindings"), "ParameterBinding"):
+            if _child(binding, "ParameterMapping") is not None:
+                raise UsageError(
+                    f"{self._path}: the parameters of '{element.get('name')}' are renamed by a "
+                    "mapping, which cannot be read here; write their own names"
+                )
+            source, values = binding.get("source"), _child(binding, "ParameterValues")
+            sets = list(values) if values is not None else []
+            if source is not None:
+                sets = [self._xml(source)]
+            own = binding.get("prefix", prefix)
+            for chosen in sets:
+                for parameter in _children(_child(chosen, "Parameters"), "Parameter"):
+                    for number in parameter:
+                        if _local(number) in ("Real", "Float64", "Integer", "Int32", "Boolean"):
+                            yield own + parameter.get("name", ""), self._number(parameter, number)
+
+    def _number(self, parameter: ET.Element, number: ET.Element) -> float:
+        text = number.get("value", "")
+        value = {"true": 1.0, "false": 0.0}.get(text)
+        try:
+            value = float(text) if value is None else value
+        except ValueError:
+            value = float("nan")
+        if not isfinite(value):
+            raise UsageError(f"{self._path}: {parameter.get('name')} = {text!r} is no number")
+        return value
+
+    def _xml(self, source: str) -> ET.Element:
+        content = self._inside(source).read_bytes()
+        reject_dangerous_xml(source, content)
+        try:
+            return ET.fromstring(content)
+        except ET.ParseError as error:
+            raise FmuError(f"{self._path}: {source} cannot be read: {error}") from error
+
+
+def _local(element: ET.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _children(element: ET.Element | None, kind: str) -> list[ET.Element]:
+    return [] if element is None else [child for child in element if _local(child) == kind]
+
+
+def _child(element: ET.Element, kind: str) -> ET.Element | None:
+    return next(iter(_children(element, kind)), None)

@@ -1,0 +1,1 @@
+"""Drawings of mechanisms: poses, meshes, camera, pictures and diagrams."""

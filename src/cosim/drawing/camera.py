@@ -1,0 +1,164 @@
+"""Camera: one projection and one shading for all pictures, its standard views, and sizes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+from math import tan
+
+import numpy as np
+
+from casadi_models.dae.drawing import World
+from cosim.arrays import Vector
+from cosim.drawing.meshes import mesh_of
+from cosim.drawing.pose import Load, Poses
+from cosim.drawing.rotation import to_matrices
+
+LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
+_HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
+_NEAR = 2.6  # distance of a camera from the center over `Scale.size`
+
+
+class View(StrEnum):
+    """Direction from which a camera looks at first."""
+
+    ISO = "iso"
+    FRONT = "front"
+    SIDE = "side"
+    TOP = "top"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that looks from a point at another one.
+
+    Attributes:
+        eye: Where it stands, m, (3,).
+        axes: Directions to the right, upward and toward the eye, rows (3, 3).
+        up: The world's upward direction, (3,).
+    """
+
+    eye: Vector
+    axes: Vector
+    up: Vector
+
+    @classmethod
+    def at(cls, eye: Vector, center: Vector, up: Vector) -> "Camera":
+        """Return the camera that looks from a point at another one."""
+        back = (eye - center) / np.linalg.norm(eye - center)
+        right = np.cross(up, back)
+        right = right / np.linalg.norm(right)
+        return cls(eye, np.array([right, np.cross(back, right), back]), up)
+
+    def seen(self, points: Vector) -> Vector:
+        """Return places in the picture and distances, (..., 3); the picture is -1 ... 1 high."""
+        local = (points - self.eye) @ self.axes.T
+        distance = -local[..., 2]
+        near = np.maximum(distance, 1e-6)
+        flat = local[..., :2] / (tan(_HALF_ANGLE) * near[..., None])
+        return np.concatenate([flat, distance[..., None]], axis=-1)
+
+    def faces(self, corners: Vector, colors: Vector) -> tuple[Vector, Vector]:
+        """Return the visible triangles in the picture, the farthest first, and their shades.
+
+        Args:
+            corners: Triangles, counterclockwise seen from outside, m, (n, 3, 3).
+            colors: Their colors, red, green and blue in 0 ... 1, (n, 3).
+
+        Returns:
+            Triangles (m, 3, 2) and colors (m, 3).
+        """
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        seen = self.seen(corners)
+        facing = ((self.eye - corners.mean(axis=1)) * normals).sum(axis=1) > 0
+        facing &= (seen[..., 2] > 0).all(axis=1)
+        light = 0.5 * self.up + 0.6 * self.axes[2] - 0.4 * self.axes[0]
+        bright = np.clip(0.65 + 0.6 * normals @ (light / np.linalg.norm(light)), 0.65, 1)
+        order = np.argsort(-seen[facing].mean(axis=1)[:, 2])
+        shades = (colors * bright[:, None])[facing][order]
+        return seen[facing][order][..., :2], shades
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Sizes of a scene, m.
+
+    Attributes:
+        corners: Corners of a box around everything that is seen while the camera follows, (8, 3).
+        size: Half the largest extent of that box.
+        pose: Half the largest extent of a single pose; arrows are measured by it.
+        center: Center of the box at the start of the run, (3,).
+        label_at: Where text stands: above the box, (3,).
+        per_unit: Length of an arrow per SI unit of its load, by unit: m/N, m/(N.m).
+        cell: Edge of a cell of the grid on the ground.
+    """
+
+    corners: Vector
+    size: float
+    pose: float
+    center: Vector
+    label_at: Vector
+    per_unit: dict[str, float]
+    cell: float
+
+    def arrow(self, load: Load, frame: int) -> tuple[Vector, Vector]:
+        """Return both ends of an arrow: its length is the load times one scale for its unit."""
+        start = load.at[frame]
+        return start, start + self.per_unit[load.unit] * load.vector[frame]
+
+
+def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
+    """Return the sizes of a scene of runs with the same number of frames."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    pose = 0.0
+    shift = runs[0].followed(follow)
+    stations = np.unique(np.linspace(0, len(shift) - 1, 60).astype(int))
+    for run in runs:
+        least, most = np.full((len(stations), 3), np.inf), np.full((len(stations), 3), -np.inf)
+        for solid in run.solids:
+            vertices = mesh_of(solid).vertices
+            corners = vertices[np.unique(np.vstack([vertices.argmin(0), vertices.argmax(0)]))]
+            turns = to_matrices(run.quaternions[stations, solid.body])
+            places = corners @ turns.swapaxes(1, 2) + run.places[stations, solid.body, None]
+            seen = places - shift[stations, None]
+            least, most = np.minimum(least, seen.min(axis=1)), np.maximum(most, seen.max(axis=1))
+        low, high = np.minimum(low, least.min(axis=0)), np.maximum(high, most.max(axis=0))
+        pose = max(pose, float((most - least).max()) / 2)
+    up = np.array(runs[0].world.up)
+    up = up / np.linalg.norm(up)
+    center, size = (low + high) / 2, float((high - low).max()) / 2 or 1.0
+    largest: dict[str, float] = {}
+    for load in (load for run in runs for load in run.loads):
+        largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest)
+    longest = LONGEST_ARROW * (pose or 1.0)
+    per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
+    for load in runs[0].loads:
+        tips = (load.at + per_unit[load.unit] * load.vector - shift)[stations]
+        low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+    return Scale(
+        corners=np.array([*product(*zip(low, high, strict=True))]),
+        size=size,
+        pose=pose or 1.0,
+        center=center,
+        label_at=center + up * (np.abs(up) @ (high - low) / 2 + 0.35 * size),
+        per_unit=per_unit,
+        cell=0.5 * float(10.0 ** np.round(np.log10(pose or 1.0))),
+    )
+
+
+def camera_for(world: World, view: View, scale: Scale, distance: float = _NEAR) -> Camera:
+    """Return the camera of a view; it looks at the center of the scene.
+
+    Its distance is over `Scale.size`; from far away parallel lines stay parallel.
+    """
+    up, forward = (np.array(v) / np.linalg.norm(v) for v in (world.up, world.forward))
+    right = np.cross(forward, up)
+    direction = {
+        View.ISO: 0.75 * forward + 1.0 * right + 0.55 * up,
+        View.FRONT: forward,
+        View.SIDE: right,
+        View.TOP: up + 1e-3 * right,
+    }[view]
+    direction = direction / np.linalg.norm(direction)
+    return Camera.at(scale.center + distance * scale.size * direction, scale.center, up)

@@ -1,0 +1,196 @@
+"""Trials of an FMU's code in processes of their own."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from cosim.errors import FmuError, MissingTool
+from cosim.fmi.archive import unpacked
+from cosim.fmi.check.finding import ADVICE, TRIAL_RULES, WRONG, Finding, Rule
+from cosim.fmi.check.libraries import sources
+from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
+from cosim.fmi.check.trials.derivatives import dependencies, derivatives
+from cosim.fmi.check.trials.start import (
+    callbacks,
+    fixed,
+    initialization,
+    instances,
+    logger,
+    reset,
+    rollback,
+    start,
+)
+from cosim.fmi.check.trials.steps import steps, stop
+from cosim.fmi.run.c_master import co_simulation_library
+from cosim.fmi.run.instance import INTERFACES, choose_interface
+from cosim.fmi.run.isolated import how_it_ended
+from cosim.host.child import be_confined, leave, own_folder, run_confined
+from cosim.host.limits import Limits
+from cosim.model.values import number
+from cosim.text import sentence
+
+TRIALS: tuple[Trial, ...] = (
+    *(start, initialization, reset, instances, rollback, derivatives, dependencies, fixed),
+    *(callbacks, logger, stop, steps, sources),
+)
+"""All trials; the first must pass before any other runs."""
+OPTIONAL = frozenset({"logger"})
+"""Trials that require more than the FMI does: their findings are advice."""
+
+
+_ANSWER = "answer.jsonl"
+_TrialTask = tuple[str, str]  # a trial's name and an interface
+FAILED = "stop there"  # importers, where a function returns an error
+
+
+@dataclass
+class TrialResults:
+    """The results of the trials of an FMU.
+
+    Attributes:
+        findings: What they found.
+        passed: Trials that found nothing, as "reset (CoSimulation)", with how far they went.
+        skipped: Trials that do not apply, with the reason.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    passed: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+
+    def read(
+        self, lines: list[dict[str, Any]], tasks: list[_TrialTask], code: int | None, timeout: float
+    ) -> list[_TrialTask]:
+        """Add the answer of a child process; return the trials that are still to be made."""
+        left, stopped, failed = list(tasks), None, set()
+        for line in lines:
+            if begun := line.get("begun"):
+                stopped = (begun[0], begun[1])
+                left.remove(stopped)
+                continue
+            assert stopped is not None
+            found = [Finding(**one) for one in line["findings"]]
+            self.findings += found
+            note = "".join(f": {note}" for note in line["notes"])
+            if line["skipped"]:
+                self.skipped.append(f"{_called(stopped)}: {line['skipped']}")
+            elif not found:
+                self.passed.append(_called(stopped) + note)
+            elif stopped[0] == TRIALS[0].__name__:
+                failed.add(stopped[1])
+            stopped = None
+        if stopped is not None:
+            how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
+            crash = TRIAL_RULES["crash"]
+            rule = replace(crash, level=ADVICE) if stopped[0] in OPTIONAL else crash
+            self.findings.append(rule.at(_called(stopped), f"the FMU {how}"))
+            failed.update({stopped[1]} if stopped[0] == TRIALS[0].__name__ else ())
+        return [task for task in left if task[1] not in failed]  # who does not start, does nothing
+
+
+def try_apart(
+    path: str | os.PathLike[str], *, timeout: float = 120.0, trials: Sequence[Trial] = TRIALS
+) -> TrialResults:
+    """Run the trials of an FMU in a child process with the limits of `Limits.chosen`.
+
+    Args:
+        path: The FMU. Its binary runs with the rights of this user.
+        timeout: Wall time, s, after which the child is ended.
+
+    Raises:
+        FmuError, SecurityError: It cannot be run here at all, see `simulate_fmu`.
+    """
+    number(str(path), "timeout", timeout, positive=True)
+    Limits.chosen()
+    with own_folder() as folder, unpacked(path) as files:
+        bench = Bench(files, str(path))
+        try:
+            offered = bench.described.interfaces
+        except ValueError as error:
+            raise FmuError(f"{path}: {error}") from error
+        kinds = [kind for kind in INTERFACES if kind in offered]
+        if not kinds:
+            raise FmuError(f"{path} has neither model exchange nor co-simulation; nothing can run")
+        for kind in kinds:
+            choose_interface(files, bench.fmpy, kind, path)
+        loop = ""
+        with suppress(MissingTool):
+            loop = str(co_simulation_library())
+        given = [str(folder / _ANSWER), str(files), str(path), str(timeout), loop]
+        end, answers = monotonic() + timeout, TrialResults()
+        tasks = [(trial.__name__, str(kind)) for kind in kinds for trial in trials]
+        while tasks and (left := end - monotonic()) > 0:
+            (folder / _ANSWER).unlink(missing_ok=True)
+            code, _ = run_confined(__name__, [*given, json.dumps(tasks)], folder, left)
+            before = len(tasks)
+            with suppress(FileNotFoundError):
+                text = (folder / _ANSWER).read_text()
+                lines = text[: text.rfind("\n") + 1].splitlines()  # one may have been cut off
+                tasks = answers.read([json.loads(line) for line in lines], tasks, code, timeout)
+            if len(tasks) == before and code is not None:
+                raise FmuError(f"{path}: the trials could not be begun (exit code {code})")
+        answers.skipped += [f"{_called(task)}: the time is up" for task in tasks]
+        return answers
+
+
+def _called(task: _TrialTask) -> str:
+    return f"{task[0]} ({task[1]})"
+
+
+def _tried(bench: Bench, trial: Trial, kind: str) -> dict[str, Any]:
+    """Return what a trial found, what it noted, and why it was skipped."""
+    findings: list[Finding] = []
+    notes: list[str] = []
+    skipped = ""
+    try:
+        for one in trial(bench, kind):
+            if isinstance(one, Finding):
+                findings.append(one)
+            else:
+                notes.append(str(one))
+    except Skipped as reason:
+        skipped = str(reason)
+    except Exception as error:
+        fault = f"the FMU failed: {sentence(str(error)) or type(error).__name__}"
+        level = ADVICE if trial.__name__ in OPTIONAL else WRONG
+        rule = Rule(trial.__name__, level, FAILED, "fix it; see its log")
+        findings.append(rule.at(kind, fault))
+    return {"findings": [f.row() for f in findings], "notes": notes, "skipped": skipped}
+
+
+def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, Any]]:
+    trials, failed = {trial.__name__: trial for trial in TRIALS}, set()
+    failures: dict[tuple[str, str], str] = {}
+    for name, kind in tasks:
+        if kind in failed:
+            continue
+        yield {"begun": (name, kind)}
+        answer = _tried(bench, trials[name], kind)
+        for one in answer["findings"]:
+            if one["importers"] == FAILED:
+                before = failures.setdefault((kind, one["found"]), name)
+                if before != name:  # one fault, one finding
+                    answer |= {"findings": [], "skipped": f"it fails like {before}"}
+        yield answer
+        if answer["findings"] and trials[name] is TRIALS[0]:
+            failed.add(kind)
+
+
+def _main(answer: Path, bench: Bench, tasks: list[_TrialTask]) -> None:
+    be_confined()
+    with answer.open("w", encoding="utf-8") as stream:
+        for line in _outcome_lines(bench, tasks):
+            stream.write(json.dumps(line) + "\n")
+            stream.flush()
+    leave()
+
+
+if __name__ == "__main__":
+    _answer, _files, _name, _timeout, _loop, _tasks = sys.argv[1:]
+    _bench = Bench(Path(_files), _name, float(_timeout), Path(_loop) if _loop else None)
+    _main(Path(_answer), _bench, json.loads(_tasks))

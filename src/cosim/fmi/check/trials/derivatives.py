@@ -1,0 +1,232 @@
+"""Trials of declared dependencies and directional derivatives against differences."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.fmi.check.finding import TRIAL_RULES, Finding
+from cosim.fmi.check.parsed import Described
+from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Note, Session, Skipped
+from cosim.text import shortened
+
+
+@dataclass(frozen=True)
+class Known:
+    """The variables on which unknowns may depend.
+
+    Attributes:
+        variable: As described.
+        state: Its place among the states; None for inputs and parameters.
+        required: Whether the FMU must provide derivatives with respect to it.
+    """
+
+    variable: Described
+    state: int | None
+    required: bool
+
+
+def moved_unknowns(
+    session: Session, unknowns: Sequence[Described], known: Known, states: Vector, value: float
+) -> Vector:
+    """Return the unknowns after one known is set to another value."""
+    if known.state is None:
+        session.put(known.variable, value)
+    else:
+        changed = states.copy()
+        changed[known.state] = value
+        session.put_states(changed)
+    return session.values(unknowns)
+
+
+def states_among(knowns: Sequence[Known], at: Vector) -> Vector:
+    """Return the states among values of knowns, (n,)."""
+    return np.array([v for k, v in zip(knowns, at, strict=True) if k.state is not None])
+
+
+def knowns_of(bench: Bench) -> Iterator[Known]:
+    """Yield states, then continuous inputs and, in FMI 3.0, tunable parameters."""
+    with suppress(Skipped):
+        for i, (state, _) in enumerate(bench.states()):
+            yield Known(state, i, required=True)
+    for variable in bench.described.variables:
+        if not bench.single(variable):
+            continue
+        kinds = variable.causality, variable.variability
+        if kinds == ("input", "continuous"):
+            yield Known(variable, None, required=True)
+        elif not bench.second and kinds == ("parameter", "tunable"):
+            yield Known(variable, None, required=False)
+
+
+def need_model_exchange(kind: str) -> None:
+    """Skip a trial of model exchange elsewhere."""
+    if kind != "ModelExchange":
+        raise Skipped("it is a trial of model exchange")
+
+
+def offers_directional(bench: Bench, kind: str) -> bool:
+    """Return whether an interface offers directional derivatives."""
+    offered = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+    return bench.offers(kind, *offered)
+
+
+_POINTS = 5
+_FEWEST = 3  # points needed for a statement on missing influence
+_ROUNDING = {True: 1e-9, False: 1e-6}  # of directional derivatives, and of differences
+
+
+def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
+    """Check that unlisted variables have no influence anywhere, and listed ones somewhere."""
+    need_model_exchange(kind)
+    every, sections = bench.described.variables, bench.described.sections
+    listed = [u for u in (*sections["Outputs"], *sections["Derivatives"]) if u.needs is not None]
+    listed = [u for u in listed if u.position >= 0 and bench.single(every[u.position])]
+    knowns = list(knowns_of(bench))
+    if not listed or not knowns:
+        raise Skipped("it lists no dependencies, or has neither states nor inputs")
+    unknowns = [every[u.position] for u in listed]
+    needed = [{every[i].reference for i in u.needs or ()} for u in listed]
+    largest, points = np.zeros((len(unknowns), len(knowns))), 0
+    for matrix in _matrices(bench, kind, unknowns, knowns):
+        largest = np.where(np.abs(matrix) > np.abs(largest), matrix, largest)
+        points += 1
+    rounding = _ROUNDING[offers_directional(bench, kind)]
+    idle: list[str] = []
+    for row, (unknown, needs) in enumerate(zip(unknowns, needed, strict=True)):
+        for column, known in enumerate(knowns):
+            slope, name = largest[row, column], known.variable.name
+            if known.variable.reference == unknown.reference:
+                continue  # a state as output: that it depends on itself goes without saying
+            if known.variable.reference not in needs:
+                if abs(slope) > rounding:
+                    value = slope * unknown.nominal / known.variable.nominal
+                    found = f"it does not list '{name}', its derivative to which is {value:.3g}"
+                    yield TRIAL_RULES["unlisted"].at(unknown.name, found)
+            elif slope == 0 and known.required and unknown.variability == "continuous":
+                idle.append(f"'{unknown.name}' of '{name}'")
+    if idle and points >= _FEWEST:
+        found = f"{len(idle)} that are listed have no influence at {points} points: "
+        yield TRIAL_RULES["idle"].at("ModelStructure", found + shortened(idle, MOST_NAMES))
+    yield Note(f"{points} points")
+
+
+def _matrices(
+    bench: Bench, kind: str, unknowns: Sequence[Described], knowns: Sequence[Known]
+) -> Iterator[Vector]:
+    """Yield derivatives in nominal values at the start, then at points with other parameters."""
+    own = np.array([unknown.nominal for unknown in unknowns])
+    scale = np.array([known.variable.nominal for known in knowns])
+    directional = offers_directional(bench, kind)
+    rng = np.random.default_rng(0)
+    with bench.session(kind) as session:
+        session.start()
+        at = session.values([known.variable for known in knowns])
+        yield _matrix(session, unknowns, knowns, at, directional=directional) * scale / own[:, None]
+    with suppress(Exception), bench.session(kind) as session:  # the FMU may reject a point
+        _vary_parameters(session, rng)
+        session.start()
+        span = (bench.experiment("stopTime") or session.start_time + 1.0) - session.start_time
+        start = session.values([known.variable for known in knowns])
+        for i in range(1, _POINTS):
+            size = 0.1 * np.maximum(np.abs(start), scale)
+            at = start + size * rng.standard_normal(len(start))
+            session.instance.setTime(session.start_time + 0.01 * i * span)
+            slopes = _matrix(session, unknowns, knowns, at, directional=directional)
+            yield slopes * scale / own[:, None]
+
+
+def _matrix(
+    session: Session,
+    unknowns: Sequence[Described],
+    knowns: Sequence[Known],
+    at: Vector,
+    *,
+    directional: bool,
+) -> Vector:
+    """Return derivatives of unknowns to knowns at their values; 0 where they cannot be had."""
+    states, columns = states_among(knowns, at), []
+    for known, value in zip(knowns, at, strict=True):
+        if known.state is None and known.required:
+            session.put(known.variable, value)
+    if len(states):
+        session.put_states(states)
+    for known, value in zip(knowns, at, strict=True):
+        column = np.zeros(len(unknowns))
+        if directional:
+            with nullcontext() if known.required else suppress(Exception):
+                column = session.slopes(unknowns, known.variable)
+        elif known.required:
+            size = 1e-3 * max(abs(value), known.variable.nominal)
+            high, low = (
+                moved_unknowns(session, unknowns, known, states, value + step)
+                for step in (size, -size)
+            )
+            column = (high - low) / (2 * size)
+            moved_unknowns(session, unknowns, known, states, value)
+        columns.append(column)
+    return np.array(columns).T
+
+
+def _vary_parameters(session: Session, rng: np.random.Generator) -> None:
+    """Change parameters a little within their bounds, so that no factor is 0 by chance."""
+    for variable in session.bench.described.variables:
+        if variable.causality == "parameter" and session.bench.single(variable):
+            least = float(variable.texts.get("min", "-inf"))
+            most = float(variable.texts.get("max", "inf"))
+            value = float(variable.texts.get("start", "0"))
+            moved = value + 0.02 * (1 + rng.random()) * (abs(value) or variable.nominal)
+            with suppress(Exception):
+                session.put(variable, min(max(moved, least), most))
+
+
+def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
+    """Directional derivatives of derivatives and outputs agree with central differences."""
+    need_model_exchange(kind)
+    if not offers_directional(bench, kind):
+        raise Skipped("it offers no directional derivatives")
+    unknowns = [rate for _, rate in bench.states()]
+    unknowns += [output for output in bench.outputs() if output.variability == "continuous"]
+    knowns = [known for known in knowns_of(bench) if known.required]
+    with bench.session(kind) as session:
+        session.start()
+        at = session.values([known.variable for known in knowns])
+        states = states_among(knowns, at)
+        sizes = np.abs(session.values(unknowns))
+        for known, value in zip(knowns, at, strict=True):
+            reported = session.slopes(unknowns, known.variable)
+            scale = max(abs(value), known.variable.nominal)
+            coarse, fine, bend = _differences(session, unknowns, known, states, value, scale)
+            noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
+            doubt = 20 * np.abs(coarse - fine) + bend + noise
+            size = np.maximum(np.abs(reported), np.abs(coarse))
+            bad = np.abs(reported - coarse) > 1e-3 * size + doubt
+            bad &= np.array([unknown.reference != known.variable.reference for unknown in unknowns])
+            for k in np.flatnonzero(bad)[:MOST_NAMES]:
+                yield TRIAL_RULES["derivatives"].at(
+                    unknowns[k].name,
+                    f"its derivative to '{known.variable.name}' is reported as {reported[k]:.6g}, "
+                    f"differences give {coarse[k]:.6g}",
+                )
+
+
+def _differences(
+    session: Session,
+    unknowns: Sequence[Described],
+    known: Known,
+    states: Vector,
+    value: float,
+    scale: float,
+) -> tuple[Vector, Vector, Vector]:
+    """Return central differences with a coarse and a fine step, and how far the sides differ."""
+    found = []
+    middle = moved_unknowns(session, unknowns, known, states, value)
+    for size in (1e-5 * scale, 1e-6 * scale):
+        high = moved_unknowns(session, unknowns, known, states, value + size)
+        low = moved_unknowns(session, unknowns, known, states, value - size)
+        found.append((high - low) / ((value + size) - (value - size)))
+        bend = np.abs(high - 2 * middle + low) / size
+    moved_unknowns(session, unknowns, known, states, value)
+    return found[0], found[1], bend

@@ -1,0 +1,206 @@
+"""Trials of an FMU's initialization, and of the repeatability of its runs."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.fmi.check.finding import TRIAL_RULES, Finding, Rule
+from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped
+from cosim.text import shortened
+
+_NOISE = 1e-9  # of an output in nominal values
+
+
+def start(bench: Bench, kind: str) -> Iterator[Finding]:
+    """It instantiates, initializes, and its outputs are finite then."""
+    with bench.session(kind) as session:
+        session.start()
+        outputs = bench.outputs()
+        bad = ~np.isfinite(session.values(outputs))
+        if bad.any():
+            names = [v.name for v, b in zip(outputs, bad, strict=True) if b]
+            yield TRIAL_RULES["no-start"].at(
+                kind, f"not finite at the start: {shortened(names, MOST_NAMES)}"
+            )
+
+
+def initialization(bench: Bench, kind: str) -> Iterator[Finding]:
+    """Its outputs can be read in initialization mode and keep their values when it ends."""
+    outputs = bench.outputs()
+    if not outputs:
+        raise Skipped("it has no real outputs")
+    with bench.session(kind) as session:
+        session.enter()
+        try:
+            before = session.values(outputs)
+        except Exception as error:
+            yield TRIAL_RULES["read-early"].at(
+                kind, f"its outputs cannot be read in initialization mode: {error}"
+            )
+            return
+        session.instance.exitInitializationMode()
+        after = session.values(outputs)
+    for output, early, late in zip(outputs, before, after, strict=True):
+        scale = max(abs(late), output.nominal)
+        if not abs(early - late) <= _NOISE * scale and not (np.isnan(early) and np.isnan(late)):
+            found = f"it is {early:.6g} in initialization mode, {late:.6g} right after it"
+            yield TRIAL_RULES["other-early"].at(output.name, found)
+
+
+def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
+    """A fixed parameter is rejected during a run."""
+    every = bench.described.variables
+    found = (v for v in every if v.causality == "parameter" and v.variability == "fixed")
+    parameters = [v for v in found if bench.single(v)]
+    if not parameters:
+        raise Skipped("it has no fixed real parameter")
+    for parameter in parameters[:MOST_NAMES]:  # a rejected call may end the instance
+        with bench.session(kind) as session:
+            session.start()
+            (value,) = session.values([parameter])
+            with suppress(Exception):
+                session.put(parameter, value)
+                yield TRIAL_RULES["fixed"].at(
+                    parameter.name, "a fixed parameter is accepted in a run"
+                )
+
+
+def callbacks(bench: Bench, kind: str) -> Iterator[Finding]:
+    """It runs the same without the callbacks that importers need not pass."""
+    yield from _without(bench, kind, TRIAL_RULES["callbacks"], logger=bench.second)
+
+
+def logger(bench: Bench, kind: str) -> Iterator[Finding]:
+    """It runs the same without a logger."""
+    if not bench.second:
+        raise Skipped("it is among the callbacks of FMI 3.0 that may be missing")
+    yield from _without(bench, kind, TRIAL_RULES["logger"], logger=False)
+
+
+def _without(bench: Bench, kind: str, rule: Rule, *, logger: bool) -> Iterator[Finding]:
+    missing = "a missing logger" if rule.name == "logger" else "missing callbacks"
+    with bench.session(kind) as session:
+        expected = few_numbers(session)
+    with bench.session(kind) as session:
+        try:
+            session.instantiate_bare(logger=logger)
+            got = few_numbers(session)
+        except Exception as error:
+            yield rule.at(kind, f"with {missing} it fails: {error}")
+            return
+    if got.tobytes() != expected.tobytes():
+        yield rule.at(kind, f"with {missing} it gives other numbers")
+
+
+_FEW = 20  # steps
+
+
+def reset(bench: Bench, kind: str) -> Iterator[Finding]:
+    """After a reset it gives the very same numbers."""
+    with bench.session(kind) as session:
+        first = few_numbers(session)
+        session.instance.reset()
+        again = few_numbers(session)
+    yield from _same(TRIAL_RULES["reset"], session, first, again, "a run after reset differs")
+
+
+def instances(bench: Bench, kind: str) -> Iterator[Finding]:
+    """A second instance, elsewhere in time, does not change the first one."""
+    if bench.offers(kind, "canBeInstantiatedOnlyOncePerProcess"):
+        raise Skipped("it can be instantiated once per process only")
+    with bench.session(kind) as one:
+        alone = few_numbers(one)
+    with bench.session(kind) as one, bench.session(kind) as other:
+        other.start()
+        together = few_numbers(one, other)
+    yield from _same(
+        TRIAL_RULES["instances"], one, alone, together, "a second instance changes the first"
+    )
+
+
+def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
+    """From a stored state it goes on with the very same numbers; so it does from its bytes."""
+    if not bench.offers(kind, "canGetAndSetFMUstate", "canGetAndSetFMUState"):
+        raise Skipped("its state cannot be stored")
+    with bench.session(kind) as session:
+        few_numbers(session)
+        instance, time = session.instance, session.time
+        state = instance.getFMUState()
+        first = few_numbers(session, started=True)
+
+        def from_state(stored: Any) -> Vector:
+            instance.setFMUState(stored)
+            session.time = time
+            return few_numbers(session, started=True)
+
+        found = "a run from a stored state differs"
+        yield from _same(TRIAL_RULES["rollback"], session, first, from_state(state), found)
+        if bench.offers(kind, "canSerializeFMUstate", "canSerializeFMUState"):
+            instance.setFMUState(state)
+            session.time = time
+            copy = instance.deserializeFMUState(instance.serializeFMUState(state))
+            few_numbers(session, started=True)
+            found = "a run from a state made of its bytes differs"
+            yield from _same(TRIAL_RULES["rollback"], session, first, from_state(copy), found)
+            instance.freeFMUState(copy)
+        instance.freeFMUState(state)
+
+
+def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:
+    """Run a little and return all outputs; in model exchange, outputs and slopes of two states.
+
+    The other instance is always ahead.
+    """
+    if not started:
+        session.start()
+    bench, outputs = session.bench, session.bench.outputs()
+    rows = [session.values(outputs)]
+    if session.kind == "CoSimulation":
+        size = bench.step_size(session.kind)
+        ahead = iter(()) if other is None else other.steps(size, 2 * _FEW)
+        for _ in session.steps(size, _FEW):
+            for _ in islice(ahead, 2):
+                pass
+            rows.append(session.values(outputs))
+    else:
+        with suppress(Skipped):
+            rows += _near_slopes(session, other)
+    return np.concatenate(rows)
+
+
+def _near_slopes(session: Session, other: Session | None) -> Iterator[Vector]:
+    """Yield derivatives and outputs at a state and at a state near it, where the session stays."""
+    outputs, pairs = session.bench.outputs(), session.bench.states()
+    states, rates = [state for state, _ in pairs], [rate for _, rate in pairs]
+    if other is not None:
+        _move(other, other.values(states))
+        other.values(outputs)
+    yield session.values(rates)
+    yield session.values(outputs)
+    _move(session, session.values(states))
+    yield session.values(rates)
+    yield session.values(outputs)
+
+
+def _move(session: Session, at: Vector) -> None:
+    session.put_states(at + 1e-3 * np.maximum(np.abs(at), 1.0))
+
+
+def _same(
+    rule: Rule, session: Session, one: Vector, other: Vector, found: str
+) -> Iterator[Finding]:
+    if one.tobytes() != other.tobytes():
+        yield rule.at(session.kind, f"{found}: {_differing(session.bench, one, other)}")
+
+
+def _differing(bench: Bench, one: Vector, other: Vector) -> str:
+    if len(one) != len(other):
+        return "it ends at another time"
+    at = int(np.flatnonzero((one != other) | np.signbit(one) ^ np.signbit(other))[0])
+    outputs = bench.outputs()
+    name = outputs[at % len(outputs)].name if outputs else "a derivative"
+    return f"first in {name}, {one[at]:.17g} and {other[at]:.17g}"

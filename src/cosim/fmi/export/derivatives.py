@@ -1,0 +1,159 @@
+"""Analytic directional and adjoint derivatives of a DAE's equations, for C code.
+
+Algebraic unknowns and implicit start values follow the implicit function theorem.
+"""
+
+import casadi as ca
+from casadi import MX, SX
+
+from casadi_models.dae import Dae, StartRule
+from cosim.codegen.functions import derivative_along, is_large, jacobian_in_a_loop
+from cosim.codegen.initialization import knowns
+from cosim.memo import cached_per_thread
+
+
+def sensitivity_functions(dae: Dae, *, adjoint: bool) -> list[ca.Function]:
+    """Return the derivative functions that fmu/runtime/equations.h declares."""
+    return [
+        directional_function(dae),
+        jacobian_function(dae),
+        start_directional_function(dae),
+        *([adjoint_function(dae)] if adjoint else []),
+    ]
+
+
+def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
+    """Return `model_directional(t, x, z, u, p, seed_x, seed_u, seed_p, seed_t)`.
+
+    Its results are the derivatives of dx/dt, z and the outputs along the seeds.
+
+    Args:
+        in_a_loop: See `jacobian_function`; with a loop, both use one derivative of the laws.
+    """
+    call = dae.arguments
+    known = [dae.x, dae.u, dae.p, dae.t]
+    seeds = [SX.sym("seed", symbol.numel()) for symbol in known]
+    seed_z = SX.sym("seed_z", dae.z.numel())
+    variables, seed = ca.vertcat(*known), ca.vertcat(*seeds)
+    implicit = ca.Function(
+        "along",
+        [*call, *seeds],
+        [ca.jacobian(dae.alg, dae.z), -ca.jtimes(dae.alg, variables, seed)],
+        {"cse": True},
+    )
+    variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
+    looped = is_large(dae) if in_a_loop is None else in_a_loop
+    explicit = ca.Function(
+        "along_all",
+        [*call, *seeds, seed_z],
+        [ca.jtimes(e, variables, seed) for e in (dae.ode, dae.outputs)[looped:]],
+        {"cse": True},
+    )
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
+    matrix, right = implicit(*arguments)
+    sens_z = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
+    *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
+    if looped:
+        seed_x, seed_u, seed_p, seed_t = arguments[len(call) :]
+        moved = ca.vertcat(seed_x, seed_u, sens_z, seed_p, seed_t)
+        sens_ode = [_along_laws(dae)(ca.vertcat(*arguments[: len(call)]), moved)[: dae.x.numel()]]
+    return ca.Function("model_directional", arguments, [*sens_ode, sens_z, sens_outputs])
+
+
+@cached_per_thread(4)
+def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function:
+    """Return `model_jacobian(t, x, z, u, p)`: dense Jacobians of dx/dt and z with (x, u).
+
+    Args:
+        in_a_loop: Whether to loop over directional derivatives instead of using formulas; when
+            None, only if the formulas are too long.
+    """
+    call, known = dae.arguments, ca.vertcat(dae.x, dae.u)
+    arguments = [argument_like(symbol) for symbol in call]
+    if is_large(dae) if in_a_loop is None else in_a_loop:
+        laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
+        pattern = ca.jacobian_sparsity(laws, unknowns)
+        looped = jacobian_in_a_loop("blocks", _along_laws(dae), pattern)
+        whole, nx, n = looped(ca.vertcat(*arguments)), dae.x.numel(), known.numel()
+        (ode_known, ode_z), (alg_known, alg_z) = ca.blocksplit(
+            whole, [0, nx, whole.size1()], [0, n, whole.size2()]
+        )
+    else:
+        blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+        written_out = ca.Function("blocks", call, blocks, {"cse": True})
+        ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
+    if not dae.algebraics:
+        return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
+    z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
+    total = ca.densify(ode_known + ode_z @ z_known)
+    return ca.Function("model_jacobian", arguments, [total, z_known])
+
+
+@cached_per_thread(4)
+def _along_laws(dae: Dae) -> ca.Function:
+    """Return the derivative of dx/dt and the algebraic equations along (x, u, z, p, t)."""
+    laws, unknowns = (dae.ode, dae.alg), (dae.x, dae.u, dae.z, dae.p, dae.t)
+    columns = ca.vertcat(*laws), ca.vertcat(*unknowns)
+    return derivative_along("along_laws", dae.arguments, *columns)
+
+
+def adjoint_function(dae: Dae) -> ca.Function:
+    """Return `model_adjoint(t, x, z, u, p, seed_dx, seed_z, seed_y)`.
+
+    Its results are the gradients of the seeded sum with respect to x, u, p, t.
+    """
+    call = dae.arguments
+    seeds = [SX.sym("seed", symbol.numel()) for symbol in (dae.ode, dae.z, dae.outputs)]
+    weight = SX.sym("weight", dae.z.numel())
+    explicit, seed = ca.vertcat(dae.ode, dae.outputs), ca.vertcat(seeds[0], seeds[2])
+    on_z = ca.jtimes(explicit, dae.z, seed, True) + seeds[1]
+    implicit = ca.Function(
+        "back", [*call, *seeds], [ca.jacobian(dae.alg, dae.z).T, -on_z], {"cse": True}
+    )
+    everything, all_seeds = ca.vertcat(explicit, dae.alg), ca.vertcat(seed, weight)
+    gradients = ca.Function(
+        "back_all",
+        [*call, *seeds, weight],
+        [ca.jtimes(everything, v, all_seeds, True) for v in (dae.x, dae.u, dae.p, dae.t)],
+        {"cse": True},
+    )
+    arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
+    matrix, right = implicit(*arguments)
+    solved = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
+    return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
+
+
+def start_directional_function(dae: Dae) -> ca.Function:
+    """Return `model_start_directional(t, x, u, p, seed_x, seed_u, seed_p, seed_t)`.
+
+    Its result is the derivative of the calculated start values along the seeds.
+    """
+    known = [argument_like(symbol) for symbol in knowns(dae)]
+    seeds = [argument_like(symbol) for symbol in (dae.x, dae.u, dae.p, dae.t)]
+    calculated = {row for rule in dae.start_rules for row in rule.states}
+    rows = [MX(0) if i in calculated else seed for i, seed in enumerate(ca.vertsplit(seeds[0]))]
+    for i, rule in enumerate(dae.start_rules):
+        solved = _rule_derivative(dae, rule, f"start_along_{i}")
+        moved = solved(*known, ca.vertcat(*rows), *seeds[1:])
+        if rule.implicit:
+            matrix, right = moved
+            moved = ca.solve(matrix, right, "qr")
+        for row, value in zip(rule.states, ca.vertsplit(moved), strict=True):
+            rows[row] = value
+    every = ca.vertcat(MX(0, 1), *rows)
+    return ca.Function("model_start_directional", [*known, *seeds], [every])
+
+
+def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
+    variables = (dae.x, dae.u, dae.p, dae.t)
+    seeds = [SX.sym("seed", symbol.numel()) for symbol in variables]
+    moved = ca.jtimes(rule.expression, ca.vertcat(*variables), ca.vertcat(*seeds))
+    results = [moved]
+    if rule.implicit:
+        results = [ca.jacobian(rule.expression, dae.x)[:, list(rule.states)], -moved]
+    return ca.Function(name, [*knowns(dae), *seeds], results, {"cse": True})
+
+
+def argument_like(symbol: SX) -> MX:
+    """Return an MX symbol with the sparsity of an SX symbol."""
+    return MX.sym("argument", symbol.sparsity())

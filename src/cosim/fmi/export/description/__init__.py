@@ -1,1 +1,0 @@
-"""`modelDescription.xml`, `buildDescription.xml` and the page about the model."""

@@ -1,0 +1,140 @@
+"""Generated C code of an FMU's equations."""
+
+import re
+from collections.abc import Sequence
+from itertools import accumulate
+from math import log2
+from typing import Any
+
+import casadi as ca
+from casadi import MX, SX
+
+from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import Hybrid
+from cosim.codegen.casadi_library import add_integrator, sources_beside
+from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
+from cosim.codegen.functions import CALL, driven_equations, is_large
+from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
+from cosim.fmi.export.co_simulation import DOP853, most_steps, uses_dop853
+from cosim.fmi.export.derivatives import argument_like, sensitivity_functions
+from cosim.fmi.export.events import event_functions
+from cosim.memo import cached_per_thread
+
+LARGEST_SHARE = 5.0  # operations of the detector relative to those of the equations
+
+
+@cached_per_thread(16)
+def has_rank(dae: Dae) -> bool:
+    """Tell whether the FMU of a model detects singular configurations.
+
+    It does if multipliers enforce the constraints, the constraints are invariants of the motion,
+    the model has the output `constraint_condition`, and that output is not too expensive, as it is
+    with many loops.
+    """
+    if not (dae.states and dae.invariants and dae.has_conditioned_multipliers):
+        return False
+    return _distance(dae).n_instructions() <= LARGEST_SHARE * max(1, dae.operations())
+
+
+def rank_functions(dae: Dae) -> list[ca.Function]:
+    """Return the functions that fmu/runtime/equations.h declares if HAS_RANK is 1, else none."""
+    if not has_rank(dae):
+        return []
+    moving, along = ca.vertcat(dae.x, dae.t), ca.vertcat(dae.ode, 1)
+    rate = ca.jtimes(dae.distance_from_singularity, moving, along)
+    projection = projection_step(dae, dae.p.numel())
+    known = [argument_like(symbol) for symbol in knowns(dae)]
+    moved = ca.Function("model_project", known, projection.call(known))
+    return [_distance(dae), _plain_function(dae, "model_rank_rate", rate), moved]
+
+
+@cached_per_thread(16)
+def _distance(dae: Dae) -> ca.Function:
+    """Return `model_rank(t, x, z, u, p) -> distance`: one over the condition of the constraints."""
+    return _plain_function(dae, "model_rank", dae.distance_from_singularity)
+
+
+def equations_code(
+    dae: Dae, identifier: str, fmi: int, solver: str, system: Hybrid | None = None
+) -> str:
+    """Return the generated C code of everything that the runtime calls."""
+    prefix = re.sub("__+", "_", f"{identifier}_equations")  # CasADi takes one _ at a time
+    generator = ca.CodeGenerator(prefix, {"with_header": False, "indent": 1})
+    for function in (
+        start_function(dae),
+        algebraic_function(dae),
+        _plain_function(dae, "model_ode", dae.ode),
+        _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
+        *rank_functions(dae),
+        *sensitivity_functions(dae, adjoint=fmi == 3),
+        *(event_functions(system) if system else []),
+    ):
+        generator.add(function)
+    if not uses_dop853(dae, solver):
+        add_integrator(generator, solver_step(dae, solver))
+    code = str(generator.dump())
+    if not dae.states or solver == DOP853:
+        return code
+    code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
+    return differential_errors(code) if dae.algebraics else code
+
+
+def embedded_sources(dae: Dae) -> dict[str, str]:
+    """Return the C code of the external functions that a model calls, by file name.
+
+    Raises:
+        UsageError: C code is missing.
+    """
+    laws = [dae.ode, dae.alg, dae.outputs, dae.margins]
+    return sources_beside(ca.Function("laws", dae.arguments, laws), start_function(dae))
+
+
+def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
+    names = ["value", "margins"][: len(expressions)]
+    return ca.Function(name, dae.arguments, [*expressions], CALL, names, {"cse": True})
+
+
+def solver_step(dae: Dae, plugin: str) -> ca.Function:
+    """Return `model_step(x, z, q) -> (x_end, z_end)`, a step of the co-simulation solver.
+
+    With q = (t0, h, relative tolerance, u0, u1, u2, u3, p), CasADi's `erk` or `rosenbrock`
+    integrates over h with inputs u0 + u1 s + u2 s^2 + u3 s^3, s from 0 to 1. The states are scaled
+    by their nominal values, so that one tolerance fits all of them.
+    """
+    x, z = argument_like(dae.x), argument_like(dae.z)
+    parameters = MX.sym("q", 3 + 4 * dae.u.numel() + dae.p.numel())
+    if not dae.states:  # CasADi needs at least one state
+        return ca.Function("model_step", [x, z, parameters], [x, z])
+    # powers of two, so that scaling does not round
+    scale = ca.DM([2.0 ** round(log2(state.nominal)) for state in dae.states])
+    problem = (_called if is_large(dae) else _written_out)(dae, scale)
+    options = {"show_eval_warnings": False, "max_num_steps": most_steps(dae, plugin)}
+    run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
+    end = run(x0=x / scale, z0=z, p=parameters)
+    return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])
+
+
+def _written_out(dae: Dae, scale: ca.DM) -> dict[str, SX]:
+    """Return the problem of `solver_step` as formulas, which CasADi differentiates."""
+    s, scaled = SX.sym("s"), SX.sym("scaled", dae.x.numel())
+    t0, h, rtol = SX.sym("t0"), SX.sym("h"), SX.sym("rtol")
+    u = [SX.sym(f"u{order}", dae.u.numel()) for order in range(4)]
+    q = ca.vertcat(t0, h, rtol, *u, dae.p)
+    moving = [t0 + s * h, _polynomial(u, s), scale * scaled]
+    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
+    return {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
+
+
+def _called(dae: Dae, scale: ca.DM) -> dict[str, MX]:
+    """Return the same problem as a call of the equations, whose Jacobian is a loop."""
+    s, scaled, z = MX.sym("s"), MX.sym("scaled", dae.x.numel()), MX.sym("z", dae.z.numel())
+    sizes = (1, 1, 1, *4 * [dae.u.numel()], dae.p.numel())
+    q = MX.sym("q", sum(sizes))
+    t0, h, _, *u, p = ca.vertsplit(q, [0, *accumulate(sizes)])
+    ode, alg = driven_equations(dae)(t0 + s * h, scale * scaled, z, _polynomial(u, s), p)
+    return {"t": s, "x": scaled, "z": z, "p": q, "ode": h * ode / scale, "alg": alg}
+
+
+def _polynomial(coefficients: Sequence[Any], s: Any) -> Any:
+    u0, u1, u2, u3 = coefficients
+    return u0 + s * (u1 + s * (u2 + s * u3))

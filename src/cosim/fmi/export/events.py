@@ -1,0 +1,105 @@
+"""Events of an FMU: frozen equations, and the functions and tables that the runtime needs."""
+
+from dataclasses import replace
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae import Dae, Start, Variable
+from casadi_models.dae.hybrid import COMPARISONS, Hybrid, hybrid
+from cosim.errors import UsageError
+
+
+def fmu_events(dae: Dae) -> Hybrid | None:
+    """Return the frozen equations of a model; None if it has no events.
+
+    Their last outputs are the event indicators: how far each argument is within its mode.
+
+    Raises:
+        UsageError: The equations cannot be frozen, or the model uses a reserved variable name.
+    """
+    try:
+        system = hybrid(dae)
+    except ValueError as error:
+        raise UsageError(f"{dae.full_name}: {error}; give one of them another size") from None
+    if system is None:
+        return None
+    system = system.blended()
+    smooth, modes = system.dae, ca.vertsplit(system.modes)
+    rows, more = list[SX](), list[Variable]()
+    for i, relation in enumerate(system.relations):
+        if system.of_time[i]:
+            continue
+        value, mode, name = relation.argument, modes[i], f"event_indicator_{len(more) + 1}"
+        meaning = f"positive while the mode of {system.described(i)} stays"
+        rows.append(ca.fmin(value - mode, mode + 1 - value) if relation.floor else mode * value)
+        more.append(Variable(name, "1", meaning, start_kind=Start.CALCULATED))
+    names = {v.name for v in (*more, *smooth.inputs[len(dae.inputs) :])}
+    for taken in {v.name for v in dae.variables} & names:
+        raise UsageError(f"{dae.full_name} has a variable '{taken}' of its own; rename it")
+    outputs = ca.densify(ca.vertcat(smooth.outputs, *rows))
+    variables = (*smooth.output_variables, *more)
+    return replace(system, dae=replace(smooth, outputs=outputs, output_variables=variables))
+
+
+def event_functions(system: Hybrid) -> list[ca.Function]:
+    """Return the functions that fmu/runtime/equations.h declares if there are events."""
+    dae = system.dae
+    alone = [int(own) * r.argument for own, r in zip(system.of_time, system.relations, strict=True)]
+    times = ca.densify(ca.vertcat(SX(0, 1), *alone))
+    violated = [invariant.residual for invariant in dae.invariants]
+    defect = ca.norm_inf(ca.vertcat(*violated)) if violated else SX(0)
+    timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
+    seen = system.watching("seen")
+    symbols = seen.mx_in()
+    arguments, rates, _, _, seconds, _ = seen.call(symbols, True)
+    return [
+        ca.Function("model_relations", symbols, [arguments, rates, seconds]),
+        ca.Function("model_timed", dae.arguments, timed, {"cse": True}),
+        ca.Function("model_conditions", dae.arguments, [*system.rules, defect], {"cse": True}),
+    ]
+
+
+def event_sizes(system: Hybrid | None) -> str:
+    """Return the sizes of events for model.h; empty without events."""
+    if system is None:
+        return ""
+    return f"""#define N_MODES {len(system.relations)}
+#define N_WATCHED {system.of_time.count(False)}
+#define N_EVENTS {len(system.events)}
+#define N_ASSIGNED {sum(len(event.states) for event in system.events)}
+"""
+
+
+def event_tables(system: Hybrid | None) -> str:
+    """Return the tables of relations and events for model.c; empty without events."""
+    if system is None:
+        return ""
+    relations, events, assigned = "", "", list[int]()
+    for i, relation in enumerate(system.relations):
+        flags = (relation.floor, system.of_time[i], system.linear[i])
+        at_zero = relation.at_zero if relation.operation in COMPARISONS else 0
+        facts = [literal(system.described(i)), *(str(flag).lower() for flag in flags), str(at_zero)]
+        relations += f"    {{{', '.join(facts)}}},\n"
+    for event in system.events:
+        message = literal(event.message) if event.message else "NULL"
+        place = f"{len(assigned)}, {len(event.states)}, {str(event.sampled).lower()}"
+        events += f"    {{{literal(event.name)}, {message}, {place}}},\n"
+        assigned += event.states
+    return f"""
+const RelationInfo relations[] = {{
+{relations}    {{NULL, false, false, false, 0}},
+}};
+
+const EventInfo events[] = {{
+{events}    {{NULL, NULL, 0, 0, false}},
+}};
+
+const int assigned[] = {{{", ".join(map(str, [*assigned, -1]))}}};
+"""
+
+
+def literal(text: str) -> str:
+    """Return a text as C literal, on one line."""
+    escaped = " ".join(text.split()).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

@@ -1,0 +1,253 @@
+"""modelDescription.xml and buildDescription.xml of FMI 2.0 and 3.0."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf, isfinite
+from xml.etree import ElementTree as ET
+
+from casadi_models.dae import Dae, Start
+from casadi_models.units import UNITS
+from cosim.fmi.archive import TOOL
+from cosim.fmi.export.dependencies import Dependencies
+from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
+from cosim.fmi.export.model_structure import model_structure
+from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
+
+_FAR = 1e9
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Facts about an FMU as a whole.
+
+    Attributes:
+        identifier, guid, tool, tolerance: C identifier, GUID, exporting tool, relative tolerance.
+        sources: Names of the files to compile.
+        adjoint: Whether the FMU declares adjoint derivatives (FMI 3.0).
+        about: Author, license and generationDateAndTime, if given.
+        indicators: Number of event indicators.
+        watches_steps: Whether the FMU needs a call after every step in model exchange.
+    """
+
+    identifier: str
+    guid: str
+    tool: str
+    sources: tuple[str, ...]
+    tolerance: float
+    adjoint: bool = False
+    about: Mapping[str, str] = field(default_factory=dict)
+    indicators: int = 0
+    watches_steps: bool = False
+
+
+def model_description(
+    dae: Dae,
+    identity: Identity,
+    variables: Sequence[FmuVariable],
+    depends: Dependencies,
+    dialect: Dialect,
+) -> bytes:
+    """Return the content of `modelDescription.xml`."""
+    common = {
+        "modelName": identity.identifier,
+        "description": dae.description,
+        "version": "1",
+        **identity.about,
+        "generationTool": identity.tool,
+        "variableNamingConvention": "structured",
+    }
+    own = {"fmiVersion": dialect.version, dialect.token: identity.guid}
+    if dialect.version == "2.0":
+        own["numberOfEventIndicators"] = str(identity.indicators)
+    root = ET.Element("fmiModelDescription", own | common)
+    root.extend(_interfaces(identity, dialect))
+    root.append(unit_definitions(variables))
+    root.append(_type_definitions(variables, dialect))
+    categories = ET.SubElement(root, "LogCategories")
+    for name, meaning in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=meaning)
+    ET.SubElement(
+        root,
+        "DefaultExperiment",
+        startTime="0",
+        stopTime=shortest(dae.experiment.stop_time),
+        tolerance=shortest(identity.tolerance),
+        stepSize=shortest(dae.experiment.output_interval),
+    )
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        listed.append(_element(reference, variable, dialect))
+    root.append(model_structure(variables, depends, dialect, identity.indicators))
+    return to_bytes(root)
+
+
+def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.Element:
+    """Return the declared type of each quantity in use."""
+    element = ET.Element("TypeDefinitions")
+    for unit in sorted({v.unit for v in variables} & set(QUANTITIES), key=QUANTITIES.__getitem__):
+        name = QUANTITIES[unit]
+        facts = {"quantity": name, "unit": unit}
+        element.append(dialect.typed("SimpleType", dialect.real_type, {"name": name}, facts))
+    return element
+
+
+def _element(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Element:
+    general, facts = _attributes(reference, variable, dialect.first)
+    kind = dialect.real
+    if variable.role is Role.VALIDITY:
+        kind, facts = "Boolean", {}
+        general["valueReference"] = "0" if dialect.types_apart else str(reference)
+    element = dialect.typed("ScalarVariable", kind, general, facts)
+    if variable.alias:
+        element.append(_alias(variable.alias, variable.meaning, dialect))
+    return element
+
+
+def _alias(name: str, meaning: str, dialect: Dialect) -> ET.Element:
+    """Return an annotation with a variable's second name.
+
+    In FMI 2.0 a second variable with the same reference would be a second output; in FMI 3.0,
+    FMPy up to 0.3.32 requires an `Alias` of an output among the unknowns.
+    """
+    annotations = ET.Element("Annotations")
+    tag, owner = dialect.annotation
+    annotation = ET.SubElement(annotations, tag, {owner: TOOL})
+    ET.SubElement(annotation, "Alias", name=name, description=meaning)
+    return annotations
+
+
+def _attributes(
+    reference: int, variable: FmuVariable, first: int
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the attributes of a variable, and those that belong to its type in FMI 2.0."""
+    general = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.meaning,
+        "causality": causality(variable),
+        "variability": variability(variable),
+    }
+    if initial := initial_of(variable):
+        general["initial"] = initial
+    facts = {"unit": variable.unit}
+    if variable.unit in QUANTITIES:
+        facts["declaredType"] = QUANTITIES[variable.unit]
+    if variable.display_unit:
+        facts["displayUnit"] = variable.display_unit
+    if variable.derivative_of is not None:
+        facts["derivative"] = str(first + variable.derivative_of)
+    lowest, highest = meant_bounds(variable)
+    for name, bound in (("min", lowest), ("max", highest)):
+        if isfinite(bound):
+            facts[name] = shortest(bound)
+    if variable.nominal != 1:
+        facts["nominal"] = shortest(variable.nominal)
+    if variable.start is not None and initial in ("exact", "approx", None):
+        facts["start"] = shortest(variable.start)
+    return general, facts
+
+
+def meant_bounds(variable: FmuVariable) -> tuple[float, float]:
+    """Return the bounds that a model description shows.
+
+    Bounds of a billionth and a billion times the nominal value or beyond only prevent overflow of a
+    positive parameter. The description then shows 0 and no upper bound; the runtime checks both.
+    """
+    guards = variable.role is Role.PARAMETER and 0 < variable.minimum <= variable.nominal / _FAR
+    lowest = 0.0 if guards else variable.minimum
+    return (
+        lowest,
+        inf if guards and variable.maximum >= variable.nominal * _FAR else variable.maximum,
+    )
+
+
+def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
+    """Return the units in use, each with its base units and the display units in use."""
+    element = ET.Element("UnitDefinitions")
+    displays: dict[str, set[str]] = {}
+    for variable in (v for v in variables if v.unit):
+        displays.setdefault(variable.unit, set())
+        if variable.display_unit:
+            displays[variable.unit].add(variable.display_unit)
+    rates = dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
+    for name in sorted(displays):
+        unit = rates.get(name) or UNITS[name]
+        entry = ET.SubElement(element, "Unit", name=name)
+        base = {name: str(exponent) for name, exponent in unit.base}
+        factor = {} if unit.factor == 1 else {"factor": shortest(unit.factor)}
+        ET.SubElement(entry, "BaseUnit", base | factor)
+        for display in sorted(displays[name]):
+            ratio = shortest(unit.factor / UNITS[display].factor)
+            ET.SubElement(entry, "DisplayUnit", name=display, factor=ratio)
+    return element
+
+
+def to_bytes(root: ET.Element) -> bytes:
+    """Return an XML file's content, indented."""
+    ET.indent(root)
+    content: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return content + b"\n"
+
+
+def initial_of(variable: FmuVariable) -> str | None:
+    """Return FMI's attribute `initial`."""
+    if variable.role in (Role.TIME, Role.INPUT):
+        return None
+    if variable.start_kind is Start.EXACT:  # initial guesses of algebraic unknowns are not exported
+        return "exact"
+    calculated = variable.role is Role.STATE and variable.start is not None
+    return "approx" if calculated else "calculated"
+
+
+def variability(variable: FmuVariable) -> str:
+    """Return FMI's attribute `variability`."""
+    if variable.role in (Role.VALIDITY, Role.MODE):
+        return "discrete"
+    if variable.role is not Role.PARAMETER:
+        return "continuous"
+    return "tunable" if variable.tunable else "fixed"
+
+
+def shortest(value: float) -> str:
+    """Return a number as text with the fewest digits that identify it."""
+    return repr(float(value))
+
+
+def causality(variable: FmuVariable) -> str:
+    """Return FMI's attribute `causality`; variables that are not observed are local."""
+    plain = {Role.TIME: "independent", Role.INPUT: "input", Role.PARAMETER: "parameter"}
+    return plain.get(variable.role, "output" if variable.observed else "local")
+
+
+def _interfaces(identity: Identity, dialect: Dialect) -> list[ET.Element]:
+    """Return the elements of model exchange and co-simulation."""
+    second = dialect.version == "2.0"
+    common = {"modelIdentifier": identity.identifier, **dialect.both}
+    if identity.adjoint:
+        common["providesAdjointDerivatives"] = "true"
+    step = "completedIntegratorStepNotNeeded" if second else "needsCompletedIntegratorStep"
+    exchange = {step: str(identity.watches_steps is not second).lower()}
+    elements = [
+        ET.Element("ModelExchange", common | exchange),
+        ET.Element("CoSimulation", common | dict(dialect.co_simulation)),
+    ]
+    for element in elements if second else ():
+        files = ET.SubElement(element, "SourceFiles")
+        for name in identity.sources:
+            ET.SubElement(files, "File", name=name)
+    return elements
+
+
+def build_description(identity: Identity) -> bytes:
+    """Return the content of `buildDescription.xml`, which FMI 2.0.4 adopts from FMI 3.0 (2.3)."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(
+        root, "BuildConfiguration", modelIdentifier=identity.identifier, description="all platforms"
+    )
+    files = ET.SubElement(configuration, "SourceFileSet", language="C11")
+    for name in identity.sources:
+        ET.SubElement(files, "SourceFile", name=name)
+    # in the shared library that is compiled from this file, functions have FMI's own names
+    ET.SubElement(files, "PreprocessorDefinition", name="FMI3_OVERRIDE_FUNCTION_PREFIX", value="1")
+    ET.SubElement(configuration, "Library", name="m", external="true")
+    return to_bytes(root)

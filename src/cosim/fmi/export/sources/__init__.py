@@ -1,1 +1,0 @@
-"""The C files inside an FMU, generated from the equations of its model."""

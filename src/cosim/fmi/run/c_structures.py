@@ -1,0 +1,185 @@
+"""The C structures of fmu/master: the FMU, its recorded variables, the run and its result."""
+
+import ctypes
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import FmuError
+from cosim.fmi.run.instance import getter_name, is_second
+
+# Kinds of variables, in the order of the enumeration in fmu/master/recording.h
+KINDS: dict[str, Any] = {
+    "Float64": ctypes.c_double, "Float32": ctypes.c_float, "Int8": ctypes.c_int8,
+    "UInt8": ctypes.c_uint8, "Int16": ctypes.c_int16, "UInt16": ctypes.c_uint16,
+    "Int32": ctypes.c_int32, "UInt32": ctypes.c_uint32, "Int64": ctypes.c_int64,
+    "UInt64": ctypes.c_uint64, "Boolean": ctypes.c_bool,
+}  # fmt: skip
+_GETTERS_2 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Int32", "Enumeration": "Int32"}
+
+# Fields of `Functions` in fmu/master/fmu.h: their names in FMI 2 and 3
+_FUNCTIONS = {
+    "set_time": ("SetTime", "SetTime"),
+    "get_states": ("GetContinuousStates", "GetContinuousStates"),
+    "set_states": ("SetContinuousStates", "SetContinuousStates"),
+    "get_derivatives": ("GetDerivatives", "GetContinuousStateDerivatives"),
+    "get_indicators": ("GetEventIndicators", "GetEventIndicators"),
+    "enter_event_mode": ("EnterEventMode", "EnterEventMode"),
+    "enter_continuous_time_mode": ("EnterContinuousTimeMode", "EnterContinuousTimeMode"),
+    "new_discrete_states": ("NewDiscreteStates", None),
+    "update_discrete_states": (None, "UpdateDiscreteStates"),
+    "completed_step_2": ("CompletedIntegratorStep", None),
+    "completed_step_3": (None, "CompletedIntegratorStep"),
+    "do_step_2": ("DoStep", None),
+    "do_step_3": (None, "DoStep"),
+    "get_boolean_status": ("GetBooleanStatus", None),
+    "get_real_status": ("GetRealStatus", None),
+    "get_real": ("GetReal", None),
+    "set_real": ("SetReal", None),
+    "get_float64": (None, "GetFloat64"),
+    "set_float64": (None, "SetFloat64"),
+    "set_input_derivatives": ("SetRealInputDerivatives", None),
+    "output_derivatives_2": ("GetRealOutputDerivatives", None),
+    "output_derivatives_3": (None, "GetOutputDerivatives"),
+    "directional_2": ("GetDirectionalDerivative", None),
+    "directional_3": (None, "GetDirectionalDerivative"),
+    "get_fmu_state": ("GetFMUstate", "GetFMUState"),
+    "set_fmu_state": ("SetFMUstate", "SetFMUState"),
+    "free_fmu_state": ("FreeFMUstate", "FreeFMUState"),
+}
+_LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
+
+
+class Functions(ctypes.Structure):
+    """Addresses of an FMU's functions and of its instance."""
+
+    _fields_ = (("version", _LONG), *((n, _POINTER) for n in ("instance", *_FUNCTIONS)))
+
+
+class _Group(ctypes.Structure):
+    """Variables of one kind."""
+
+    _fields_ = (
+        *((name, _LONG) for name in ("kind", "count")),
+        *((name, _POINTER) for name in ("references", "get_2", "get_3")),
+        ("function", ctypes.c_char_p),
+        ("buffer", _POINTER),
+    )
+
+
+class Recording(ctypes.Structure):
+    """The recorded variables, and the rows to write."""
+
+    _fields_ = (
+        ("groups", _LONG),
+        ("width", _LONG),
+        ("group", ctypes.POINTER(_Group)),
+        ("columns", _POINTER),
+        ("rows", _POINTER),
+    )
+
+
+class Run(ctypes.Structure):
+    """A whole run: the request, then the results."""
+
+    _fields_ = (
+        ("functions", ctypes.POINTER(Functions)),
+        ("recording", ctypes.POINTER(Recording)),
+        ("times", _POINTER),
+        ("points", _LONG),
+        *((name, _DOUBLE) for name in ("start", "stop", "interval")),
+        *((name, _LONG) for name in ("any_step", "states", "indicators")),
+        *((name, _LONG) for name in ("needs_completed_step", "next_defined")),
+        *((name, _DOUBLE) for name in ("next_event", "relative_tolerance")),
+        ("nominals", _POINTER),
+        *((name, _LONG) for name in ("how", "rows", "steps", "calls", "events", "status")),
+        ("function", ctypes.c_char_p),
+        ("time", _DOUBLE),
+    )
+
+
+class Ending(IntEnum):
+    """The end of a run, as in fmu/master/run.h."""
+
+    DONE, CALL_FAILED, ENDED_BY_FMU, STUCK, EARLY_RETURN = range(5)
+    STEP_VANISHED, INTERRUPTED, NOT_A_NUMBER = range(5, 8)
+
+
+class Recorded:
+    """The recorded variables as C structures, without the rows; owns the arrays."""
+
+    def __init__(self, instance: Any, description: Any, variables: Sequence[Any]) -> None:
+        second = is_second(description)
+        found: dict[str, list[int]] = {}
+        for place, variable in enumerate(variables):
+            found.setdefault(getter_name(variable, description), []).append(place)
+        self._held: list[Any] = []
+        groups = [
+            self._group(instance, getter, [variables[i].valueReference for i in places], second)
+            for getter, places in found.items()
+        ]
+        self._groups = (_Group * len(groups))(*groups)
+        self._columns = np.concatenate([[], *found.values()]).astype(np.int64)
+        self.structure = Recording(
+            len(groups), len(variables), self._groups, self._columns.ctypes.data
+        )
+
+    def _group(self, instance: Any, getter: str, references: list[int], second: bool) -> _Group:
+        kind = _GETTERS_2[getter] if second else getter
+        name = f"fmi{2 if second else 3}Get{getter}"
+        addresses = (ctypes.c_uint32 * len(references))(*references)
+        buffer = (KINDS[kind] * len(references))()
+        self._held += [addresses, buffer]
+        address = _address(instance, name)
+        return _Group(
+            list(KINDS).index(kind),
+            len(references),
+            ctypes.addressof(addresses),
+            address if second else None,
+            None if second else address,
+            name.encode(),
+            ctypes.addressof(buffer),
+        )
+
+
+def functions_of(instance: Any, description: Any) -> Functions:
+    """Return the functions of an instance of fmpy's."""
+    version = 2 if is_second(description) else 3
+    found = {
+        field: _address(instance, f"fmi{version}{name}")
+        for field, names in _FUNCTIONS.items()
+        if (name := names[version - 2]) is not None
+    }
+    return Functions(version=version, instance=instance.component, **found)
+
+
+def _address(instance: Any, name: str) -> int | None:
+    """Return where a function of an FMU's library is; None where it has none of this name."""
+    function = getattr(instance.dll, name, None)
+    return None if function is None else ctypes.cast(function, _POINTER).value
+
+
+def reject_failure(run: Run, interrupts: Sequence[int], stop: float) -> None:
+    """Raise the error of a run that failed, in fmpy's words if fmpy has this error."""
+    reject_failed_call(run, interrupts)
+    if run.how == Ending.STEP_VANISHED:
+        raise FmuError(f"dop853: step size too small, or too many steps, at t = {run.time:g} s")
+    if run.how != Ending.DONE or run.rows < run.points:
+        raise FmuError(f"the run ended at {run.time:g} s, before the stop time {stop:g} s")
+
+
+def reject_failed_call(run: Run, interrupts: Sequence[int]) -> None:
+    """Raise the error of a failed FMI call, or KeyboardInterrupt after Ctrl-C."""
+    from fmpy.fmi1 import FMICallException
+
+    if interrupts or run.how == Ending.INTERRUPTED:
+        raise KeyboardInterrupt
+    if run.how == Ending.CALL_FAILED:
+        name = run.function.decode()
+        if run.status < 0:
+            raise FmuError(f"{name} returned {run.status}, which is no status of the FMI")
+        raise FMICallException(function=name, status=run.status)
+    if run.how == Ending.EARLY_RETURN:
+        raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")

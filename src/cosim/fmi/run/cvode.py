@@ -1,0 +1,87 @@
+"""CVODE for model exchange: the solver class of fmpy, with errors that reach the caller.
+
+ctypes prints and forgets an exception that is raised within a callback. Here the callback stops
+CVODE, and `step` raises the exception.
+"""
+
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fmpy.sundials import CVodeSolver
+from fmpy.sundials.libraries import sundials_cvode
+
+USUAL_STEPS = 500  # of fmpy and of CVODE, from one output time to the next
+MOST_STEPS = 20_000  # a second of a small FMU
+_STOP = -1  # a callback's result that CVODE takes as an error
+
+_step_count = sundials_cvode.CVodeGetNumSteps
+_step_count.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_long)]
+_step_count.restype = ctypes.c_int
+
+
+class Cvode(CVodeSolver):  # type: ignore[misc]
+    """CVODE with the settings of `fmpy.simulate_fmu`, but for the number of steps.
+
+    Args:
+        interrupts: A list that is no longer empty after Ctrl-C.
+        settings: Of fmpy's `CVodeSolver`.
+
+    Attributes:
+        rhs_calls: Evaluations of the derivatives.
+        many_steps: Begin and end of the first call with more than `USUAL_STEPS` steps, s.
+    """
+
+    def __init__(self, interrupts: Sequence[int], **settings: Any) -> None:
+        self.rhs_calls = 0
+        self.many_steps: tuple[float, float] | None = None
+        self._interrupts = interrupts
+        self._error: Exception | None = None
+        super().__init__(maxNumSteps=MOST_STEPS, **settings)
+
+    def f(self, *arguments: Any) -> int:
+        """Evaluate the derivatives."""
+        self.rhs_calls += 1
+        return self._guarded(super().f, arguments)
+
+    def g(self, *arguments: Any) -> int:
+        """Evaluate the event indicators."""
+        return self._guarded(super().g, arguments)
+
+    def step(self, time: float, target: float) -> tuple[bool, Any, float]:
+        """Integrate to a time or to the first state event before it.
+
+        Args:
+            time, target: s.
+
+        Returns:
+            Whether there is a state event, which indicators changed sign, and the time reached, s.
+
+        Raises:
+            Exception: CVODE failed, or a call of the FMU did.
+            KeyboardInterrupt: The user pressed Ctrl-C.
+        """
+        before = self._steps()
+        try:
+            found: tuple[bool, Any, float] = super().step(time, target)
+        except Exception as error:
+            if self._interrupts:
+                raise KeyboardInterrupt from error
+            raise self._error or error from None
+        if self.many_steps is None and self._steps() - before > USUAL_STEPS:
+            self.many_steps = time, target
+        return found
+
+    def _steps(self) -> int:
+        count = ctypes.c_long()
+        _step_count(self.cvode_mem, ctypes.byref(count))
+        return count.value
+
+    def _guarded(self, function: Callable[..., int], arguments: tuple[Any, ...]) -> int:
+        if self._interrupts:
+            return _STOP
+        try:
+            return function(*arguments)
+        except Exception as error:
+            self._error = error
+            return _STOP

@@ -1,0 +1,371 @@
+"""Masters in Python: loops that drive an FMU through fmpy's objects, with the steps of fmpy.
+
+Without inputs, the numbers are those of `fmpy.simulate_fmu` bit for bit. Inputs follow a series
+more closely: in model exchange at every evaluation, in co-simulation piece by piece.
+"""
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from math import inf, isclose
+from threading import current_thread, main_thread
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import FmuError
+from cosim.fmi.run.instance import (
+    Interface,
+    enter_continuous_time,
+    getter_name,
+    initialize,
+    is_second,
+    update_discrete_states,
+)
+from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
+from cosim.host.progress import doing
+from cosim.model.inputs import InputSeries
+
+_SAME_EVENT = 1e-9  # relative distance of two times that are one event, as in fmpy
+_STEPS_OF_A_RUN = 50  # the least number of steps of a run by CVODE, as in fmpy
+
+
+def run_in_python(instance: Any, request: FmuRequest) -> MasterRun:
+    """Initialize an FMU and run it.
+
+    Raises:
+        Exception: A call of the FMU or the solver failed.
+        FmuError: The FMU stopped before the stop time.
+        KeyboardInterrupt: The user pressed Ctrl-C.
+    """
+    exchange = request.interface is Interface.MODEL_EXCHANGE
+    loop = _model_exchange if exchange else _co_simulation
+    with _noticed_interrupts() as interrupts:
+        try:
+            initialize(instance, request.description, request.initial_values, **request.experiment)
+            recorder = _Recorder(instance, request)
+            with doing("running the FMU", recorder.fraction):
+                stats = loop(instance, request, recorder, interrupts)
+            instance.terminate()
+        except Exception as error:
+            if interrupts:
+                raise KeyboardInterrupt from error
+            raise
+        if interrupts:
+            raise KeyboardInterrupt
+    return MasterRun(*recorder.recorded, stats)
+
+
+class _Recorder:
+    """Records the outputs of a request at its communication points."""
+
+    def __init__(self, instance: Any, request: FmuRequest) -> None:
+        kinds: dict[str, list[int]] = {}
+        for column, variable in enumerate(request.recorded):
+            kinds.setdefault(getter_name(variable, request.description), []).append(column)
+        self._groups = [
+            (
+                getattr(instance, f"get{kind}"),
+                [request.recorded[column].valueReference for column in columns],
+                columns,
+                bool if kind == "Boolean" else float,
+            )
+            for kind, columns in kinds.items()
+        ]
+        self.times = np.empty(len(request.points))
+        self.rows = np.empty((len(request.points), len(request.recorded)))
+        self._count = 0
+
+    def record(self, time: float) -> None:
+        """Write the next row."""
+        self.times[self._count] = time
+        row = self.rows[self._count]
+        for getter, references, columns, kind in self._groups:
+            row[columns] = np.array(getter(references), dtype=kind)
+        self._count += 1
+
+    @property
+    def recorded(self) -> tuple[Vector, Vector]:
+        """The times, s, and a row of outputs for each."""
+        return self.times[: self._count], self.rows[: self._count]
+
+    def fraction(self) -> float:
+        """Return how much of the run is done, 0 to 1."""
+        return self._count / len(self.times)
+
+
+def _ended(time: float, request: FmuRequest, recorder: _Recorder) -> dict[str, Any]:
+    """Record where an FMU ends its run, and return what is to be said of that.
+
+    Raises:
+        FmuError: It must not.
+    """
+    if not request.may_end:
+        raise _stopped_early(time, request)
+    recorder.record(time)
+    return {"stop": f"an event ended the run, from {time:.12g} s on", "stop_time": time}
+
+
+def _stopped_early(time: float, request: FmuRequest) -> FmuError:
+    return FmuError(f"the run ended at {time:g} s, before the stop time {request.stop:g} s")
+
+
+# -- model exchange -------------------------------------------------------------------------------
+
+
+def _model_exchange(
+    instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
+) -> dict[str, Any]:
+    """Integrate with CVODE from event to event and from output time to output time."""
+    description, (time, *targets) = request.description, request.points.tolist()
+    next_event = enter_continuous_time(instance, description)
+    clock = _Clock(instance, request)
+    solver = _solver(instance, request, clock, interrupts)
+    needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
+    recorder.record(time)
+    stats: dict[str, Any] = {}
+    for target in targets:
+        while not stats:
+            goal, input_event = target, clock.next_event(time)
+            for event in (input_event, next_event):
+                if goal > event and not isclose(goal, event):
+                    goal = event
+            happens, _, reached = solver.step(time, goal)
+            if not reached > time:
+                raise _stopped_early(time, request)
+            time = reached
+            clock.set(time)
+            happens |= isclose(goal, input_event) or isclose(goal, next_event)
+            ends = False
+            if needs_completed_step:
+                step_event, ends = instance.completedIntegratorStep()
+                happens |= step_event
+            if happens and not ends:
+                instance.enterEventMode()
+                clock.pass_event(time)
+                ends, next_event = update_discrete_states(instance, description)
+                if not ends:
+                    instance.enterContinuousTimeMode()
+                    solver.reset(time)
+            if ends and not isclose(time, request.stop):
+                stats = _ended(time, request, recorder)
+            elif isclose(time, target):
+                recorder.record(time)
+                break
+        if stats:
+            break
+    return {**stats, "rhs_calls": solver.rhs_calls, **_note(solver.many_steps)}
+
+
+def _note(many_steps: tuple[float, float] | None) -> dict[str, str]:
+    """Return a note for the statistics on an interval in which CVODE took many steps."""
+    from cosim.fmi.run.cvode import USUAL_STEPS
+
+    if many_steps is None:
+        return {}
+    begin, end = many_steps
+    return {
+        "note": (
+            f"CVODE took more than {USUAL_STEPS} steps between two outputs, from {begin:.6g} to "
+            f"{end:.6g} s: a jump, or a singularity from which it may have continued along "
+            "another solution; compare with co-simulation"
+        )
+    }
+
+
+def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Sequence[int]) -> Any:
+    from cosim.fmi.run.cvode import Cvode
+
+    description, start = request.description, request.start
+    second = is_second(description)
+    tolerance = DEFAULT_TOLERANCE if request.tolerance is None else request.tolerance
+    return Cvode(
+        interrupts,
+        nx=description.numberOfContinuousStates,
+        nz=description.numberOfEventIndicators,
+        get_x=instance.getContinuousStates,
+        set_x=instance.setContinuousStates,
+        get_dx=instance.getDerivatives if second else instance.getContinuousStateDerivatives,
+        get_z=instance.getEventIndicators,
+        get_nominals=instance.getNominalsOfContinuousStates,
+        set_time=clock.set,
+        input=clock,
+        startTime=start,
+        maxStep=(request.stop - start) / _STEPS_OF_A_RUN,
+        relativeTolerance=tolerance,
+    )
+
+
+class _Clock:
+    """Sets the time of an FMU for model exchange, and the inputs that follow a series.
+
+    The solver restarts at every sample of the series, so that it steps over no kink and no pulse.
+    Between two jumps it sees one piece of the series, even where it evaluates beyond the jump.
+    """
+
+    def __init__(self, instance: Any, request: FmuRequest) -> None:
+        self._set_time, self._series = instance.setTime, request.inputs
+        self._set_real, self._references = _setter(instance), request.input_references
+        self._events = [] if self._series is None else np.unique(self._series.time).tolist()
+        self._piece = self._series and _after(self._series, request.start)
+
+    def set(self, time: float) -> None:
+        """Set the time and the inputs."""
+        self._set_time(time)
+        self.set_inputs(time)
+
+    def set_inputs(self, time: float) -> None:
+        """Set the inputs."""
+        if self._piece is not None:
+            self._set_real(self._references, _values(self._piece, time))
+
+    def apply(self, time: float) -> None:
+        """Do nothing: fmpy's solver calls it after `set`, which has set the inputs."""
+
+    def next_event(self, time: float) -> float:
+        """Return the time of the next sample, s; infinity if there is none."""
+        later = (event for event in self._events if event > time and not isclose(event, time))
+        return next(later, inf)
+
+    def pass_event(self, time: float) -> None:
+        """Follow the piece of the series that begins at an event."""
+        if self._series is not None:
+            self._piece = _after(self._series, time)
+            self.set_inputs(time)
+
+
+# -- co-simulation --------------------------------------------------------------------------------
+
+
+def _co_simulation(
+    instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
+) -> dict[str, Any]:
+    """Step from one communication point to the next."""
+    points = request.points.tolist()
+    step = _plain_step(instance, request)
+    if request.inputs is not None:
+        step = _step_with_inputs(instance, request, request.inputs, step)
+    recorder.record(points[0])
+    for begin, end in pairwise(points):
+        reached, ends = step(begin, end)
+        if interrupts:
+            raise KeyboardInterrupt
+        if ends and reached < points[-1]:
+            return _ended(reached, request, recorder)
+        if reached < end:
+            raise _stopped_early(reached, request)
+        recorder.record(end)
+    if points[-1] < request.stop and not isclose(points[-1], request.stop):
+        raise _stopped_early(points[-1], request)
+    return {}
+
+
+_Step = Callable[[float, float], tuple[float, bool]]  # begin, end -> time reached, whether it ends
+
+
+def _plain_step(instance: Any, request: FmuRequest) -> _Step:
+    from fmpy.fmi1 import FMICallException
+    from fmpy.fmi2 import fmi2Discard, fmi2LastSuccessfulTime, fmi2Terminated
+
+    def step_of_fmi_2(begin: float, end: float) -> tuple[float, bool]:
+        try:
+            instance.doStep(currentCommunicationPoint=begin, communicationStepSize=end - begin)
+        except FMICallException as error:
+            if error.status != fmi2Discard:
+                raise
+            if instance.getBooleanStatus(fmi2Terminated):
+                return instance.getRealStatus(fmi2LastSuccessfulTime), True
+            return begin, False
+        return end, False
+
+    def step_of_fmi_3(begin: float, end: float) -> tuple[float, bool]:
+        _, ends, early, last = instance.doStep(
+            currentCommunicationPoint=begin, communicationStepSize=end - begin
+        )
+        if early:
+            raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
+        return last if ends else end, ends
+
+    return step_of_fmi_2 if is_second(request.description) else step_of_fmi_3
+
+
+def _step_with_inputs(
+    instance: Any, request: FmuRequest, series: InputSeries, step: _Step
+) -> _Step:
+    """Return a step whose inputs follow a series, in substeps that end at every sample.
+
+    An FMU that can interpolate gets the slope of each piece. Another one gets the value at the
+    piece's middle, which leaves an error of second order in the step; of first order if inputs
+    jump within the step of an FMU whose steps have one size.
+    """
+    abilities, references = request.description.coSimulation, request.input_references
+    any_step, samples = abilities.canHandleVariableCommunicationStepSize, np.unique(series.time)
+    set_real = _setter(instance)
+    set_slopes = getattr(instance, "setRealInputDerivatives", None)
+    slopes = set_slopes if abilities.canInterpolateInputs else None
+
+    def driven(begin: float, end: float) -> tuple[float, bool]:
+        inner = samples[(samples > begin) & (samples < end)] if any_step else samples[:0]
+        inner = inner[~np.isclose(inner, begin) & ~np.isclose(inner, end)]
+        reached, ends = begin, False
+        for a, b in pairwise([begin, *inner.tolist(), end]):
+            piece = series.around((a + b) / 2)
+            first, middle, last = piece.at(np.array([a, (a + b) / 2, b])).T
+            set_real(references, (first if slopes else middle).tolist())
+            if slopes:
+                slopes(references, [1] * len(references), ((last - first) / (b - a)).tolist())
+            reached, ends = step(a, b)
+            if reached < b or ends:
+                return reached, ends
+        following = _after(series, end)
+        if not slopes or following is not piece:
+            set_real(references, _values(following, end))
+        return reached, ends
+
+    return driven
+
+
+# -- both -----------------------------------------------------------------------------------------
+
+
+def _after(series: InputSeries, time: float) -> InputSeries:
+    """Return the piece of a series between two jumps that follows a time, s."""
+    return series.around(time + _SAME_EVENT * abs(time))
+
+
+def _values(series: InputSeries, time: float) -> list[float]:
+    values: list[float] = series.at(np.array([time]))[:, 0].tolist()
+    return values
+
+
+def _setter(instance: Any) -> Callable[[Sequence[int], list[float]], None]:
+    setter: Callable[[Sequence[int], list[float]], None]
+    setter = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
+    return setter
+
+
+@contextmanager
+def _noticed_interrupts() -> Iterator[list[int]]:
+    """Collect the signals of Ctrl-C: ctypes forgets a KeyboardInterrupt raised in a callback.
+
+    The second signal does what it usually does.
+    """
+    seen: list[int] = []
+    usual = signal.getsignal(signal.SIGINT)
+    if current_thread() is not main_thread() or not callable(usual):
+        yield seen
+        return
+
+    def notice(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        if len(seen) > 1:
+            usual(number, frame)
+
+    signal.signal(signal.SIGINT, notice)
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, usual)

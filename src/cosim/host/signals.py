@@ -1,0 +1,86 @@
+"""Signals: Ctrl-C while native code runs, and the time limit of a command."""
+
+import ctypes
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Timer, current_thread, main_thread
+from types import FrameType
+
+
+@contextmanager
+def interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
+    """Let Ctrl-C and a time limit end one long call of a compiled library.
+
+    The library watches the signals meanwhile, see fmu/solvers/interrupt.h.
+
+    Yields:
+        A list that holds the signal afterwards. A handler that the user has installed is called.
+    """
+    interrupts: list[int] = []
+    if library is None or current_thread() is not main_thread():
+        yield interrupts
+        return
+    library.cosim_watch()
+    try:
+        yield interrupts
+    finally:
+        number = library.cosim_halted()
+    if number:
+        interrupts.append(number)
+        handler = signal.getsignal(number)
+        limit = getattr(handler, "__self__", None)
+        if isinstance(limit, TimeLimit):  # the run ends as after Ctrl-C, with what it computed
+            limit.reached = limit.reached or number != signal.SIGINT
+        elif handler is not signal.default_int_handler:
+            signal.raise_signal(number)
+
+
+class TimeLimitReached(KeyboardInterrupt):
+    """The time limit of a command was reached; a run ends as it does after Ctrl-C."""
+
+
+class TimeLimit:
+    """A time limit: `reached` tells whether it has interrupted the work."""
+
+    def __init__(self) -> None:
+        self.reached = False
+
+    def expire(self) -> None:
+        """Interrupt the main thread by SIGINT."""
+        self.reached = True
+        signal.raise_signal(signal.SIGINT)
+
+    def interrupt(self, number: int, _frame: FrameType | None) -> None:
+        """Handle the signal of the timer, or Ctrl-C."""
+        self.reached = self.reached or number != signal.SIGINT
+        raise TimeLimitReached if self.reached else KeyboardInterrupt
+
+
+@contextmanager
+def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
+    """Raise `TimeLimitReached` in the main thread after a time, s; never for None.
+
+    An interval timer does it; on Windows, which has none, a thread.
+    """
+    limit = TimeLimit()
+    if seconds is None:
+        yield limit
+    elif hasattr(signal, "setitimer"):
+        before = signal.signal(signal.SIGALRM, limit.interrupt)
+        timer = signal.setitimer(signal.ITIMER_REAL, seconds)
+        try:
+            yield limit
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, *timer)
+            signal.signal(signal.SIGALRM, before)
+    else:
+        before = signal.signal(signal.SIGINT, limit.interrupt)
+        thread = Timer(seconds, limit.expire)
+        thread.daemon = True
+        thread.start()
+        try:
+            yield limit
+        finally:
+            thread.cancel()
+            signal.signal(signal.SIGINT, before)

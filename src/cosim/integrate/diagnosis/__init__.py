@@ -1,1 +1,0 @@
-"""What may be wrong with a run: limits of its model, steps that are too long, kinks, monitors."""

@@ -1,0 +1,466 @@
+"""`integrate`: from one event to the next, through jumps of inputs and events of the model.
+
+Between events the solver integrates the frozen equations (see `casadi_models.dae.hybrid`). The
+relations are looked at on a grid of times; where one leaves its mode, the time is located on the
+motion of the solver, the modes and states after the event follow, and the solver starts afresh.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import Hybrid
+from cosim.arrays import Vector
+from cosim.codegen.initialization import law_of_knowns
+from cosim.errors import InitialConditionError, SolverError, UsageError
+from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
+from cosim.integrate.engine import Counts, Problem
+from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.initial_values import algebraic_values
+from cosim.integrate.location import Piece, located, next_of_time
+from cosim.integrate.modes import (
+    MOST_ROUNDS,
+    Instant,
+    hybrid,
+    literal_modes,
+    settled,
+    sliding,
+)
+from cosim.integrate.nominal import InitialState, scaled_call
+from cosim.integrate.pulses import pulse_times
+from cosim.integrate.tangent import along, moved, shift
+from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
+from cosim.model.solver import AdaptiveSolver, Solver
+from cosim.model.values import Values
+
+_FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
+_LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
+_ZENO = 1e-10  # distance of events, relative to the time, of which ...
+_MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed
+
+
+class EventRecord(NamedTuple):
+    """An event of a run.
+
+    Attributes:
+        time: s.
+        name: Name of the event.
+        before, after: States just before and after it, (nx,).
+    """
+
+    time: float
+    name: str
+    before: Vector
+    after: Vector
+
+
+@dataclass
+class Motion:
+    """Result of an integration over a grid, up to the last time that was reached.
+
+    Attributes:
+        dae: The model whose outputs the columns determine: with modes as further inputs.
+        time: The grid, s, (n,); if an event ends the run, up to the time of that event.
+        states, algebraics, u: One column per time.
+        counts: Numbers of steps and calls.
+        reason: Why the run stopped early; empty if it did not.
+        solve_time: Time of the solver, s.
+        events: Events in their order.
+        stop: Message of the event that ended the run.
+    """
+
+    dae: Dae
+    time: Vector
+    states: Vector
+    algebraics: Vector
+    u: Vector
+    counts: Counts
+    reason: str = ""
+    solve_time: float | None = None
+    events: list[EventRecord] = field(default_factory=list)
+    stop: str = ""
+
+
+def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
+    """Integrate over the grid of a problem, from each event to the next.
+
+    No step extends over a jump of an input or an event, and each piece uses the inputs and modes
+    on its own side, which preserves the order of every method. Values at an event are those after.
+
+    Raises:
+        UsageError, ParameterError, MissingTool: See `engine_of`.
+        SolverError: An event has no consistent result.
+    """
+    system = hybrid(problem.dae)
+    jumps = problem.inputs is not None and problem.inputs.jumps.size
+    smooth = problem.dae if system is None else system.dae
+    span = float(problem.grid[0]), float(problem.grid[-1])
+    longest = solver.step(problem) if isinstance(solver, FixedStep) else span[1] - span[0]
+    if isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
+        longest = min(longest, solver.max_step)
+    pulses = pulse_times(smooth, start.values.p, *span, longest)
+    if system is not None or jumps or len(pulses):
+        no_events = Hybrid(problem.dae, (), (), ())
+        return _Course(problem, system or no_events, solver, start, pulses).run()
+    found = scaled_call(problem, solver, start)
+    u = input_values(problem.dae, problem.grid, start.values, problem.inputs)
+    n = found.states.shape[1]
+    columns = found.states, found.algebraics, u[:, :n]
+    return Motion(
+        problem.dae, problem.grid[:n], *columns, found.counts, found.reason, found.solve_time
+    )
+
+
+def _summed(found: Sequence[Reached]) -> Counts:
+    def total(numbers: Iterable[int | None]) -> int | None:
+        known = [number for number in numbers if number is not None]
+        return sum(known) if len(known) == len(found) else None
+
+    every = [reached.counts for reached in found]
+    return Counts(
+        total(counts.steps for counts in every),
+        total(counts.rhs_calls for counts in every),
+        total(counts.jacobian_calls for counts in every),
+        every[-1].cause if every else "",
+    )
+
+
+def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
+    """Return every input at the output times, (nu, n); (nu, 1) where all are constant."""
+    if inputs is None:
+        return values.u[:, None]
+    table = np.tile(values.u[:, None], len(grid))
+    known = [variable.name for variable in dae.inputs]
+    for name, row in zip(inputs.names, inputs.with_jumps_at(grid).at(grid), strict=True):
+        table[known.index(name)] = row
+    return table
+
+
+@cached_per_thread(16)
+def _rules(system: Hybrid) -> Evaluator:
+    """Return a function of t, x, z, u, p: conditions of all events, and their new values."""
+    return Evaluator(ca.Function("rules", system.dae.arguments, [*system.rules], {"cse": True}))
+
+
+@cached_per_thread(16)
+def _residuals(dae: Dae) -> tuple[Evaluator, ...]:
+    """Return functions of t, x, u, p: the residuals of the invariants."""
+    return tuple(
+        Evaluator(law_of_knowns(dae, "residual", ca.densify(law.residual)))
+        for law in dae.invariants
+    )
+
+
+class _Course:
+    """A run of a hybrid model on its way over the grid."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        system: Hybrid,
+        solver: Solver,
+        start: InitialState,
+        pulses: Vector,
+    ) -> None:
+        self.pulses = pulses
+        self.problem, self.system, self.solver = problem, system, solver
+        self.dae, self.grid = problem.dae, problem.grid
+        self.values, self.began = start.values, start.x
+        self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
+        n = len(self.grid)
+        sizes = len(start.x), len(start.z), len(system.dae.inputs)
+        self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
+        self.next = 0  # row of the grid to be written
+        self.reached = list[Reached]()
+        self.events = list[EventRecord]()
+        self.close = 0  # events in succession that are close to each other
+        watches = not system.relations or (problem.compiled and solver.watches)
+        self.window = len(self.grid) if watches else _FIRST_WINDOW
+        self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
+        self.stop = ""
+        t = float(self.grid[0])
+        modes = np.ones(len(system.relations))
+        at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))
+        self.at = at
+        if system.relations:
+            for _ in modes:  # arguments may hold modes of other relations
+                arguments = at.watched(system, start.values.p).arguments[0]
+                at = replace(at, modes=literal_modes(system, arguments))
+            self.at = settled(system, at, start.values.p, frozenset())
+        conditions = self._conditions_at(self.at)
+        for event, holds in zip(system.events, conditions, strict=True):
+            if event.message and holds:
+                raise UsageError(
+                    f"{self.dae.full_name}: {event.name} '{event.message}' is true at the start "
+                    "already; give a condition that becomes true later"
+                )
+        if system.events:
+            sampled = np.array([event.sampled for event in system.events], dtype=bool)
+            before = np.where(sampled, self._samples_before(conditions), conditions)
+            self._happen(before, "")
+        self._write(self.at.t)
+
+    def run(self) -> Motion:
+        """Run to the end of the grid, or to an event that ends the run."""
+        reason = ""
+        while self.next < len(self.grid) and not self.stop and not reason:
+            try:
+                reason = self._advance()
+            except InitialConditionError:
+                reason = f"no solution after the jump of an input at {self.at.t:g} s"
+            except SolverError as error:
+                reason = str(error).removeprefix(f"{self.dae.full_name}: ")
+        n = self.next
+        time = self.grid[:n]
+        columns = [self.states[:n], self.algebraics[:n], self.u[:n]]
+        if self.stop and (not n or time[-1] < self.at.t):
+            time = np.append(time, self.at.t)
+            last = self.at.x, self.at.z, np.concatenate((self.at.u, self.at.modes))
+            columns = [np.vstack(pair) for pair in zip(columns, last, strict=True)]
+        states, algebraics, u = (column.T for column in columns)
+        return Motion(
+            self.system.dae,
+            time,
+            states,
+            algebraics,
+            u,
+            _summed(self.reached),
+            reason,
+            sum(reached.solve_time for reached in self.reached),
+            self.events,
+            self.stop,
+        )
+
+    def _advance(self) -> str:
+        """Integrate to the end of a window, or to the first event in it.
+
+        Returns:
+            Why the solver stopped early; empty if it did not.
+        """
+        at, grid = self.at, self.grid
+        due, changing = next_of_time(self.system, at, self.values.p, float(grid[-1]))
+        jump = self._next_jump(at.t)
+        pulse = self.pulses[int(np.searchsorted(self.pulses, at.t, "right")) :][:1].tolist()
+        end = min(due, jump, float(grid[-1]), *pulse)
+        last = min(self.next + self.window, len(grid) - 1)
+        if grid[last] < end:
+            end = float(grid[last])
+        rows = grid[self.next :][grid[self.next :] < end]
+        piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
+        found = None if piece.reason == INTERRUPTED else located(piece)
+        if found is not None:
+            self._accept(piece, found[0].t)
+            event, left = found
+            before = self._conditions_at(at)
+            due_rows = 2 * piece.upto(event.t)
+            self.window = max(self.least_window, min(self.window, due_rows))
+            self._switch(event, event.zero - left, left, before)
+            return ""
+        if piece.reason:
+            self._accept(piece, np.inf)
+            return piece.reason
+        self._accept(piece, end)
+        self.window *= 2
+        arrived = piece.at_end()
+        before = self._conditions_at(at)
+        if end in (due, jump):
+            arrived = replace(arrived, t=end, zero=changing if end == due else frozenset())
+            if end == jump:
+                arrived = self._with_inputs(arrived)
+            self._switch(arrived, arrived.zero, frozenset(), before)
+        else:
+            self.at = self._with_inputs(arrived)
+            self._write(end)
+        return ""
+
+    def _piece(self, times: Vector) -> Piece:
+        """Integrate from the present instant over some times."""
+        own = sliding(self.system, self.at.sliding)
+        inputs = self.series and self.series.around(float(times[0]))
+        problem = replace(self.problem, dae=own.dae, times=times.tobytes(), inputs=inputs)
+        piece = Piece(self.system, own, problem, self.solver, self.at, self.began, self.values.p)
+        self.reached.append(piece.reached)
+        return piece
+
+    def _switch(
+        self, at: Instant, zero: frozenset[int], left: frozenset[int], before: Vector
+    ) -> None:
+        """Apply an event: modes, assignments, and what follows from them at the same instant."""
+        if not self.system.relations:
+            self.at = at
+            values = Values(at.x, self.values.p, at.u)
+            self.at = replace(at, z=algebraic_values(self.dae, at.t, at.x, values))
+            self._write(at.t)
+            return
+        x, dt = at.x, 0.0
+        if self.dae.derived:
+            # where a mode at its edge ends sliding, rates are continuous, and so are derivatives
+            at, dt = self._moved(at, zero - self.at.sliding)
+        for i in left:  # it slid; its mode is at the edge
+            modes = at.modes.copy()
+            modes[i] = np.sign(modes[i])
+            at = replace(at, modes=modes, sliding=at.sliding - {i})
+        was = self.at.t
+        self.at = settled(self.system, replace(at, zero=zero), self.values.p, left)
+        self._happen(before, self._names(zero | left), x, dt)
+        if dt:
+            rates = self.at.watched(self.system, self.values.p).ode[0]
+            self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
+        self._reject_zeno(was)
+        self._write(self.at.t)
+
+    def _moved(self, at: Instant, zero: frozenset[int]) -> tuple[Instant, float]:
+        """Return an instant with derivatives at the moving time of an event, and how it moves."""
+        if not zero:
+            return at, 0.0
+        system, p, i = self.system, self.values.p, min(zero)
+        seen = at.watched(system, p)
+        u = np.concatenate((at.u, at.modes))
+        change = along(system)(at.t, at.x, at.z, u, p, 0.0)[0]
+        dt = shift(float(change[i]), float(seen.rates[0, i]))
+        return replace(at, x=moved(at.x, self.dae.derived, seen.ode[0], dt)), dt
+
+    def _happen(self, before: Vector, cause: str, x: Vector | None = None, dt: float = 0.0) -> None:
+        """Let events happen whose conditions have risen, until none is left."""
+        happened = list[str]()
+        start = self.at.x if x is None else x
+        for _ in range(MOST_ROUNDS):
+            now = self._conditions_at(self.at)
+            risen = [
+                i
+                for i, event in enumerate(self.system.events)
+                if now[i] > before[i] and not (event.sampled and now[i] < 0)
+            ]
+            if not risen:
+                break
+            before = now
+            happened += [self.system.events[i].name for i in risen]
+            self.stop = next((m for i in risen if (m := self.system.events[i].message)), "")
+            self.at = self._assigned(risen, dt)
+            if self.stop:
+                break
+        else:
+            raise SolverError(
+                f"{self.dae.full_name}: '{happened[-1]}' happens again and again at "
+                f"{self.at.t:.12g} s, more than {MOST_ROUNDS} times"
+            )
+        for name in happened or ([cause] if cause else []):
+            self.events.append(EventRecord(self.at.t, name, start, self.at.x))
+
+    def _assigned(self, which: Sequence[int], dt: float) -> Instant:
+        """Return the instant after the assignments of some events, all of them at once.
+
+        Args:
+            which: The events.
+            dt: How their time moves along the direction of the derivatives.
+        """
+        at, system, p = self.at, self.system, self.values.p
+        u = np.concatenate((at.u, at.modes))
+        _, new = _rules(system)(at.t, at.x, at.z, u, p)
+        ends = np.cumsum([len(event.states) for event in system.events])
+        x, nx = at.x.copy(), self.dae.derived
+        for i in which:
+            states = np.array(system.events[i].states, dtype=int)
+            rows = slice(ends[i] - len(states), ends[i])
+            x[states] = new[rows]
+            if nx:
+                x[nx + states] = along(system)(at.t, at.x, at.z, u, p, dt)[1][rows]
+        if not np.isfinite(x).all():
+            name = system.events[which[0]].name
+            raise SolverError(f"{self.dae.full_name}: '{name}' gives a state no finite value")
+        self._reject_inconsistent(x, which)
+        was = at.watched(system, p).arguments[0]
+        at = replace(at, x=x)
+        arguments = at.watched(system, p).arguments[0]
+        kept = frozenset(i for i in at.zero if arguments[i] == was[i])
+        slid = frozenset(i for i in at.sliding if arguments[i] == was[i])
+        at = replace(at, zero=kept | slid, sliding=slid)
+        return settled(system, at, p, frozenset())
+
+    def _reject_inconsistent(self, x: Vector, which: Sequence[int]) -> None:
+        for invariant, law in zip(self.dae.invariants, _residuals(self.dae), strict=True):
+            before, after = (
+                np.abs(law(self.at.t, state, self.at.u, self.values.p)[0]).max()
+                for state in (self.at.x, x)
+            )
+            if after > 1e-6 and after > 10 * before:
+                name = self.system.events[which[0]].name
+                raise SolverError(
+                    f"{self.dae.full_name}: '{name}' at {self.at.t:.12g} s leaves states that "
+                    f"violate: {invariant.meaning} (by {after:.2g}); assign consistent values"
+                )
+
+    def _reject_zeno(self, previous: float) -> None:
+        t = self.at.t
+        near = t - previous < _ZENO * max(1.0, abs(t))
+        self.close = self.close + 1 if near else 0
+        if self.close > _MOST_CLOSE:
+            name = self.events[-1].name if self.events else "events"
+            raise SolverError(
+                f"{self.dae.full_name}: '{name}' happens ever faster before {t:.12g} s (Zeno); "
+                "end the run before with a stop condition, or let the motion rest there"
+            )
+
+    def _names(self, relations: Iterable[int]) -> str:
+        """Return the relations of the equations as text, without those of conditions alone."""
+        return ", ".join(self.system.described(i) for i in sorted(relations)
+                         if self.system.in_laws[i])  # fmt: skip
+
+    def _conditions_at(self, at: Instant) -> Vector:
+        if not self.system.events:
+            return np.empty(0)
+        u = np.concatenate((at.u, at.modes))
+        return _rules(self.system)(at.t, at.x, at.z, u, self.values.p)[0]
+
+    def _samples_before(self, counts: Vector) -> Vector:
+        """Return the numbers of samples before the start: one is due at the start itself."""
+        earlier = np.nextafter(self.at.t, -np.inf) - 4 * np.spacing(abs(self.at.t))
+        literal = ca.Function("conditions", self.dae.arguments,
+                              [ca.vertcat(*(e.condition for e in self.dae.events))])  # fmt: skip
+        found = literal(earlier, self.at.x, self.at.z, self.at.u, self.values.p)
+        earlier_counts: Vector = np.minimum(counts, np.array(found, dtype=float).ravel())
+        return earlier_counts
+
+    def _next_jump(self, t: float) -> float:
+        if self.series is None:
+            return np.inf
+        later = self.series.jumps[self.series.jumps > t]
+        return float(later[0]) if later.size else np.inf
+
+    def _with_inputs(self, at: Instant) -> Instant:
+        """Return an instant with the inputs just after it."""
+        if self.series is None:
+            return replace(at, du=np.zeros(len(at.u)))
+        own = self.series.around(at.t)
+        known = [variable.name for variable in self.dae.inputs]
+        u, du = self.values.u.copy(), np.zeros(len(self.values.u))
+        for name, value, rate in zip(own.names, own.at(np.array([at.t]))[:, 0], own.slopes(at.t),
+                                     strict=True):  # fmt: skip
+            u[known.index(name)], du[known.index(name)] = value, rate
+        return replace(at, u=u, du=du)
+
+    def _accept(self, piece: Piece, end: float) -> None:
+        """Write the rows of a piece before a time."""
+        grid = self.grid
+        last = min(end, np.nextafter(piece.times[-1], np.inf)) if len(piece.times) else -np.inf
+        count = int(np.searchsorted(grid, last)) - self.next
+        if count <= 0:
+            return
+        rows = slice(self.next, self.next + count)
+        first = int(np.searchsorted(piece.times, grid[self.next]))
+        places = slice(first, first + count)
+        self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
+        self.algebraics[rows] = piece.z[places, : self.algebraics.shape[1]]
+        self.next += count
+
+    def _write(self, t: float) -> None:
+        """Write the row at the present instant, if the grid has it."""
+        if self.next < len(self.grid) and self.grid[self.next] == t:
+            self.states[self.next], self.algebraics[self.next] = self.at.x, self.at.z
+            self.u[self.next] = np.concatenate((self.at.u, self.at.modes))
+            self.next += 1

@@ -1,0 +1,173 @@
+"""`requested`: build a `RunRequest` from the keywords of `cosim.simulate`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypedDict, Unpack
+
+from numpy.typing import ArrayLike
+
+from casadi_models.dae import Dae
+from cosim.errors import UsageError
+from cosim.integrate.solvers import requested_solver
+from cosim.memo import cached_per_thread
+from cosim.model.catalogue import load
+from cosim.model.driving import driven
+from cosim.model.quantities import quantity
+from cosim.model.request import RunRequest
+from cosim.model.solver import LIMITS, Goal, Solver, Tolerance
+from cosim.model.times import Times
+from cosim.model.values import A_DAE, assign
+
+
+class SharedKeywords(TypedDict, total=False):
+    """Keywords that runs of many variants share; see `cosim.simulate`."""
+
+    start_time: float | None
+    stop_time: float | None
+    output_interval: float | None
+    output_times: ArrayLike | None
+    inputs: Any
+    outputs: Sequence[str] | None
+    solver: str | Solver | Tolerance | None
+    relative_tolerance: float | None
+    absolute_tolerance: float | None
+    step_size: float | None
+    max_step: float | None
+    accuracy: float | None
+    budget: float | None
+    compiled: bool | None
+    on_invalid: str | None
+    drift_control: str | None
+    stop_when: str | None
+
+
+class Keywords(SharedKeywords, total=False):
+    """Keywords of one run; see `cosim.simulate`."""
+
+    start_values: Mapping[str, float | str] | None
+
+
+_SOLVER = ("solver", "step_size", *LIMITS)
+_GOAL = ("accuracy", "budget")
+_TIMES = ("start_time", "stop_time", "output_interval", "output_times")
+_POLICY = ("compiled", "on_invalid", "drift_control", "stop_when")
+
+
+def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> RunRequest:
+    """Return the request of a model and keywords; a keyword that is None is ignored.
+
+    Args:
+        subject: The model, its name, or a request whose fields are the defaults.
+        keywords: See `cosim.simulate`.
+
+    Raises:
+        TypeError: A keyword does not exist.
+        UnknownName, ParameterError, UsageError, InitialConditionError: See `RunRequest`; or two
+            keywords contradict each other.
+
+    Example:
+        >>> requested("crank_shaft", start_values={"omega": "60rpm"}, stop_time=2.0).times.stop
+        2.0
+    """
+    for name in keywords:
+        if name not in Keywords.__optional_keys__:
+            raise TypeError(f"simulate() got an unexpected keyword argument '{name}'")
+    given: dict[str, Any] = {k: v for k, v in keywords.items() if v is not None}
+    request = subject if isinstance(subject, RunRequest) else RunRequest(_model(subject))
+    times = _times(request.times, {name: given[name] for name in _TIMES if name in given})
+    settled = driven(
+        request.dae, given.get("inputs", request.inputs), lambda: times.grid(request.dae)
+    )
+    dae = settled.dae
+    values = {**request.values, **_plain(dae, given.get("start_values")), **settled.constants}
+    if twice := settled.constants.keys() & (given.get("start_values") or {}).keys():
+        raise UsageError(f"{dae.full_name}: {min(twice)} is given twice; give it once")
+    policy = {name: given[name] for name in _POLICY if name in given}
+    found = RunRequest(
+        dae,
+        values,
+        times,
+        given.get("outputs", request.outputs),
+        settled.series,
+        _solver(request, given),
+        replace(request.policy, **policy),
+    )
+    if isinstance(found.solver, Goal) and found.policy.stop_when is not None:
+        raise UsageError(f"{dae.full_name}: stop_when needs a solver; leave accuracy or budget out")
+    if isinstance(found.solver, Goal) and found.policy.drift_control is not None:
+        raise _overruled(next(name for name in _GOAL if name in given), "drift_control")
+    return found
+
+
+def _model(subject: object) -> Dae:
+    if isinstance(subject, str):
+        return named(subject)
+    if not isinstance(subject, Dae):
+        raise UsageError.of_type("a run", subject, A_DAE)
+    return subject
+
+
+_of_the_catalogue = cached_per_thread(16)(load)
+
+
+def named(name: str) -> Dae:
+    """Return the model of a name; a model of the catalogue is built once.
+
+    Raises:
+        CosimError: See `load`.
+    """
+    return load(name) if ".py:" in name else _of_the_catalogue(name)
+
+
+def _times(times: Times, given: dict[str, Any]) -> Times:
+    names = {"start_time": "start", "stop_time": "stop", "output_interval": "interval"}
+    own = given.pop("output_times", None)
+    if own is None:
+        return replace(times, **{names[name]: value for name, value in given.items()})
+    for name in ("stop_time", "output_interval"):
+        if name in given:
+            raise UsageError(f"output_times already sets all output times; leave {name} out")
+    return Times.at(own, given.get("start_time", times.start))
+
+
+def _plain(dae: Dae, values: Any) -> dict[str, float]:
+    """Return values by name as numbers in SI units."""
+    if not isinstance(values, Mapping | None):
+        assign(dae, values)  # raises the error
+        return {}
+    units = {v.name: v.unit for v in dae.variables}
+    return {
+        name: quantity(name, value, units[name])
+        if isinstance(value, str) and name in units
+        else value
+        for name, value in (values or {}).items()
+    }
+
+
+def _solver(request: RunRequest, given: dict[str, Any]) -> Solver | Tolerance | Goal | None:
+    """Return the solver, tolerance or goal of the keywords, else that of the request."""
+    goals = {name: given[name] for name in _GOAL if name in given}
+    numbers = {name: given[name] for name in _SOLVER if name in given}
+    if goals:
+        goal = Goal(**goals)
+        if numbers:
+            raise _overruled(next(iter(goals)), next(iter(numbers)))
+        return goal
+    if not numbers:
+        return request.solver
+    solver = numbers.get("solver")
+    if isinstance(solver, Tolerance):
+        return solver
+    if "solver" not in numbers and isinstance(request.solver, Solver):
+        own = {name: value for name, value in vars(request.solver).items() if name in _SOLVER}
+        before = {name: value for name, value in own.items() if value is not None}
+        return requested_solver(request.dae, request.solver.name, **(before | numbers))
+    if "step_size" not in numbers and isinstance(request.solver, Tolerance):
+        numbers = request.solver.keywords | numbers
+    return requested_solver(request.dae, **numbers)
+
+
+def _overruled(goal: str, name: str) -> UsageError:
+    return UsageError(
+        f"{goal} chooses solver and tolerance, but {name} is given as well; leave one of them out"
+    )

@@ -1,0 +1,448 @@
+"""Where the relations of a hybrid model leave their modes: by time alone, or along a motion."""
+
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_models.dae.hybrid import Hybrid
+from cosim.arrays import Vector
+from cosim.integrate.call import Reached
+from cosim.integrate.engine import Counts, Problem
+from cosim.integrate.modes import Instant, Watched, guards, watch
+from cosim.integrate.nominal import InitialState, scaled_call
+from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
+from cosim.model.solver import Solver
+from cosim.model.values import Values
+
+_INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
+_MOST_TRIALS = 40
+_CLOSE = 1e-3  # share of an interval beyond which the solver, not the interpolant, tells the state
+_PLACES = 32  # at which the cubic of an interval is looked at, as many as one call evaluates
+_ZOOMS = 5  # into the place where a margin is least
+_NARROW = 1e-6  # share of an interval within which the solver, not the interpolant, tells the time
+_SAME_INSTANT = 32  # units in the last place of a time
+_SAME_TIME = 1e-12  # relative distance of times
+_SEARCHED = 4096  # places at which a nonlinear expression of time is looked at
+
+
+class Located(NamedTuple):
+    """The first event of a piece.
+
+    Attributes:
+        at: The instant just before it, with the relations whose arguments are 0 there.
+        left: Those of them that slid until then, and no longer do.
+    """
+
+    at: Instant
+    left: frozenset[int]
+
+
+class Piece:
+    """A motion with fixed modes, from an instant over some times.
+
+    Args:
+        system: The frozen equations, nothing sliding.
+        own: Those of the piece.
+        problem: `own` over the times.
+        solver: The solver.
+        begin: Where it begins.
+        began: States at the start of the run, (nx,).
+        p: Parameters.
+    """
+
+    def __init__(
+        self,
+        system: Hybrid,
+        own: Hybrid,
+        problem: Problem,
+        solver: Solver,
+        begin: Instant,
+        began: Vector,
+        p: Vector,
+    ) -> None:
+        self.system, self.own, self.begin, self.began, self.p = system, own, begin, began, p
+        self.problem, self.solver = problem, solver
+        z = begin.z
+        if own.sliding and own.dae.algebraics:
+            z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
+        watched = replace(problem, system=own, zero=begin.zero - frozenset(own.sliding))
+        self.reached = self._run(watched, problem.grid, begin.x, z)
+        n = self.reached.states.shape[1]
+        self.times = problem.grid[:n]
+        if self.reached.crossing is not None:
+            self.times = np.append(problem.grid[: n - 1], self.reached.crossing[0])
+        self.x, self.z = self.reached.states.T, self.reached.algebraics.T
+        self.u, self.du = self._inputs(self.times)
+        self.reason = self.reached.reason
+        self._rates = dict[int, Vector]()
+        self.offsets = np.zeros(len(system.relations))  # of arguments that are 0 by definition
+        near = [i for i in begin.zero if not system.floors[i]]
+        if near:
+            self.offsets[near] = begin.watched(system, p).arguments[0, near]
+
+    def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:
+        u, _ = self._inputs(times[:1])
+        values = Values(x, self.p, u[0])
+        if not len(x):
+            unknowns = np.repeat(z[:, None], len(times), axis=1)
+            return Reached(np.empty((0, len(times))), unknowns, Counts(0, 0, 0), "", 0.0)
+        # no solver begins with an output time so near, and the state is the same there
+        apart = times > times[0] + _SAME_INSTANT * np.spacing(abs(times[0]))
+        apart[0] = True
+        if not apart.all():
+            same = len(times) - int(apart.sum())
+            ahead = [np.repeat(row[:, None], same, axis=1) for row in (x, z)]
+            if same + 1 == len(times):
+                states, unknowns = (np.hstack((a, a[:, :1])) for a in ahead)
+                return Reached(states, unknowns, Counts(0, 0, 0), "", 0.0)
+            found = self._run(problem, times[apart], x, z)
+            states = np.hstack((ahead[0], found.states))
+            return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))
+        problem = replace(problem, times=times.tobytes())
+        return scaled_call(problem, self.solver, InitialState(x, z, values, self.began))
+
+    def _inputs(self, times: Vector) -> tuple[Vector, Vector]:
+        """Return inputs with modes, and their slopes, one row per time."""
+        series: InputSeries | None = self.problem.inputs
+        row = np.concatenate((self.begin.u, self.begin.modes))
+        u, du = np.tile(row, (len(times), 1)), np.zeros((len(times), len(row)))
+        if series is not None:
+            known = [variable.name for variable in self.own.dae.inputs]
+            places = [known.index(name) for name in series.names]
+            u[:, places] = series.at(times).T
+            du[:, places] = [series.slopes(float(t)) for t in times]
+        return u, du
+
+    def upto(self, t: float) -> int:
+        """Return the number of times before a time."""
+        return int(np.searchsorted(self.times, t))
+
+    def at_end(self) -> Instant:
+        """Return the instant at its end, in the modes of the piece."""
+        solved = self.seen.solved[-1] if self.own.sliding else None
+        return self.instant(self.times[-1], self.x[-1], self.z[-1], solved)
+
+    def instant(self, t: float, x: Vector, z: Vector, solved: Vector | None = None) -> Instant:
+        """Return an instant of the piece from a time and a row of states and unknowns.
+
+        Args:
+            t: s.
+            x, z: The row.
+            solved: Modes of the relations that slide; as at the begin if None.
+        """
+        slid, modes, n = self.own.sliding, self.begin.modes.copy(), len(self.begin.u)
+        if solved is not None:
+            modes[list(slid)] = solved
+        u, du = self._inputs(np.array([t]))
+        return replace(
+            self.begin, t=float(t), x=x, z=z[: len(self.begin.z)], u=u[0, :n], du=du[0, :n],
+            modes=modes, zero=frozenset(slid),
+        )  # fmt: skip
+
+    @cached_property
+    def seen(self) -> Watched:
+        """The relations at the times."""
+        return self.watched(self.times, self.x, self.z, closely=False)
+
+    def watched(self, times: Vector, x: Vector, z: Vector, *, closely: bool = True) -> Watched:
+        """Return the relations at some times and states."""
+        return watch(self.own, times, (x, z, *self._inputs(times)), self.p, closely=closely)
+
+    def rates(self, k: int) -> Vector:
+        """Return dx/dt at a time and the next one, (2, nx)."""
+        if k not in self._rates:
+            ends = slice(k, k + 2)
+            self._rates[k] = self.watched(self.times[ends], self.x[ends], self.z[ends]).ode
+        return self._rates[k]
+
+    def margins(self, seen: Watched) -> tuple[Vector, Vector]:
+        """Return how far every relation is within its mode, and the rates of that, (n, m).
+
+        Of a relation that slides, how far its mode is within -1 ... 1. Relations of time alone,
+        whose times are known, are left out: infinite.
+        """
+        values = seen.arguments - self.offsets
+        inside, towards = guards(self.system, self.begin.modes, values, seen.rates)
+        slid = list(self.own.sliding)
+        inside[:, slid] = 1 - np.abs(seen.solved)
+        towards[:, slid] = -np.sign(seen.solved) * seen.solved_rates
+        inside[:, list(self.system.of_time)] = np.inf
+        towards[:, list(self.system.of_time)] = 0.0
+        return inside, towards
+
+    def interpolated(self, k: int, shares: Vector) -> Watched:
+        """Return the relations within an interval, on the cubic through its ends."""
+        t, z = self.times[k : k + 2], np.repeat(self.z[k : k + 1], len(shares), axis=0)
+        x = cubics(t, self.x[k : k + 2], self.rates(k), shares)[0]
+        return self.watched(t[0] + shares * (t[1] - t[0]), x, z, closely=False)
+
+    def within(self, k: int) -> "Piece":
+        """Return the same motion in one interval, at more times."""
+        begin = self.instant(self.times[k], self.x[k], self.z[k])
+        begin = replace(begin, zero=self.begin.zero if k == 0 else frozenset())
+        times = np.linspace(self.times[k], self.times[k + 1], len(_INNER) + 2)
+        problem = replace(self.problem, times=times.tobytes())
+        return Piece(self.system, self.own, problem, self.solver, begin, self.began, self.p)
+
+    def state_at(self, k: int, t: float) -> tuple[Vector, Vector] | None:
+        """Return states and unknowns at a time after the k-th one, by the solver."""
+        times = np.array([self.times[k], t])
+        if t - times[0] <= _SAME_TIME * max(1.0, abs(t)):  # no solver can take such a step
+            return self.x[k] + (t - times[0]) * self.rates(k)[0], self.z[k]
+        found = self._run(self.problem, times, self.x[k], self.z[k])
+        if found.states.shape[1] < 2:
+            return None
+        return found.states[:, 1], found.algebraics[:, 1]
+
+
+def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:
+    """Return the cubics with given values and slopes at the ends of intervals, (n - 1, m, k).
+
+    Args:
+        t: The times, (n,).
+        x, f: Values and slopes there, (n, k).
+        shares: Where in each interval to evaluate its cubic, 0 to 1, (m,).
+    """
+    s, h = shares[:, None], np.diff(t)[:, None, None]
+    r = 1 - s
+    x, f = x[:, None], f[:, None]
+    ends = r * r * (1 + 2 * s) * x[:-1] + s * s * (1 + 2 * r) * x[1:]
+    found: Vector = ends + h * s * r * (r * f[:-1] - s * f[1:])
+    return found
+
+
+def located(piece: Piece, *, closely: bool = True) -> Located | None:
+    """Return the first event of a piece that is not of time alone; None if there is none.
+
+    Args:
+        piece: The motion.
+        closely: Whether the solver shows an interval in which a relation comes near its boundary
+            and returns; otherwise its cubic does.
+    """
+    if not piece.system.relations or len(piece.times) < 2:
+        return None
+    if piece.reached.watched:
+        return _crossed(piece)
+    inside, towards = piece.margins(piece.seen)
+    zero = [i for i in piece.begin.zero if i not in piece.own.sliding]
+    inside[0, zero] = 0.0
+    outside = inside[1:] < 0
+    with np.errstate(invalid="ignore"):
+        lowest = cubics(piece.times, inside, towards, _INNER).min(axis=1)
+        dips = ~outside & (towards[:-1] < 0) & (towards[1:] > 0)
+        near = 0.5 if closely else 0.1
+        dips &= lowest < near * np.maximum(inside[:-1], inside[1:])
+    for k in np.flatnonzero((outside | dips).any(axis=1)).tolist():
+        if closely and not outside[k].any():
+            found = located(piece.within(k), closely=False)
+        else:
+            found = _in_interval(piece, k, np.flatnonzero(outside[k] | dips[k]))
+        if found is not None:
+            return found
+    return None
+
+
+def _crossed(piece: Piece) -> Located | None:
+    """Return the event at which the solver ended a piece; None if it did not."""
+    if piece.reached.crossing is None:
+        return None
+    t, i = piece.reached.crossing
+    x, z = piece.x[-1], piece.z[-1]
+    return _at_event(piece, t, x, piece.watched(np.array([t]), x[None], z[None]), i)
+
+
+def _in_interval(piece: Piece, k: int, which: NDArray[np.intp]) -> Located | None:
+    """Return the first event between two times; None if there is none.
+
+    The cubic of the interval shows where a relation is outside its mode first, or least inside.
+
+    Args:
+        piece: The motion.
+        k: The interval.
+        which: Relations that may have left their modes in it.
+    """
+    low, high, zooms = 0.0, 1.0, 0
+    while zooms <= _ZOOMS:
+        shares = np.linspace(low, high, _PLACES)
+        inside, towards = piece.margins(piece.interpolated(k, shares))
+        bad = np.flatnonzero((inside[1:] < 0).any(axis=1))
+        if bad.size:
+            first = int(bad[0])
+            low, high = float(shares[first]), float(shares[first + 1])
+            if high - low <= _NARROW * high:
+                return _refined(piece, k, high, int(np.argmin(inside[first + 1])))
+            continue
+        turning = (towards[:-1, which] < 0) & (towards[1:, which] > 0)
+        rows = np.flatnonzero(turning.any(axis=1))
+        if not rows.size:
+            return None
+        low, high, zooms = float(shares[rows[0]]), float(shares[rows[0] + 1]), zooms + 1
+    return None
+
+
+def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Located:
+    """Return the first event near a guess, by Newton's method on the motion of the solver.
+
+    Args:
+        piece: The motion.
+        k: The interval.
+        share: Where in it the event may be.
+        i: The relation that leaves its mode.
+        trials: How often an earlier event of another relation was found there.
+    """
+    begin, end = float(piece.times[k]), float(piece.times[k + 1])
+    t = begin + share * (end - begin)
+    x0, z0 = piece.x[k], piece.z[k]
+    low, high = begin, end
+    x, z, seen = piece.x[k + 1], piece.z[k + 1], None
+    for _ in range(_MOST_TRIALS):
+        found = piece.state_at(k, t)
+        if found is None:
+            high, t = t, 0.5 * (low + t)
+            continue
+        x, z = found
+        seen = piece.watched(np.array([t]), x[None], z[None])
+        inside, towards = piece.margins(seen)
+        g, rate = float(inside[0, i]), float(towards[0, i])
+        if g >= 0:
+            low = t
+        else:
+            high = t
+        step = -g / rate if rate else 0.0
+        if not low <= t + step <= high or rate >= 0:
+            step = 0.5 * (low + high) - t
+        if abs(step) <= _CLOSE * (t - begin) or abs(step) <= 4 * np.spacing(abs(t)):
+            t, x, z, seen = _polished(piece, k, t, x, z, seen, i, (begin, x0, z0))
+            break
+        if high - low <= 4 * np.spacing(abs(t)):
+            break
+        t += step
+    assert seen is not None
+    inside, towards = piece.margins(seen)
+    earlier = inside[0] < -8 * np.spacing(abs(t)) * np.abs(towards[0])
+    earlier[i] = False
+    if earlier.any() and t > begin and trials < _MOST_TRIALS:
+        delays = np.where(earlier & (towards[0] < 0), -inside[0] / towards[0], 0.0)
+        j = int(np.argmin(delays))
+        if delays[j] < 0:
+            share = max(0.0, (t + float(delays[j]) - begin) / (end - begin))
+            return _refined(piece, k, share, j, trials + 1)
+    return _at_event(piece, t, x, seen, i)
+
+
+def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Located:
+    """Return the event of a relation at a known time and state, with others that are 0 there."""
+    inside, towards = piece.margins(seen)
+    tolerance = 8 * np.spacing(abs(t)) * np.abs(towards[0])
+    zero = frozenset(
+        int(j) for j in np.flatnonzero(np.abs(inside[0]) <= tolerance) if towards[0, j] < 0
+    ) | {i}
+    at = piece.instant(t, x, seen.unknowns[0], seen.solved[0])
+    return Located(replace(at, zero=zero | at.zero), zero & at.zero)
+
+
+def _polished(
+    piece: Piece, k: int, t: float, x: Vector, z: Vector, seen: Watched, i: int,
+    begin: tuple[float, Vector, Vector],
+) -> tuple[float, Vector, Vector, Watched]:  # fmt: skip
+    """Return the time and state of an event near a known state, on the cubic to it."""
+    ends = np.array([begin[0], t])
+    states = np.array([begin[1], x])
+    first = piece.rates(k)[0]
+    slopes = np.array([first, seen.ode[0]])
+    at, row = t, x
+    for _ in range(6):
+        inside, towards = piece.margins(seen)
+        g, rate = float(inside[0, i]), float(towards[0, i])
+        if not rate or not np.isfinite(g / rate):
+            break
+        step = -g / rate
+        if at + step == at or not begin[0] < at + step or abs(at + step - t) > abs(t - begin[0]):
+            break
+        at += step
+        share = np.array([(at - begin[0]) / (t - begin[0])])
+        row = cubics(ends, states, slopes, share)[0, 0]
+        seen = piece.watched(np.array([at]), row[None], z[None])
+    return at, row, z, seen
+
+
+@cached_per_thread(16)
+def _time_function(system: Hybrid) -> ca.Function:
+    """Return the arguments and rates of all relations by time."""
+    dae = system.dae
+    rates = ca.jtimes(system.arguments, dae.t, 1)
+    return ca.Function("of_time", dae.arguments, [system.arguments, ca.densify(rates)])
+
+
+def next_of_time(
+    system: Hybrid, at: Instant, p: Vector, end: float
+) -> tuple[float, frozenset[int]]:
+    """Return the next time at which a relation of time alone switches, and which ones do.
+
+    Args:
+        system: Frozen equations.
+        at: The present instant.
+        p: Parameters.
+        end: Last time of the run, s.
+
+    Returns:
+        Infinity if there is none up to the end.
+    """
+    alone = [i for i, own in enumerate(system.of_time) if own]
+    if not alone:
+        return np.inf, frozenset()
+    function = _time_function(system)
+    u = np.concatenate((at.u, at.modes))
+
+    def evaluated(t: Vector) -> tuple[Vector, Vector]:
+        n = len(t)
+        columns = [np.tile(c[:, None], n) for c in (at.x, at.z, u, p)]
+        values, rates = function(t[None], *columns)
+        return np.array(values).T, np.array(rates).T
+
+    times = {
+        i: (
+            _linear_root(system, at, i, *(v[0, i] for v in evaluated(np.array([0.0]))))
+            if system.linear[i]
+            else _searched_root(system, at, i, evaluated, end)
+        )
+        for i in alone
+    }
+    first = min(times.values())
+    if not first <= end:
+        return np.inf, frozenset()
+    near = 8 * np.spacing(abs(first))
+    return first, frozenset(i for i, t in times.items() if abs(t - first) <= near)
+
+
+def _linear_root(system: Hybrid, at: Instant, i: int, value: float, rate: float) -> float:
+    """Return when an argument `value + rate t` leaves its mode, s; infinity if never."""
+    mode, floor = float(at.modes[i]), system.relations[i].floor
+    if not rate or (not floor and mode * rate > 0):
+        return np.inf
+    boundary = (mode + 1 if rate > 0 else mode) if floor else 0.0
+    root = (boundary - value) / rate
+    return max(root, float(np.nextafter(at.t, np.inf)))
+
+
+def _searched_root(system: Hybrid, at: Instant, i: int, evaluated, end: float) -> float:  # type: ignore[no-untyped-def]
+    """Return when a nonlinear expression of time leaves its mode, s; infinity if it does not."""
+    low, high = at.t, end
+    t = np.linspace(low, high, _SEARCHED)
+    for _ in range(12):
+        inside, _ = guards(system, at.modes, *evaluated(t))
+        own = inside[:, i]
+        own[0] = max(own[0], 0.0)
+        out = np.flatnonzero(own < 0)
+        if not out.size:
+            return np.inf if high == end else high
+        high, low = float(t[out[0]]), float(t[out[0] - 1])
+        if high <= np.nextafter(low, np.inf):
+            break
+        t = np.unique(np.linspace(low, high, 64))
+    return high

@@ -1,0 +1,255 @@
+"""Modes of a hybrid model at an instant: what they are at a start, and what an event makes them."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from casadi import MX
+
+from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import COMPARISONS, Hybrid
+from casadi_models.dae.hybrid import hybrid as frozen
+from cosim.arrays import Vector
+from cosim.codegen.functions import CALL
+from cosim.codegen.initialization import algebraic_function
+from cosim.errors import SolverError
+from cosim.integrate.call import Evaluator, call_on_arrays
+from cosim.memo import cached_per_thread
+
+MOST_ROUNDS = 100  # of event iteration at one instant
+_BLOCK = 32  # columns of one evaluation
+_FEW = 2  # columns that are evaluated one by one
+_ROUNDING = 64 * np.finfo(float).eps  # relative size of a rate below which it is taken as 0
+_EDGE = 1e-9  # by which the mode of a relation that slides may leave -1 ... 1
+
+
+@cached_per_thread(16)
+def hybrid(dae: Dae) -> Hybrid | None:
+    """Return the frozen equations of a model; None if it has no events."""
+    return frozen(dae)
+
+
+@cached_per_thread(32)
+def sliding(system: Hybrid, which: frozenset[int]) -> Hybrid:
+    """Return the equations in which the arguments of some relations stay 0.
+
+    Raises:
+        SolverError: No modes can keep them there.
+    """
+    try:
+        return system.slid(which)
+    except ValueError as error:
+        names = ", ".join(system.described(i) for i in sorted(which))
+        raise SolverError(f"{system.dae.full_name}: {names}: {error}") from None
+
+
+class Watched(NamedTuple):
+    """Relations and rates of change at n times, one row per time.
+
+    Attributes:
+        unknowns: Algebraic unknowns.
+        arguments, rates: Arguments of the relations, and their time derivatives.
+        solved, solved_rates: Modes of those that slide, and their time derivatives.
+        seconds: Second time derivatives of the arguments.
+        ode: Time derivatives of the states.
+    """
+
+    unknowns: Vector
+    arguments: Vector
+    rates: Vector
+    solved: Vector
+    solved_rates: Vector
+    seconds: Vector
+    ode: Vector
+
+
+@cached_per_thread(32)
+def _watch_function(system: Hybrid, closely: bool) -> ca.Function:
+    """Return `watch(t, x, z, u, p, du/dt)` with the fields of `Watched`; z is a guess."""
+    dae = system.dae
+    t, x, z, u, p = symbols = [
+        MX.sym(n, s.numel()) for n, s in zip(CALL, dae.arguments, strict=True)
+    ]
+    du = MX.sym("du", u.numel())
+    if dae.algebraics:
+        z = algebraic_function(dae)(t, x, z, u, p)
+    found = system.watching("seen", closely=closely)(t, x, z, u, p, du)
+    return ca.Function("watch", [*symbols, du], [z, *found])
+
+
+@cached_per_thread(32)
+def _watch_block(system: Hybrid) -> ca.Function:
+    return _watch_function(system, False).map("watch_block", "serial", _BLOCK, [4], [])
+
+
+@cached_per_thread(32)
+def _watch_one(system: Hybrid, closely: bool) -> Evaluator:
+    return Evaluator(_watch_function(system, closely))
+
+
+def watch(
+    system: Hybrid,
+    times: Vector,
+    rows: tuple[Vector, Vector, Vector, Vector],
+    p: Vector,
+    *,
+    closely: bool = True,
+) -> Watched:
+    """Evaluate relations at n times.
+
+    Args:
+        system: Frozen equations.
+        times: s, (n,).
+        rows: States, guesses of the algebraic unknowns, inputs with modes, and slopes of these,
+            one row per time.
+        p: Parameters.
+        closely: Whether second derivatives and dx/dt are evaluated; otherwise they are empty.
+    """
+    n, size = len(times), _BLOCK
+    if n <= _FEW or closely:
+        evaluate, (x, z, u, du) = _watch_one(system, closely), rows
+        found = [evaluate(times[k], x[k], z[k], u[k], p, du[k]) for k in range(n)]
+        columns = [np.array(column) for column in zip(*found, strict=True)]
+        return Watched(*columns, *[np.empty((n, 0))] * (len(Watched._fields) - len(columns)))
+    function = _watch_block(system)
+    padding = -n % size
+    given = [np.concatenate((a, np.repeat(a[-1:], padding, 0))) for a in (times[:, None], *rows)]
+    results = [np.empty((n + padding, function.size1_out(i))) for i in range(function.n_out())]
+    for k in range(0, n, size):
+        *known, slopes = (np.ascontiguousarray(a[k : k + size]) for a in given)
+        block = [result[k : k + size] for result in results]
+        if not call_on_arrays(function, [*known, p, slopes], block):
+            for result in block:
+                result.fill(np.nan)
+    empty = [np.empty((n, 0))] * (len(Watched._fields) - len(results))
+    return Watched(*(result[:n] for result in results), *empty)
+
+
+@dataclass(frozen=True)
+class Instant:
+    """A hybrid run at an instant, after all that happens there.
+
+    Attributes:
+        t: Time, s.
+        x, z: States and algebraic unknowns, SI.
+        u: Inputs of the model.
+        du: Their slopes.
+        modes: Modes of the relations; of one that slides, its value there.
+        sliding: Relations whose arguments stay 0.
+        zero: Relations whose arguments are exactly 0 here, whatever rounding makes of them.
+    """
+
+    t: float
+    x: Vector
+    z: Vector
+    u: Vector
+    du: Vector
+    modes: Vector
+    sliding: frozenset[int] = frozenset()
+    zero: frozenset[int] = frozenset()
+
+    def watched(self, system: Hybrid, p: Vector) -> Watched:
+        """Evaluate the relations here, in the present modes."""
+        own = sliding(system, self.sliding)
+        z = np.concatenate((self.z, np.zeros(own.dae.z.numel() - len(self.z))))
+        u = np.concatenate((self.u, self.modes))
+        du = np.concatenate((self.du, np.zeros(len(self.modes))))
+        return watch(own, np.array([self.t]), (self.x[None], z[None], u[None], du[None]), p)
+
+
+def settled(system: Hybrid, at: Instant, p: Vector, decided: frozenset[int]) -> Instant:
+    """Return an instant with modes that are consistent with what follows.
+
+    The mode of a relation whose argument is 0 is that of the first time derivative that is not. If
+    neither mode is consistent, the relation slides (Filippov).
+
+    Args:
+        system: Frozen equations.
+        at: The instant; its modes are those before it.
+        p: Parameters.
+        decided: Relations that keep their mode here although their arguments are 0.
+
+    Raises:
+        SolverError: No modes are consistent.
+    """
+    for _ in range(MOST_ROUNDS):
+        row = at.watched(system, p)
+        at = replace(at, z=row.unknowns[0, : len(at.z)])
+        modes, slides = at.modes.copy(), set(at.sliding)
+        for place, i in enumerate(sorted(at.sliding)):
+            modes[i] = row.solved[0, place]
+            if abs(modes[i]) > 1 + _EDGE:
+                slides.discard(i)
+                modes[i] = np.sign(modes[i])
+        if slides != at.sliding:
+            at = replace(at, modes=modes, sliding=frozenset(slides))
+            continue
+        at = replace(at, modes=modes)
+        free = (i for i in range(len(modes)) if i not in at.sliding and i not in decided)
+        changed = next((c for i in free if (c := _changed(system, at, row, i, p)) is not at), None)
+        if changed is None:
+            return at
+        at = changed
+    raise SolverError(
+        f"{system.dae.full_name}: no consistent modes at {at.t:.12g} s after {MOST_ROUNDS} trials "
+        f"({', '.join(system.described(i) for i in sorted(at.zero))})"
+    )
+
+
+def _changed(system: Hybrid, at: Instant, row: Watched, i: int, p: Vector) -> Instant:
+    """Return the instant with another mode of a relation, or with that relation sliding."""
+    mode, zero = _consistent(system, at, row, i)
+    if mode == at.modes[i]:
+        return at
+    modes = at.modes.copy()
+    modes[i] = mode
+    other = replace(at, modes=modes)
+    if zero and not system.relations[i].floor:
+        back, _ = _consistent(system, other, other.watched(system, p), i)
+        if back != mode:
+            return replace(other, sliding=at.sliding | {i})
+    return other
+
+
+def _consistent(system: Hybrid, at: Instant, row: Watched, i: int) -> tuple[float, bool]:
+    """Return the mode that values and rates require, and whether the argument is 0."""
+    relation, argument = system.relations[i], float(row.arguments[0, i])
+    if not np.isfinite(argument):  # of a branch that is not taken
+        return float(at.modes[i]), False
+    boundary = float(np.round(argument)) if relation.floor else 0.0
+    if i not in at.zero and argument != boundary:
+        mode = np.floor(argument) if relation.floor else np.sign(argument)
+        return float(mode), False
+    size = 0.0 if system.of_time[i] else max(1.0, float(np.abs(row.ode).max(initial=0.0)))
+    scale = _ROUNDING * size
+    for rate in (row.rates[0, i], row.seconds[0, i]):
+        if abs(rate) > scale:
+            up = bool(rate > 0)
+            return (boundary - (not up) if relation.floor else 2.0 * up - 1.0), True
+    if relation.floor:
+        return boundary, True
+    stays = relation.at_zero if relation.operation in COMPARISONS else at.modes[i]
+    return float(stays), True
+
+
+def literal_modes(system: Hybrid, arguments: Vector) -> Vector:
+    """Return the modes by value: 1, or the integer, on a boundary; NaN makes comparisons false."""
+    modes = np.where(system.floors, np.floor(arguments), np.where(arguments >= 0, 1.0, -1.0))
+    compares = np.array([r.operation in COMPARISONS for r in system.relations], dtype=bool)
+    return np.where(np.isfinite(arguments), modes, np.where(compares, -1.0, 1.0))
+
+
+def guards(system: Hybrid, modes: Vector, values: Vector, rates: Vector) -> tuple[Vector, Vector]:
+    """Return how far each argument is within the range of its mode, and the rate of that.
+
+    Args:
+        system: Frozen equations.
+        modes: Present modes, (m,).
+        values, rates: Arguments and their time derivatives, one row per time, (n, m).
+    """
+    low, high = values - modes, modes + 1 - values
+    nearer = low < high
+    inside = np.where(system.floors, np.where(nearer, low, high), modes * values)
+    towards = np.where(system.floors, np.where(nearer, rates, -rates), modes * rates)
+    return inside, towards

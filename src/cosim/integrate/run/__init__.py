@@ -1,1 +1,0 @@
-"""One run: the call of an engine, what is recorded of it, and where it stops."""

@@ -1,0 +1,273 @@
+"""Checks of a run: validity conditions, step sizes, and singular configurations."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from casadi_models.dae import Dae
+from casadi_models.dae.invariants import CONSTRAINT_CONDITION, SINGULAR_CONDITION
+from cosim.arrays import Vector
+from cosim.codegen.functions import equations
+from cosim.errors import InitialConditionError
+from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.modes import hybrid
+from cosim.integrate.outputs import Observed, Solved
+from cosim.memo import cached_per_thread
+from cosim.model.values import assign
+
+STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in nominal values
+
+
+class Breach(NamedTuple):
+    """Position of the first output time that is not valid, and the reason."""
+
+    position: int
+    text: str
+
+
+def breaches(dae: Dae, time: Vector, first_invalid: Sequence[int]) -> list[Breach]:
+    """Return when each validity condition of the model is violated for the first time.
+
+    Args:
+        dae: The model.
+        time: Output times, s, (n,).
+        first_invalid: Position of that time for each condition; n or more if it always holds.
+    """
+    return [
+        Breach(i, f"from {time[i]:g} s on it is no longer true that {meaning}")
+        for i, (_, meaning) in zip(first_invalid, dae.limits, strict=True)
+        if i < len(time)
+    ]
+
+
+def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: float) -> list[Breach]:
+    """Return where a run of fixed steps differs too much from the same run with half the step.
+
+    The difference estimates the error of the longer step: fixed steps have no error control.
+
+    Args:
+        dae: The model.
+        time: Output times, s, (n,).
+        states: With the longer step, (nx, n).
+        finer: With half the step, (nx, up to n); shorter if that run failed.
+        step: The longer step, s.
+    """
+    nominal = np.array([[variable.nominal] for variable in dae.states])
+    change = np.full(states.shape, np.inf)
+    change[:, : finer.shape[1]] = np.abs(states[:, : finer.shape[1]] - finer) / nominal
+    outside = np.flatnonzero(~(change.max(axis=0) <= STEP_DOUBT))
+    if not outside.size:
+        return []
+    i = int(outside[0])
+    row = int(np.argmax(change[:, i]))
+    return [
+        Breach(
+            i,
+            f"from {time[i]:g} s on the step of {step:g} s is too long: half the step changes "
+            f"{dae.states[row].name} by {change[row, i] * nominal[row, 0]:.2g}",
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Monitors and validity margins at the initial values; None if these do not exist.
+
+    Attributes:
+        monitors: Condition numbers, distances and drift, in the order of `Dae.monitors`; infinite
+            at a singularity.
+        margins: In the order of `Dae.limits`, in the unit of the limited quantity; the model is
+            valid while every margin is positive.
+    """
+
+    monitors: tuple[float | None, ...]
+    margins: tuple[float | None, ...]
+
+
+def inspect_start(dae: Dae) -> Inspection:
+    """Evaluate the monitors and validity margins of a model at its own initial values."""
+    n = len(dae.monitors)
+    expressions = [e for _, e in dae.monitors] + [margin for margin, _ in dae.limits]
+    values = assign(dae)
+    try:
+        x, z = consistent_values(dae, 0.0, values)
+    except InitialConditionError:  # a run reports it
+        return Inspection((None,) * n, (None,) * len(dae.limits))
+    column = ca.vertcat(ca.SX(0, 1), *expressions)
+    function = ca.Function("inspect", dae.arguments, [column])
+    found = np.array(function(0.0, x, z, values.u, values.p)).ravel().tolist()
+    return Inspection(tuple(found[:n]), tuple(found[n:]))
+
+
+SUSPECTED = 3.0  # intervals: most that lines through the neighbors need to reach 0 from both sides
+_POINTS, _ZOOMS = 33, 4
+_COARSE = 1.5  # of the model's own output interval, which resolves the branches of its motion
+_MOST_TIMES = 20_000  # at which a run is checked
+
+
+@cached_per_thread(8)
+def with_singularity_margin(dae: Dae) -> Dae:
+    """Return a model with the distance from a singular configuration as last validity margin.
+
+    The distance is the reciprocal condition number of the constraints: 1 at best, 0 in a singular
+    configuration. A model without that monitor is returned unchanged.
+    """
+    if dae.constraint_condition is None:
+        return dae
+    margin = dae.distance_from_singularity, "the configuration is not singular"
+    return replace(dae, limits=(*dae.limits, margin))
+
+
+def times_between(dae: Dae, grid: Vector) -> Vector:
+    """Return output times with further times between, to detect singular configurations and events.
+
+    Args:
+        dae: The model; without events and the monitor of its constraints, nothing is added.
+        grid: Output times, s, (n,).
+    """
+    # explicit formulations fail there
+    if not (dae.has_conditioned_multipliers or hybrid(dae)) or len(grid) < 2:
+        return grid
+    span = float(grid[-1] - grid[0])
+    gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
+    lengths = np.diff(grid)
+    if not (lengths > _COARSE * gap).any():
+        return grid
+    pieces = np.maximum(1, np.ceil(lengths / gap)).astype(int)
+    inner = [
+        np.linspace(a, b, k, endpoint=False)
+        for a, b, k in zip(grid, grid[1:], pieces, strict=False)
+    ]
+    return np.concatenate((*inner, grid[-1:]))
+
+
+class SingularConfiguration(NamedTuple):
+    """A singular configuration between two output times, or at one.
+
+    Attributes:
+        position: Position of the output time before it.
+        when: Its time, s.
+        distance: Reciprocal condition number of the constraints at that time.
+    """
+
+    position: int
+    when: float
+    distance: float
+
+
+PROJECTION = 'pass it with drift_control="projection" (--drift-control projection)'
+
+
+def first_singular_configuration(
+    dae: Dae, solved: Solved, seen: Observed, n: int
+) -> tuple[int, str] | None:
+    """Return how many output times lie before the first singular configuration, and a message.
+
+    Args:
+        dae: The model.
+        solved: Result of the solver.
+        seen: Its margins; the last one is that of `with_singularity_margin`.
+        n: Number of output times to check.
+
+    Returns:
+        None if no configuration is singular.
+    """
+    time, states, unknowns = solved.time[:n], solved.states[:, :n], seen.unknowns[:n].T
+    inputs, distance = solved.u[:, :n], seen.margins[:n, -1]
+    every = singular_configurations(dae, time, states, unknowns, inputs, solved.p, distance)
+    first = next(every, None)
+    if first is None:
+        return None
+    conditioned = dae.has_conditioned_multipliers
+    remedy = PROJECTION if conditioned else "use a formulation with multipliers"
+    return first.position + 1, (
+        f"singular configuration at {first.when:.4g} s ({CONSTRAINT_CONDITION} "
+        f"{1 / max(first.distance, 1e-16):.0e}), where the motion has several continuations; "
+        f"{remedy}"
+    )
+
+
+def singular_configurations(
+    dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
+) -> Iterator[SingularConfiguration]:
+    """Yield the singular configurations of a run in their order; of an interval, its begin.
+
+    Args:
+        dae: The model.
+        time: Output times, s, (n,).
+        states, algebraics, u: Values at these times, n columns each; one of u if it is constant.
+        p: Parameters.
+        rank: Margin of `with_singularity_margin` at these times, (n,).
+    """
+    n, singular = len(time), rank * SINGULAR_CONDITION < 1
+    suspects = {*_suspects(time, rank), *(np.flatnonzero(singular[1:]).tolist())}
+    if not suspects:
+        return
+    law, u, last = _law(dae), np.broadcast_to(u, (len(u), n)), -2
+    for k in sorted(suspects):
+        # also along the motion before and after, in case the solver changed the branch between
+        parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
+        found = [(float(rank[k + 1]), float(time[k + 1]))]
+        for begin, end in parts:
+            at = slice(begin, end)
+            end_values = (time[at], states[:, at], algebraics[:, at], u[:, at])
+            rates = np.array(equations(dae)(end_values[0][None], *end_values[1:], p)[0])
+            curve = _curve(time[at] - time[k], states[:, at], rates)
+            found.append(_closest(law, curve, time[k : k + 2], algebraics[:, k], u[:, k], p))
+        distance, when = min(found)
+        if distance * SINGULAR_CONDITION < 1 and time[0] < when < time[-1]:
+            if k > last + 1:
+                yield SingularConfiguration(k, when, distance)
+            last = k
+
+
+@cached_per_thread(8)
+def _law(dae: Dae) -> ca.Function:
+    return ca.Function("rank", dae.arguments, [dae.distance_from_singularity], {"cse": True})
+
+
+def _suspects(time: Vector, rank: Vector) -> list[int]:
+    """Return the intervals in which a sequence may reach 0 and rise again, as |t| does at t = 0.
+
+    The first and the last interval have a neighbor on one side only, which is used for both sides.
+    """
+    if len(time) < 3:
+        return []
+    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
+    with np.errstate(divide="ignore", invalid="ignore"):  # at a time that occurs twice
+        slope = falls / length
+        before = np.concatenate((-slope[1:2], slope[:-1]))
+        after = np.concatenate((-slope[1:], slope[-2:-1]))
+        reach = rank[:-1] / before + rank[1:] / after
+    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length)
+    return [int(k) for k in np.flatnonzero(touched)]
+
+
+def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:
+    """Return the coefficients of the Hermite interpolant of states and rates, lowest first."""
+    powers = np.arange(2 * len(time))
+    values = time[:, None] ** powers
+    slopes = powers * time[:, None] ** np.maximum(powers - 1, 0)
+    both = np.vstack((values, slopes)), np.hstack((states, rates)).T
+    return np.asarray(np.linalg.solve(*both), dtype=float)
+
+
+def _closest(
+    law: ca.Function, curve: Vector, span: Vector, z: Vector, u: Vector, p: Vector
+) -> tuple[float, float]:
+    """Return the least distance from a singular configuration along a curve, and its time, s."""
+    low, high = 0.0, float(span[1] - span[0])
+    best, when = np.inf, 0.0
+    for _ in range(_ZOOMS):
+        s = np.linspace(low, high, _POINTS)
+        x: Vector = (s[:, None] ** np.arange(len(curve)) @ curve).T
+        distances = np.array(law((span[0] + s)[None], x, z, u, p)).ravel()
+        distances = np.where(np.isfinite(distances), distances, np.inf)
+        i = int(np.argmin(distances))
+        best, when = float(distances[i]), float(s[i])
+        width = (high - low) / (_POINTS - 1)
+        low, high = max(low, when - width), min(high, when + width)
+    return best, float(span[0]) + when

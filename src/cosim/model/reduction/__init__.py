@@ -1,1 +1,0 @@
-"""What a scene requires of a model, and nothing more."""

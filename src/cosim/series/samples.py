@@ -1,0 +1,150 @@
+"""Samples over time: metadata of a variable, and interpolation between its samples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_models.units import UNITS
+from cosim.arrays import Vector
+from cosim.errors import ParameterError
+
+
+@dataclass(frozen=True)
+class Column:
+    """Metadata of a recorded variable: name, SI unit, display unit, nominal value, meaning.
+
+    Example:
+        >>> Column("phi", "rad", "deg").shown(np.array([np.pi]))
+        array([180.])
+    """
+
+    name: str
+    unit: str = "1"
+    display_unit: str | None = None
+    nominal: float = 1.0
+    meaning: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which the variable is shown."""
+        return self.display_unit or self.unit
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Unit and meaning under the names of the climate and forecast conventions."""
+        return {"units": self.unit, "long_name": self.meaning}
+
+    def shown(self, values: Vector) -> Vector:
+        """Convert SI values of this variable to `shown_unit`."""
+        if self.display_unit is None or self.unit not in UNITS:
+            return values
+        shown: Vector = values * UNITS[self.unit].factor / UNITS[self.display_unit].factor
+        return shown
+
+
+def summary_rows(
+    columns: Sequence[Column], time: Vector, values: Vector, *, when: bool
+) -> list[dict[str, Any]]:
+    """Return start, end, smallest and largest value of each column in display units.
+
+    Args:
+        columns, time, values: Samples, SI, (n, len(columns)), at times, s, (n,).
+        when: Whether to add the times of the smallest and the largest value.
+    """
+    if not len(time):
+        return []
+    rows = []
+    for column, own in zip(columns, values.T, strict=True):
+        shown = column.shown(own)
+        known = shown if np.isfinite(shown).any() else np.zeros(len(shown))
+        low, high = int(np.nanargmin(known)), int(np.nanargmax(known))
+        row: dict[str, Any] = {"name": column.name, "unit": column.shown_unit}
+        row |= {"start": float(shown[0]), "end": float(shown[-1])}
+        row["min"] = float(shown[low])
+        row |= {"min at [s]": float(time[low])} if when else {}
+        row["max"] = float(shown[high])
+        row |= {"max at [s]": float(time[high])} if when else {}
+        rows.append(row)
+    return rows
+
+
+def resample(time: Vector, values: Vector, at: Vector) -> tuple[Vector, Vector]:
+    """Return samples at other times by local polynomials of degree 5.
+
+    A time that occurs twice is a jump: its first sample ends the piece before, its second one
+    begins the piece after. Pieces of fewer samples use polynomials of a lower degree.
+
+    Args:
+        time: Sample times in increasing order, s, (n,), n > 0.
+        values: Samples, (n, columns).
+        at: Times within the samples, s, (m,).
+
+    Returns:
+        Values, (m, columns), and the largest change that degree 3 would make to each column, an
+        estimate of the error.
+    """
+    five, three = (_local(time, values, at, points) for points in (6, 4))
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        gap = np.abs(five - three)
+    return five, gap.max(axis=0, initial=0.0)
+
+
+def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
+    """Return requested times, of shape () or (m,), clipped to the span up to rounding.
+
+    Raises:
+        ParameterError: They are not numbers, decrease, or are not within the span.
+    """
+    try:
+        requested = np.array(times, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"{owner}: times {error}; give numbers, s") from error
+    if not len(span):
+        raise ParameterError(f"{owner}: the run has no output times to interpolate")
+    begin, end = float(span[0]), float(span[-1])
+    slack = 1e-9 * max(1.0, abs(begin), abs(end))
+    inside = (requested >= begin - slack) & (requested <= end + slack)
+    if requested.ndim > 1 or not inside.all():
+        first = (
+            requested[~inside].flat[0] if requested.size and not inside.all() else requested.shape
+        )
+        raise ParameterError(
+            f"{owner}: time {first} is not within the run, {begin:g} ... {end:g} s"
+        )
+    if (np.diff(np.atleast_1d(requested)) < 0).any():
+        raise ParameterError(f"{owner}: times decrease; give them in increasing order")
+    clipped: Vector = np.clip(requested, begin, end)
+    return clipped
+
+
+def _local(time: Vector, values: Vector, at: Vector, points: int) -> Vector:
+    """Interpolate by polynomials through as many points around each time (Neville)."""
+    begins = np.flatnonzero(np.diff(time, prepend=-np.inf) == 0)  # of pieces, after a jump
+    edges = np.array([0, *begins, len(time)])
+    below = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
+    piece = np.searchsorted(edges, below, side="right") - 1
+    result = np.empty((len(at), values.shape[1]))
+    for p in np.unique(piece):
+        first, end = edges[p], edges[p + 1]
+        here = piece == p
+        count = min(points, end - first)
+        start = np.clip(below[here] - (count // 2 - 1), first, end - count)
+        nodes = start[:, None] + np.arange(count)
+        result[here] = _neville(time[nodes], values[nodes], at[here])
+    return result
+
+
+def _neville(t: Vector, y: Vector, at: Vector) -> Vector:
+    """Evaluate polynomials through (m, count) times and (m, count, columns) values at m times."""
+    table = y.copy()
+    count = t.shape[1]
+    for width in range(1, count):
+        for i in range(count - width):
+            left, right = t[:, i], t[:, i + width]
+            share = ((at - left) / (right - left))[:, None]
+            table[:, i] += share * (table[:, i + 1] - table[:, i])
+    result: Vector = table[:, 0]
+    return result

@@ -1,1 +1,0 @@
-"""Who computes the chunks of a sweep."""

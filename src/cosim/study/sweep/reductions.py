@@ -1,0 +1,224 @@
+"""Reductions: numbers of each run, and mean, variance and extremes over all runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.arrays import Truths, Vector
+from cosim.errors import UnknownName, UsageError
+from cosim.trajectory import Trajectory
+
+REDUCTIONS = ("final", "max", "min", "mean", "rms", "first")
+WHOLE = ("trajectories", "statistics")
+_REDUCTION = re.compile(r"\s*(\w+)\s*(?:\(\s*([\w.\[\]]+)\s*(?:,\s*([-+.\deE]+)\s*)?\))?\s*")
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """One number of each run.
+
+    Attributes:
+        kind: One of `REDUCTIONS`.
+        variable: The output.
+        level: For "first": the value that the output crosses.
+    """
+
+    kind: str
+    variable: str
+    level: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the number, e.g. `phi_max`."""
+        at = "" if self.level is None else f"_{self.level:g}"
+        return f"{self.variable}_{self.kind}{at}"
+
+    @property
+    def meaning(self) -> str:
+        """Meaning of the number, e.g. "max of phi"."""
+        if self.kind == "first":
+            return f"time when {self.variable} first crosses {self.level:g}"
+        words = {"final": "final value", "rms": "root mean square over time"}
+        return f"{words.get(self.kind, self.kind)} of {self.variable}"
+
+    def of(self, time: Vector, values: Vector) -> Vector:
+        """Return the number of each run, (runs,), from its values at times, (runs, times)."""
+        if self.kind == "final":
+            return values[:, -1]
+        if self.kind in ("mean", "rms"):
+            powers = values if self.kind == "mean" else values * values
+            if len(time) > 1:
+                mean = np.trapezoid(powers, time, axis=1) / (time[-1] - time[0])
+            else:
+                mean = powers[:, 0]
+            result: Vector = mean if self.kind == "mean" else np.sqrt(mean)
+            return result
+        if self.kind == "first":
+            return _first(time, values - (self.level or 0.0))
+        extreme: Vector = getattr(np, self.kind)(values, axis=1)
+        return extreme
+
+
+def _first(time: Vector, heights: Vector) -> Vector:
+    """Return the time when each row first crosses zero, by linear interpolation."""
+    before, after = heights[:, :-1], heights[:, 1:]
+    with np.errstate(invalid="ignore"):
+        passes = (before == 0) | (before * after < 0)
+    passes = np.concatenate((passes, heights[:, -1:] == 0), axis=1)
+    at = passes.argmax(axis=1)
+    rows = np.arange(len(heights))
+    nearest = np.minimum(at + 1, heights.shape[1] - 1)
+    left, right = heights[rows, at], heights[rows, nearest]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(left == 0, 0.0, left / (left - right))
+    found = time[at] + part * (time[nearest] - time[at])
+    return np.where(passes.any(axis=1), found, np.nan)
+
+
+Function = Callable[[Trajectory], Mapping[str, float]]  # of users: numbers of one run by name
+
+
+@dataclass(frozen=True)
+class Keep:
+    """What a sweep stores of its runs.
+
+    Attributes:
+        trajectories: Whether it stores every output at every time.
+        statistics: Whether it computes mean, variance and extremes over the runs.
+        reductions: Numbers of each run.
+        functions: Users' functions that return further numbers; as bytes for other processes.
+    """
+
+    trajectories: bool
+    statistics: bool
+    reductions: tuple[Reduction, ...]
+    functions: tuple[Function | bytes, ...] = ()
+
+    def words(self) -> list[str]:
+        """Return all but the functions as `keep_from` reads it."""
+        whole = [word for word in WHOLE if getattr(self, word)]
+        calls = [
+            f"{r.kind}({r.variable}{'' if r.level is None else f', {r.level!r}'})"
+            for r in self.reductions
+        ]
+        return whole + calls
+
+
+def keep_from(items: Iterable[str | Function], outputs: Sequence[str]) -> Keep:
+    """Read "trajectories", "final" of all outputs, "max(phi)" of one, "first(phi, 1)", functions.
+
+    Raises:
+        UnknownName: A word is unknown, or names no output.
+        UsageError: "first" has no level, or another word has one.
+    """
+    if isinstance(items, str):
+        raise UsageError.of_type("sweep: keep", items, "a list, e.g. ['final', 'max(phi)']")
+    whole, reductions, functions = set(), list[Reduction](), list[Function]()
+    for word in items:
+        if not isinstance(word, str):
+            if not callable(word):
+                raise UsageError.of_type("sweep: keep", word, "words or functions of a Trajectory")
+            functions.append(word)
+            continue
+        match = _REDUCTION.fullmatch(word)
+        kind, variable, level = match.groups() if match else (word, None, None)
+        if kind in WHOLE and variable is None:
+            whole.add(kind)
+            continue
+        if kind not in REDUCTIONS:
+            raise UnknownName.among("sweep", "result to store", word, (*WHOLE, *REDUCTIONS))
+        if (kind == "first") != (level is not None):
+            raise UsageError(f"sweep: {word}: write e.g. first(phi, 0.5), and others as max(phi)")
+        if variable is not None and variable not in outputs:
+            raise UnknownName.among("sweep", "output", variable, outputs)
+        number = None if level is None else float(level)
+        for name in outputs if variable is None else (variable,):
+            reductions.append(Reduction(kind, name, number))
+    once = tuple(dict.fromkeys(reductions))
+    return Keep("trajectories" in whole, "statistics" in whole, once, tuple(functions))
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Sums over complete runs that can be merged: number, mean, squared deviations, extremes.
+
+    Attributes:
+        count: Number of complete runs.
+        mean, squares, low, high: Mean, sum of squared deviations from it, extremes; not a number
+            without a complete run; (times, outputs).
+    """
+
+    count: int
+    mean: Vector
+    squares: Vector
+    low: Vector
+    high: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Mean, variance and extremes of outputs over the complete runs of a sweep.
+
+    Attributes:
+        names: The outputs.
+        moments: Of all of them.
+    """
+
+    names: tuple[str, ...]
+    moments: Moments
+
+    @property
+    def count(self) -> int:
+        """Number of complete runs."""
+        return self.moments.count
+
+    def mean(self, name: str) -> Vector:
+        """Return the mean over the runs, (times,)."""
+        return self._of(name, self.moments.mean)
+
+    def variance(self, name: str) -> Vector:
+        """Return the variance of the runs, its divisor one less than their number, (times,)."""
+        return self._of(name, self.moments.squares / max(self.count - 1, 1))
+
+    def minimum(self, name: str) -> Vector:
+        """Return the least value, (times,)."""
+        return self._of(name, self.moments.low)
+
+    def maximum(self, name: str) -> Vector:
+        """Return the largest value, (times,)."""
+        return self._of(name, self.moments.high)
+
+    def _of(self, name: str, table: Vector) -> Vector:
+        if name not in self.names:
+            raise UnknownName.among("statistics", "output", name, self.names)
+        return table[:, self.names.index(name)]
+
+
+def moments_of(values: Vector, complete: Truths) -> Moments:
+    """Return the moments of the complete runs among trajectories, (runs, times, outputs)."""
+    chosen = values[complete]
+    if not len(chosen):
+        nothing = np.full(values.shape[1:], np.nan)
+        return Moments(0, nothing, nothing, nothing, nothing)
+    mean = chosen.mean(axis=0)
+    squares = ((chosen - mean) ** 2).sum(axis=0)
+    return Moments(len(chosen), mean, squares, chosen.min(axis=0), chosen.max(axis=0))
+
+
+def merged(a: Moments, b: Moments) -> Moments:
+    """Return the moments of the runs of both.
+
+    References:
+        Chan, Golub & LeVeque, The American Statistician 37, 1983,
+        doi:10.1080/00031305.1983.10483115.
+    """
+    if not a.count or not b.count:
+        return a if a.count else b
+    count, shift = a.count + b.count, b.mean - a.mean
+    mean = a.mean + shift * (b.count / count)
+    squares = a.squares + b.squares + shift**2 * (a.count * b.count / count)
+    return Moments(count, mean, squares, np.minimum(a.low, b.low), np.maximum(a.high, b.high))

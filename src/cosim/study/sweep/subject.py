@@ -1,0 +1,273 @@
+"""Subjects of a sweep: a model, a scene or an FMU. Only this module calls a simulation."""
+
+import atexit
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+from threading import Lock
+from time import perf_counter
+from typing import Any, TypedDict
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from casadi_models.dae import Dae
+from cosim.arrays import Vector
+from cosim.codegen.initialization import law_of_knowns
+from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
+from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.fmi.run.opened import OpenedFmu
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
+from cosim.integrate.keywords import requested
+from cosim.integrate.outputs import all_columns, watching
+from cosim.model.catalogue import load
+from cosim.model.request import RunRequest
+from cosim.model.solver import Goal, Solver
+from cosim.model.start_outputs import overriding
+from cosim.model.times import Times
+from cosim.model.values import assign, settable
+from cosim.scene.scene import Scene
+from cosim.scene.scene_file import read_scene
+from cosim.study.sweep.samples import digest_of
+from cosim.trajectory import Column
+
+
+class RunKeywords(TypedDict, total=False):
+    """Keywords of `sweep` that concern each run; see `simulate_many`."""
+
+    outputs: Sequence[str] | None
+    output_times: ArrayLike | None
+    start_time: float | None
+    stop_time: float | None
+    output_interval: float | None
+    solver: str | Solver | None
+    relative_tolerance: float | None
+    absolute_tolerance: float | None
+    step_size: float | None
+    max_step: float | None
+    on_invalid: str | None
+
+
+def run_settings(keywords: RunKeywords) -> dict[str, Any]:
+    """Return the keywords of a run that are not None, in the types of JSON."""
+    settings = {name: value for name, value in keywords.items() if value is not None}
+    known = RunKeywords.__annotations__
+    if wrong := next((name for name in settings if name not in known), None):
+        near = "".join(f"; did you mean {n}?" for n in get_close_matches(wrong, known, 1))
+        raise TypeError(f"sweep() got an unexpected keyword argument '{wrong}'{near}")
+    solver = settings.get("solver")
+    if isinstance(solver, Solver):
+        numbers = {name: value for name, value in vars(solver).items() if value is not None}
+        if twice := next((name for name in numbers if name in settings), None):
+            raise UsageError(f"sweep: {twice} is given with {solver}; give it once")
+        settings |= {"solver": solver.name, **numbers}
+    if "output_times" in settings:
+        settings["output_times"] = Times.at(keywords["output_times"] or ()).requested.tolist()
+    return settings
+
+
+class ModelSubject:
+    """A model with the values, inputs and solver of a request, ready to run.
+
+    Other processes receive it by pickle.
+    """
+
+    def __init__(self, request: RunRequest) -> None:
+        dae, self._request = request.dae, request
+        self.name = dae.full_name
+        rules = [rule.expression for rule in dae.start_rules]
+        function = ca.Function("model", dae.arguments, [dae.ode, dae.alg, dae.outputs])
+        starts = law_of_knowns(dae, "starts", *rules)
+        numbers = [v.start for v in dae.variables]
+        facts = (dae.full_name, numbers, dae.x_start, sorted(request.values.items()))
+        rest = repr((*facts, request.inputs, request.times, request.solver))
+        self.digest = digest_of(
+            part.encode() for part in (function.serialize(), starts.serialize(), rest)
+        )
+
+    def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
+        """Return the recorded outputs."""
+        names = self._with({"outputs": outputs}).outputs or self._request.dae.observed
+        known = {column.name: column for column in all_columns(self._watching(names))}
+        return tuple(known[name] for name in names)
+
+    def times(self, settings: Mapping[str, Any]) -> Vector:
+        """Return the output times of every run, s."""
+        times = self._with(settings).times
+        return times.requested if times.own else times.grid(self._request.dae)
+
+    def unit(self, name: str) -> str | None:
+        """Return the unit of a quantity that can be varied."""
+        known = settable(self._request.dae)
+        if name not in known:
+            kind = "state, parameter or input"
+            raise UnknownName.of_model(self.name, kind, name, known)
+        return known[name].unit
+
+    def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
+        """Check the varied names and compile; return the method of the runs as text."""
+        dae = self._request.dae
+        known = assign(dae)
+        starts = dict(zip((v.name for v in dae.states), known.x, strict=True))
+        starts |= dict(zip((v.name for v in dae.parameters), known.p, strict=True))
+        starts |= dict(zip((v.name for v in dae.inputs), known.u, strict=True))
+        replaced = {rule.variable.name for rule in dae.start_outputs} & set(names)
+        assign(dae, {name: starts.get(name, 0.0) for name in names if name not in replaced})
+        request = self._with(settings)
+        if runs_in_lanes(request):
+            outputs = tuple(column.name for column in self.columns(settings.get("outputs")))
+            lane_library(self._watching(outputs), outputs, processor_lanes())
+            return f"dop853 in {processor_lanes()} lanes"
+        return str(settings.get("solver") or "one by one")
+
+    def run(
+        self, columns: Mapping[str, Vector], settings: Mapping[str, Any], threads: int
+    ) -> Ensemble:
+        """Run every row, in SIMD lanes or one by one."""
+        request = self._with(settings)
+        values = overriding(request.dae, request.values, dict.fromkeys(columns, 0.0))
+        return simulate_many(replace(request, values={}), {**values, **columns}, threads=threads)
+
+    def close(self) -> None:
+        """Do nothing: compiled code is shared by all subjects of a process."""
+
+    def _with(self, settings: Mapping[str, Any]) -> RunRequest:
+        return requested(self._request, **settings)
+
+    def _watching(self, names: tuple[str, ...]) -> Dae:
+        dae = self._request.dae
+        return dae if names == dae.observed else watching(dae, names)
+
+
+def scene_subject(scene: Scene) -> ModelSubject:
+    """Return the model of a scene with the values, inputs and solver of the scene."""
+    if isinstance(scene.request.solver, Goal):
+        raise UsageError(
+            f"{scene.name}: a sweep has no accuracy and no budget; give a solver and a tolerance"
+        )
+    return ModelSubject(scene.request.reduced())
+
+
+_TAKEN = ("start_time", "stop_time", "output_interval", "relative_tolerance")
+
+
+def _taken(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name in _TAKEN}
+
+
+class FmuSubject:
+    """An FMU file that is unpacked and instantiated once in each process."""
+
+    def __init__(self, path: str) -> None:
+        self._path, self._fmu = path, OpenedFmu(path)
+        atexit.register(self.close)
+        self._one_at_a_time = Lock()  # a worker of a cluster may have several threads
+        self.name = str(self._fmu.description.modelName)
+        self.digest = digest_of([Path(path).read_bytes()])
+
+    def __reduce__(self) -> tuple[type["FmuSubject"], tuple[str]]:
+        return FmuSubject, (self._path,)
+
+    def close(self) -> None:
+        """Free the instance of the FMU."""
+        atexit.unregister(self.close)
+        self._fmu.close()
+
+    def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
+        """Return the recorded outputs."""
+        return self._fmu.request(outputs=outputs).columns
+
+    def times(self, settings: Mapping[str, Any]) -> Vector:
+        """Return the output times of every run, s."""
+        return self._fmu.request(**_taken(settings)).grid
+
+    def unit(self, name: str) -> str | None:
+        """Return None: numbers are in the FMU's own units, and texts cannot have a unit."""
+        return None
+
+    def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
+        """Check the varied names and the settings; return the method of the runs as text."""
+        self._fmu.request(start_values=dict.fromkeys(names, 0.0))
+        for name in settings:
+            if name not in (*_TAKEN, "outputs"):
+                raise UsageError(
+                    f"{self._fmu.path}: a sweep of an FMU has no setting {name}; "
+                    f"give {', '.join(_TAKEN)} or outputs"
+                )
+        return f"fmpy {self._fmu.interface}"
+
+    def run(
+        self, columns: Mapping[str, Vector], settings: Mapping[str, Any], threads: int
+    ) -> Ensemble:
+        """Run every row, one by one."""
+        began = perf_counter()
+        runs, outputs = len(next(iter(columns.values()))), settings["outputs"]
+        states, reasons, notes = [RunState.FAILED] * runs, dict[int, str](), dict[int, str]()
+        found: dict[int, Vector] = {}
+        taken = _taken(settings)
+        time = self._fmu.request(**taken).grid
+        for i in range(runs):
+            row = {name: float(column[i]) for name, column in columns.items()}
+            try:
+                request = self._fmu.request(start_values=row, outputs=outputs, **taken)
+                with self._one_at_a_time:
+                    run = self._fmu.run(request)
+            except ParameterError as error:
+                states[i], reasons[i] = RunState.REFUSED, str(error)
+            except FmuError as error:
+                reasons[i] = str(error)
+            else:
+                if len(run) == len(time):
+                    states[i], found[i] = RunState.COMPLETE, run.values
+                    if "note" in run.stats:
+                        notes[i] = run.stats["note"]
+                else:
+                    reasons[i] = f"it recorded {len(run)} of {len(time)} output times"
+        values = np.full((runs, len(time), len(outputs)), np.nan)
+        for i, table in found.items():
+            values[i] = table
+        counts = np.zeros(runs, dtype=np.int64)
+        return Ensemble(
+            self.name,
+            time,
+            self.columns(outputs),
+            values,
+            columns,
+            tuple(states),
+            reasons,
+            notes,
+            reached=np.where([i in found for i in range(runs)], len(time), 0),
+            steps=counts,
+            rhs_calls=counts,
+            error=np.full(runs, np.nan),
+            stats={"solver": f"fmpy {self._fmu.interface}", "wall_time": perf_counter() - began},
+        )
+
+
+Subject = ModelSubject | FmuSubject
+
+
+def open_subject(subject: Any) -> Subject:
+    """Return the model, scene or FMU that a user names, ready to run.
+
+    Raises:
+        UsageError: It is none of these.
+        CosimError: The model, the scene or the file is wrong.
+    """
+    if isinstance(subject, ModelSubject | FmuSubject):
+        return subject
+    if isinstance(subject, Dae):
+        return ModelSubject(RunRequest(subject))
+    if isinstance(subject, str | os.PathLike):
+        name = os.fspath(subject)
+        if Path(name).suffix == ".fmu":
+            return FmuSubject(str(Path(name).resolve()))
+        if Path(name).suffix == ".toml":
+            return scene_subject(read_scene(name))
+        return ModelSubject(RunRequest(load(name)))
+    expected = "a model's name, a Dae, SCENE.toml or FILE.fmu"
+    raise UsageError.of_type("sweep", subject, expected)

@@ -1,1 +1,0 @@
-"""What is swept: a model, a scene or an FMU."""

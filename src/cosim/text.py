@@ -1,0 +1,148 @@
+"""Text output: escaped foreign text, shortened lists, tables as text, HTML and CSV."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+LONGEST_SENTENCE = 600  # characters of one message
+# Control characters, escapes of terminals among them, and those that turn the writing direction
+_UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def visible(text: str, *, lines: bool = False) -> str:
+    r"""Return a text with escapes, e.g. `\x1b`, for control characters; `lines` keeps line ends."""
+    return _UNSEEN.sub(lambda m: m[0] if lines and m[0] in "\n\t" else ascii(m[0])[1:-1], text)
+
+
+def sentence(text: str) -> str:
+    """Return a foreign message as one line of bounded length."""
+    line = visible(" ".join(text.split()))
+    return line if len(line) <= LONGEST_SENTENCE else f"{line[: LONGEST_SENTENCE - 4]} ..."
+
+
+def csv_cell(text: str) -> str:
+    """Return a text that no spreadsheet takes for a formula."""
+    shown = visible(text)
+    return f"'{shown}" if shown.startswith(("=", "+", "-", "@")) else shown
+
+
+def shortened(names: Sequence[str], most: int) -> str:
+    """Return names with commas between them, and dots for those beyond `most`."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+
+
+MOST_LINES = 15  # of a value's summary at a prompt
+GAP = "  "
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows with the same keys, e.g. for `pandas.DataFrame(table.rows)`; shown as a table.
+
+    Attributes:
+        rows: One mapping per line.
+        caption: What stands above them.
+        digits: Of numbers, where they are shown.
+    """
+
+    rows: tuple[Mapping[str, Any], ...]
+    caption: str = ""
+    digits: int = 3
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, position: int) -> Mapping[str, Any]:
+        return self.rows[position]
+
+    def __repr__(self) -> str:
+        text = text_table(self.rows, digits=self.digits)
+        return "\n".join(part for part in (self.caption, text) if part)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows, self.caption, digits=self.digits)
+
+
+def cell(value: Any, digits: int = 3) -> str:
+    """Return a value as it stands in a table: numbers with a few digits."""
+    if isinstance(value, float):
+        return f"{value:.{digits}g}"
+    return "" if value is None else visible(str(value))
+
+
+def text_table(
+    rows: Sequence[Mapping[str, Any]],
+    *,
+    width: int | None = None,
+    most: int | None = None,
+    digits: int = 3,
+) -> str:
+    """Return rows that have the same keys as aligned lines under a header; "" without rows.
+
+    Args:
+        rows: One mapping per line.
+        width: Number of letters of a line; the longest cells are cut for it.
+        most: Number of lines; what is left out is counted in the last one.
+        digits: Of numbers.
+    """
+    if not rows:
+        return ""
+    left_out = 0 if most is None else max(0, len(rows) + 1 - most)
+    shown = rows[: len(rows) - left_out - 1] if left_out else rows
+    lines = [[*rows[0]], *([cell(value, digits) for value in row.values()] for row in shown)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    if width is not None:
+        widths = _fitting_widths(widths, width - len(GAP) * (len(widths) - 1))
+    text = [
+        GAP.join(_cut(c, w).ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    ]
+    if left_out:
+        text.append(f"... and {left_out + 1} more")
+    return "\n".join(text)
+
+
+def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: int = 3) -> str:
+    """Return rows that have the same keys as an HTML table."""
+    if not rows:
+        return f"<p>{escape(caption)}</p>"
+    head = "".join(f"<th>{escape(str(key))}</th>" for key in rows[0])
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell(v, digits))}</td>" for v in row.values()) + "</tr>"
+        for row in rows
+    )
+    above = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]], *, digits: int | None = None) -> str:
+    """Return rows that have the same keys as CSV; numbers as Python writes them, or in digits."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        numbers = {k: f"{v:.{digits}g}" for k, v in row.items() if digits and isinstance(v, float)}
+        writer.writerow({**row, **numbers})
+    return text.getvalue()
+
+
+def _fitting_widths(widths: Sequence[int], width: int, least: int = 8) -> list[int]:
+    """Return column widths that fit into a line; the widest columns are narrowed."""
+    fitted = [*widths]
+    while sum(fitted) > width and max(fitted) > least:
+        widest = fitted.index(max(fitted))
+        others = sorted({w for w in fitted if w < fitted[widest]} | {least})
+        excess = sum(fitted) - width
+        fitted[widest] = max(least, fitted[widest] - excess, min(others[-1], fitted[widest] - 1))
+    return fitted
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: max(0, width - 1)]}\u2026"

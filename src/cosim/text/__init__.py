@@ -1,1 +1,0 @@
-"""What people read: foreign text made harmless, rows as tables."""

@@ -1,0 +1,181 @@
+"""Co-simulation of coupled FMUs: orders, the accuracy that was asked for, loops, failures."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers.samples import sampled
+
+import cosim
+from casadi_models.dae import Model
+from cosim.coupling.files import read_system
+from cosim.errors import ParameterError, SolverError, UnknownName, UsageError
+
+FOLDER = "examples/coupled"
+SYSTEMS = [
+    *("ride", "quarter_car", "dual_mass", "three_masses", "cut_pendulum", "driven_frame", "loop")
+]
+
+
+def reference(system, **times):
+    return cosim.simulate(system.dae, solver="dop853", relative_tolerance=1e-12, **times)
+
+
+def error_of(run, exact):
+    """Return the largest difference of outputs, in nominal values."""
+    sizes = {column.name: column.nominal for column in run.columns}
+    return max(np.abs(run[n] - exact[n]).max() / sizes[n] for n in run.names if n in exact.names)
+
+
+CASES = [f"{name} {accuracy}" for name in SYSTEMS for accuracy in (1e-3, 1e-6, 1e-8)]
+CASES.remove("cut_pendulum 1e-08")  # beyond the rounding of its stiff hinge
+SAMPLE = ["ride 1e-06", "loop 1e-08", "quarter_car 0.001"]
+
+
+@pytest.mark.parametrize("case", sampled(CASES, SAMPLE))
+def test_error_is_at_most_what_was_asked_for(case):
+    name, accuracy = case.split()[0], float(case.split()[1])
+    system = read_system(f"{FOLDER}/{name}.toml")
+    run = system.simulate(accuracy=accuracy)
+    assert error_of(run, reference(system)) < accuracy  # measured at most 0.5
+    assert run.stats["error_estimate"] <= accuracy
+
+
+def test_accuracy_that_the_rounding_of_a_stiff_hinge_does_not_allow_is_an_error():
+    system = read_system(f"{FOLDER}/cut_pendulum.toml")
+    with pytest.raises(SolverError, match="does not reach the accuracy 1e-12") as caught:
+        system.simulate(accuracy=1e-12, stop_time=0.05)
+    assert len(caught.value.partial) == 6
+
+
+@pytest.mark.parametrize(
+    ("method", "order"), [("jacobi", 1), ("gauss_seidel", 1), ("extrapolated", 4), ("iterated", 4)]
+)
+@pytest.mark.parametrize("name", ["dual_mass", "three_masses"])
+def test_order_of_a_method(name, method, order):
+    """Halve the macro step: the error falls by 2^order."""
+    system = read_system(f"{FOLDER}/{name}.toml")
+    exact = reference(system, stop_time=2)
+    steps = (0.01, 0.005) if order == 1 else (0.05, 0.025)
+    errors = [
+        error_of(system.simulate(stop_time=2, macro_step=h, method=method), exact) for h in steps
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
+
+
+def test_stiff_hinge_is_stable_by_iteration_at_10_ms_and_diverges_without():
+    system = read_system(f"{FOLDER}/cut_pendulum.toml")
+    exact = reference(system)
+    run = system.simulate(macro_step=0.01)
+    assert np.abs(run["upper.x"] - exact["upper.x"]).max() < 1e-3
+    assert "note" not in run.stats
+    try:
+        held = system.simulate(macro_step=0.01, method="jacobi")
+    except SolverError:
+        return
+    assert np.abs(held["upper.x"] - exact["upper.x"]).max() > 1
+
+
+def test_order_of_the_parts_changes_no_bit():
+    parts = {n: f"{FOLDER}/parts.py:{f}" for n, f in
+             (("a", "first_mass"), ("b", "coupled_oscillator"))}  # fmt: skip
+    wires = {"b.x_other": "a.x", "b.v_other": "a.v", "a.force": "b.force"}
+    runs = [
+        cosim.couple(dict(order), wires).simulate(stop_time=3, accuracy=1e-5)
+        for order in (parts.items(), reversed(parts.items()))
+    ]
+    for name in runs[0].names:
+        np.testing.assert_array_equal(runs[0][name], runs[1][name])
+
+
+def test_two_runs_of_one_system_have_equal_bits():
+    system = read_system(f"{FOLDER}/ride.toml")
+    first, second = (system.simulate(stop_time=0.5, accuracy=1e-5) for _ in range(2))
+    np.testing.assert_array_equal(first.values, second.values)
+
+
+def test_statistics_say_what_was_done():
+    system = read_system(f"{FOLDER}/dual_mass.toml")
+    stats = system.simulate(stop_time=1, macro_step=0.1).stats
+    assert stats["macro_steps"] == 10
+    assert stats["order"] == {"a": "cubic inputs", "b": "cubic inputs"}
+    assert stats["part_steps"]["a"] >= 20
+
+
+def test_output_times_within_macro_steps_are_recorded_in_order_4():
+    system = read_system(f"{FOLDER}/dual_mass.toml")
+    exact = reference(system, stop_time=1)
+    errors = [error_of(system.simulate(stop_time=1, macro_step=h), exact) for h in (0.1, 0.05)]
+    assert errors[0] < 2e-4
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.4)
+
+
+def single(name, slope, start=0.0, output=None):
+    """Return a part with one state x, whose slope may use x, its input u and the time."""
+    model = Model(name, stop_time=1.0)
+    x, u = model.state("x", "1", start, "state"), model.input("u", "1", 0.0, "input")
+    model.derivative(x, slope(x, u))
+    if output is not None:
+        model.output("y", "1", output(x, model.t), "output")
+    return model.freeze()
+
+
+def test_jump_of_an_output_is_found_by_the_macro_steps():
+    jump = single("jump", lambda x, u: 1 - x + 0 * u, output=lambda x, t: x + (t > 0.3))
+    follower = single("follower", lambda x, u: u)
+    run = cosim.couple({"a": jump, "b": follower}, {"b.u": "a.y"}).simulate(accuracy=1e-6)
+    assert run.final["b.x"] == pytest.approx(np.exp(-1.0) + 0.7, abs=1e-6)
+
+
+def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before():
+    growth = single("growth", lambda x, u: x**2 + 0 * u, start=1.0)
+    steady = single("steady", lambda x, u: 0 * u)
+    system = cosim.couple({"growth": growth, "steady": steady}, {"growth.u": "steady.x"})
+    with pytest.raises(SolverError, match="part 'growth' failed after 1 s") as caught:
+        system.simulate(stop_time=2, macro_step=0.1)
+    run = caught.value.partial
+    assert run.time[-1] == pytest.approx(0.9, abs=0.11)
+    np.testing.assert_allclose(run["growth.x"][:-1], 1 / (1 - run.time[:-1]), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "words"),
+    [
+        ({"wires": {"b.nothing": "a.x"}}, UnknownName, "no variable 'nothing'"),
+        ({"wires": {"c.x": "a.x"}}, UnknownName, "no part 'c'"),
+        ({"wires": {"b.x": "a.x"}}, UsageError, "b.x is no input"),
+        ({"wires": {"b.x_other": "a.mass"}}, UsageError, "a.mass is no output"),
+        ({"wires": {"b.x_other": "a.v"}}, UsageError, "cannot drive"),
+        ({"starts": {"b.x_other": 1.0}}, UsageError, "connected and given a value"),
+        ({"starts": {"a.x": "1 N"}}, ParameterError, "cannot be converted"),
+        ({"starts": {"a.energy": 1.0}}, UsageError, "a.energy cannot be given"),
+        ({"run": {"method": "newton"}}, UnknownName, "no method 'newton'"),
+        ({"run": {"method": "jacobi"}}, UsageError, "give macro_step"),
+        ({"run": {"macro_step": 0.1, "accuracy": 1e-3}}, UsageError, "leave macro_step out"),
+        ({"run": {"macro_step": -1}}, ParameterError, "macro_step"),
+        ({"run": {"stop_time": 0}}, ParameterError, "not after"),
+        ({"run": {"outputs": ["a.y"]}}, UnknownName, "no variable 'y'"),
+    ],
+)
+def test_nonsense_is_rejected(changes, kind, words):
+    parts = {n: f"{FOLDER}/parts.py:{f}" for n, f in
+             (("a", "first_mass"), ("b", "coupled_oscillator"))}  # fmt: skip
+    wires = changes.get("wires", {"b.x_other": "a.x"})
+    with pytest.raises(kind, match=words):
+        cosim.couple(parts, wires, start_values=changes.get("starts")).simulate(
+            **changes.get("run", {})
+        )
+
+
+def test_pulse_between_communication_points_is_not_stepped_over():
+    """A Gauss of 20 ms after a rest of 5 s, with macro steps of up to a second: its integral."""
+
+    def pulse(t):
+        return ca.exp(-(((t - 5) / 0.02) ** 2))
+
+    source = single("source", lambda x, u: 0 * u, output=lambda x, t: x + pulse(t))
+    follower = single("follower", lambda x, u: u)
+    system = cosim.couple({"a": source, "b": follower}, {"b.u": "a.y"})
+    run = system.simulate(stop_time=10, output_interval=0.01, accuracy=1e-6)
+    assert run.final["b.x"] == pytest.approx(0.02 * np.sqrt(np.pi), abs=1e-6)
+    given = system.simulate(stop_time=10, output_interval=0.01, macro_step=0.5)
+    assert given.stats["interface_error"] > 0.1

@@ -1,0 +1,124 @@
+"""Systems as files: TOML and SSP, what they say when they are wrong, and the command line."""
+
+import zipfile
+
+import numpy as np
+import pytest
+from fmpy.ssp.ssd import read_ssd
+
+import cosim
+from cosim.cli.main import main
+from cosim.coupling.files import read_system
+from cosim.errors import CosimError, FmuError, UsageError
+
+FOLDER = "examples/coupled"
+
+
+@pytest.fixture(scope="module")
+def ssp(tmp_path_factory):
+    return read_system(f"{FOLDER}/ride.toml").write_ssp(tmp_path_factory.mktemp("ssp") / "r.ssp")
+
+
+def test_ssp_gives_the_same_run_as_the_system_that_wrote_it(ssp):
+    ways = {"stop_time": 0.5, "output_interval": 0.05, "macro_step": 0.01}
+    found = cosim.read_ssp(ssp).simulate(**ways)
+    expected = read_system(f"{FOLDER}/ride.toml").simulate(**ways)
+    np.testing.assert_allclose(found["rider.phi"], expected["rider.phi"], rtol=0, atol=1e-12)
+    assert found.names == expected.names
+
+
+def test_fmpy_reads_the_same_connections(ssp):
+    description = read_ssd(str(ssp))
+    assert len(description.system.connections) == len(cosim.read_ssp(ssp).connections) == 6
+
+
+def changed(ssp, target, old, new, entry="SystemStructure.ssd"):
+    with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(target, "w") as archive:
+        for name in source.namelist():
+            content = source.read(name)
+            assert name != entry or old in content
+            archive.writestr(name, content.replace(old, new) if name == entry else content)
+    return target
+
+
+def test_linear_transformation_of_a_connection_is_applied(ssp, tmp_path):
+    old = b'endElement="rider" endConnector="phi" />'
+    factor = b'<ssc:LinearTransformation factor="-2" offset="0.5" />'
+    new = b'endElement="rider" endConnector="phi">' + factor + b"</ssd:Connection>"
+    system = cosim.read_ssp(changed(ssp, tmp_path / "changed.ssp", old, new))
+    run = system.simulate(stop_time=0.1, macro_step=0.01)
+    np.testing.assert_allclose(run["rider.phi"], 0.5 - 2 * run["bicycle.phi"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b'source="resources/rider.fmu"', b'source="../rider.fmu"', "has no file"),
+        (b'startConnector="delta_dot"', b'startConnector="nothing"', "no variable 'nothing'"),
+        (b'type="application/x-fmu-sharedlibrary"', b'type="x/y"', "cannot be simulated"),
+        (b"<ssd:System ", b"<ssd:Other ", "not well-formed"),
+    ],
+)
+def test_damaged_ssp_is_rejected(ssp, tmp_path, old, new, words):
+    with pytest.raises(CosimError, match=words):
+        cosim.read_ssp(changed(ssp, tmp_path / "damaged.ssp", old, new))
+
+
+def test_fmu_is_no_ssp(tmp_path):
+    path = cosim.export_fmu(cosim.load("crank_shaft"), tmp_path / "crank.fmu")
+    with pytest.raises(FmuError, match="give an SSP file"):
+        cosim.read_ssp(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[parts]\na = "nothing"\n', "nothing"),
+        ("[parts]\na = 1\n", "line 2: 1 does not fit"),
+        ('color = 1\n[parts]\na = "crank_shaft"\n', "line 1.*no key 'color'"),
+        ('stop_time = "x"\n[parts]\na = "crank_shaft"\n', "line 1: 'x' does not fit"),
+        ('[parts]\na = "crank_shaft"\n[connections]\n"a.phi" = "a.omega"\n', "a.phi is no input"),
+    ],
+)
+def test_wrong_toml_is_rejected_with_its_line(tmp_path, text, words):
+    (tmp_path / "wrong.toml").write_text(text)
+    with pytest.raises(CosimError, match=words):
+        read_system(tmp_path / "wrong.toml")
+
+
+def test_parts_that_are_fmus_have_no_equations(ssp):
+    with pytest.raises(UsageError, match="part 'bicycle' is an FMU"):
+        cosim.read_ssp(ssp).dae  # noqa: B018 # it is computed on demand
+
+
+def test_command_line_runs_the_model_the_co_simulation_and_the_ssp(ssp, tmp_path, capsys):
+    ride, runs = f"{FOLDER}/ride.toml", []
+    ways = ([ride], [ride, "--method", "iterated"], [str(ssp)])
+    for number, way in enumerate(ways):
+        out = str(tmp_path / f"{number}.csv")
+        times = ["--stop-time", "0.5", "--output-interval", "0.1"]
+        assert main(["simulate", *way, *times, "-o", out]) == 0, capsys.readouterr().err
+        runs.append(cosim.Trajectory.read_csv(out))
+    assert "error of the coupling at most about" in capsys.readouterr().err
+    for run in runs[1:]:
+        np.testing.assert_allclose(run["rider.phi"], runs[0]["rider.phi"], rtol=0, atol=1e-6)
+    assert main(["info", ride]) == 0
+    assert "rider.steer_torque -> bicycle.steer_torque" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["simulate", "bicycle", "--method", "jacobi"], "are for coupled systems"),
+        (["simulate", "SSP", "--solver", "dop853"], "--solver is for models"),
+        (["simulate", "SSP", "--input", "x=t"], "--input is for models"),
+        (["simulate", "SSP", "--method", "jacobi"], "give macro_step"),
+        (["export", "crank_shaft", "-o", "x.ssp"], ".ssp is for coupled systems"),
+        (["tradeoff", "SSP"], "a system is taken by simulate and info"),
+    ],
+)
+def test_options_that_do_not_fit_are_rejected(words, message, ssp, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([str(ssp) if word == "SSP" else word for word in words]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,59 @@
+"""The solver's step of co-simulation, with its equations written out or called."""
+
+import math
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import cosim
+from cosim.codegen import functions as directional_jacobian
+from cosim.fmi.export import equations
+from cosim.fmi.export.equations import equations_code, solver_step
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_step_that_calls_the_equations_is_the_one_that_writes_them_out(loop, monkeypatch):
+    """Time, inputs, parameters and algebraic unknowns in it; with formulas and with a loop."""
+    monkeypatch.setattr(directional_jacobian, "MOST_OPERATIONS", 0 if loop else 1e9)
+    x, z, u, p, t = (ca.SX.sym(name) for name in "xzupt")
+    system = {"t": t, "x": x, "z": z, "u": u, "p": p, "ode": u * ca.sin(3 * t) - p * x * z}
+    system["alg"] = z**3 + z - x - u
+    dae = cosim.from_casadi(system, {"x": 1.0, "p": 2.0}, nominals={"x": 8.0})
+    arguments = [1.0, 0.7, [0.2, 0.5, 1e-9, 1.0, 0.3, -0.2, 0.1, 2.0]]
+    found = []
+    for large in (False, True):
+        monkeypatch.setattr(equations, "is_large", lambda dae, large=large: large)
+        found.append(np.hstack([np.array(r) for r in solver_step(dae, "rosenbrock")(*arguments)]))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
+
+
+def test_rosenbrock_of_a_large_model_has_no_formulas_of_a_jacobian():
+    n = 60
+    x = ca.SX.sym("x", n)
+    weights = ca.DM(np.random.default_rng(0).normal(size=(n, n)))
+    dae = cosim.from_casadi({"x": x, "ode": -ca.sin(weights @ ca.sin(x)) * x}, {"x": 0.1})
+    code = equations_code(dae, "m", 2, "rosenbrock")
+    jacobian, laws = (
+        re.search(rf"/\* {name}:.*?\n}}\n", code, re.DOTALL)[0] for name in ("jacF", "model_ode")
+    )
+    assert len(jacobian) < len(laws)  # formulas are twice as long
+
+
+@pytest.mark.parametrize("name", ["cart_", "cart__pole"])
+def test_underscores_that_casadi_takes_for_its_own_may_be_in_a_models_name(name, tmp_path):
+    """Its code generator refuses two in a row, at the end of a name, too."""
+    x = ca.SX.sym("x")
+    dae = cosim.from_casadi({"x": x, "ode": -x}, {"x": 1.0}, name=name)
+    run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "m.fmu"), stop_time=1.0)
+    assert run["x"][-1] == pytest.approx(math.exp(-1), abs=1e-8)
+
+
+def test_law_that_prints_is_exported(tmp_path):
+    """CasADi's code includes stdio.h, which must not be hidden with the model's functions."""
+    x = ca.SX.sym("x")
+    law = ca.if_else(x < 0, x.printme(x), -x)  # silent here, and compiled
+    dae = cosim.from_casadi({"x": x, "ode": law}, {"x": 1.0}, name="printing")
+    run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "m.fmu"), stop_time=1.0)
+    assert run["x"][-1] == pytest.approx(math.exp(-1), abs=1e-8)

@@ -1,0 +1,168 @@
+"""FMUs of models with events against closed forms, in every interface and master."""
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from helpers import event_models
+
+import cosim
+from casadi_models.dae import Model
+from cosim.api import execute, requested
+from cosim.backend import Backend
+from cosim.errors import FmuError, UsageError
+
+VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
+# interface, master, error of a run at relative tolerance 1e-9
+RUNS = [
+    ("CoSimulation", "fmpy", 1e-9),
+    ("CoSimulation", "c", 1e-9),
+    ("ModelExchange", "fmpy", 2e-7),
+    ("ModelExchange", "c", 2e-7),
+]
+EACH_RUN = pytest.mark.parametrize(("interface", "master", "bound"), RUNS)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """Return what exports a model once."""
+    folder, known = tmp_path_factory.mktemp("events"), {}
+
+    def export(name, fmi=2, *arguments, **options):
+        key = f"{name}_{'_'.join(map(str, arguments))}_{fmi}{options.get('solver', '')}"
+        if key not in known:
+            dae = getattr(event_models, name)(*arguments)
+            known[key] = cosim.export_fmu(dae, folder / f"{key}.fmu", fmi=fmi, **options)
+        return known[key]
+
+    return export
+
+
+def simulate(path, interface, master, **options):
+    return cosim.simulate_fmu(
+        path, interface=interface, master=master, relative_tolerance=1e-9, **options
+    )
+
+
+def height(t):
+    """Return the height of the ball, by the closed form of its impacts."""
+    begin, v = np.sqrt(2 / event_models.G), np.sqrt(2 * event_models.G)
+    if t < begin:
+        return 1 - event_models.G * t**2 / 2
+    v *= event_models.RESTITUTION
+    while t > begin + 2 * v / event_models.G:
+        begin += 2 * v / event_models.G
+        v *= event_models.RESTITUTION
+    return v * (t - begin) - event_models.G * (t - begin) ** 2 / 2
+
+
+@EACH_RUN
+@VERSIONS
+def test_a_ball_bounces_at_the_times_of_the_closed_form(exported, fmi, interface, master, bound):
+    run = simulate(exported("ball", fmi), interface, master)
+    assert run.final["n"] == 4
+    # measured 2e-15, 2e-15, 6e-9, 1e-12
+    np.testing.assert_allclose(run["h"], [height(t) for t in run.time], rtol=0, atol=bound)
+
+
+def test_the_impacts_of_the_step_solver_are_exact_as_well(exported):
+    run = simulate(exported("ball", solver="rosenbrock"), "CoSimulation", "c")
+    np.testing.assert_allclose(run["h"], [height(t) for t in run.time], rtol=0, atol=1e-9)
+
+
+def test_fmpy_itself_runs_the_ball(exported):
+    rows = fmpy.simulate_fmu(
+        str(exported("ball")), fmi_type="ModelExchange", relative_tolerance=1e-9
+    )
+    assert rows["n"][-1] == 4
+    assert rows["h"][-1] == pytest.approx(height(rows["time"][-1]), abs=2e-7)
+
+
+@EACH_RUN
+@pytest.mark.parametrize("width", [1e-3, 1e-6])
+def test_a_short_push_has_its_exact_impulse(exported, width, interface, master, bound):
+    run = simulate(exported("pulse", 2, width), interface, master)
+    assert run.final["v"] == pytest.approx(1000 * width, abs=1e-11)  # measured 1e-12
+
+
+@EACH_RUN
+def test_half_waves_add_up_to_four(exported, interface, master, bound):
+    run = simulate(exported("rectified"), interface, master)
+    assert run.final["y"] == pytest.approx(4, abs=2 * bound)  # measured 4e-14; fmpy's CVODE 2e-7
+
+
+@EACH_RUN
+@VERSIONS
+def test_a_sampled_controller_acts_at_its_samples(exported, fmi, interface, master, bound):
+    run = simulate(exported("sampled", fmi), interface, master)
+    samples = run["x"][::2][: 20 + 1]
+    np.testing.assert_allclose(samples, 0.8 ** np.arange(21), rtol=0, atol=bound)
+
+
+@EACH_RUN
+@pytest.mark.parametrize("branches", [False, True])
+def test_dry_friction_stops_a_block_and_holds_it(tmp_path, branches, interface, master, bound):
+    path = cosim.export_fmu(event_models.block(branches=branches), tmp_path / "block.fmu")
+    run = simulate(path, interface, master)
+    standing = run.time > 0.75 + 1e-9  # s, 3 / 4
+    assert np.abs(run["v"][standing]).max() < bound
+    np.testing.assert_allclose(run["x"][standing], 9 / 8, rtol=0, atol=2 * bound)
+    assert np.abs(run["friction"][standing]).max() < 1e-9
+
+
+@pytest.mark.parametrize("backend", ["fmu-me", "fmu-cs"])
+def test_a_stop_of_the_model_completes_the_run_of_a_backend(backend):
+    run = execute(requested(event_models.stopping()), Backend(backend))
+    assert run.complete
+    assert (run.time[-1], run.final["x"]) == pytest.approx((0.777, 0.777), abs=1e-9)
+
+
+@EACH_RUN
+@VERSIONS
+def test_a_stop_of_the_model_ends_the_run_of_a_file(exported, fmi, interface, master, bound):
+    with pytest.raises(FmuError, match=r"ended at 0\.7.*the wall is reached"):
+        simulate(exported("stopping", fmi), interface, master)
+
+
+def test_crossings_between_two_steps_are_seen_in_co_simulation(exported):
+    run = simulate(exported("glimpses"), "CoSimulation", "c")
+    once = np.arccos(0.9999) / 20  # s
+    assert run.final["y"] == pytest.approx(19 * once, abs=1e-7)  # 9 whole ones and half of one
+
+
+@EACH_RUN
+def test_impacts_that_come_ever_faster_are_an_error(tmp_path, interface, master, bound):
+    path = cosim.export_fmu(event_models.ball(4.0), tmp_path / "ball.fmu")
+    with pytest.raises(FmuError, match=r"'impact' happens ever faster before 2\.558"):
+        simulate(path, interface, master)
+
+
+def test_a_solver_that_cannot_slide_says_so(exported):
+    with pytest.raises(FmuError, match=r"slides along 0 at 0\.75 s.*solver dop853"):
+        simulate(exported("block", solver="rosenbrock"), "CoSimulation", "c")
+
+
+@VERSIONS
+def test_every_kind_of_event_agrees_with_native_simulation(exported, fmi):
+    native = cosim.simulate(event_models.everything(), solver="rosenbrock")
+    for interface, master, _ in RUNS:
+        run = simulate(exported("everything", fmi), interface, master)
+        assert run.final["n"] == pytest.approx(native.final["n"], abs=1e-12)
+        assert run.final["x"] == pytest.approx(native.final["x"], abs=1e-6)
+
+
+@VERSIONS
+@pytest.mark.parametrize("name", ["ball", "everything", "sampled"])
+def test_files_with_events_are_valid(exported, name, fmi):
+    path = exported(name, fmi)
+    assert validate_fmu(str(path)) == []
+    assert cosim.check_fmu(path) == []
+
+
+def test_a_variable_that_is_named_like_a_mode_is_rejected(tmp_path):
+    model = Model("taken")
+    x = model.state("mode_1", "m", 1.0, "place")
+    model.derivative(x, -1.0)
+    model.when(x < 0, {x: 1.0})
+    with pytest.raises(UsageError, match="has a variable 'mode_1' of its own; rename it"):
+        cosim.export_fmu(model.freeze(), tmp_path / "taken.fmu")

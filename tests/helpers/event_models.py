@@ -1,0 +1,128 @@
+"""Models with events whose motion has a closed form, and one with every kind of event."""
+
+from pathlib import Path
+
+import casadi as ca
+from helpers.toy import GUID
+
+from casadi_models.dae import Dae, Model
+from cosim.fmi.export.package import FmuOptions, source_files
+
+G, RESTITUTION, RATE = 9.81, 0.7, 4.0
+
+
+def ball(stop_time: float = 2.0) -> Dae:
+    """Return a ball that is dropped from 1 m and bounces."""
+    model = Model("ball", stop_time=stop_time)
+    h = model.state("h", "m", 1.0, "height")
+    v = model.state("v", "m/s", 0.0, "speed")
+    n = model.discrete("n", "1", 0, "number of impacts")
+    model.derivative(h, v)
+    model.derivative(v, -G)
+    model.when(h < 0, {v: -RESTITUTION * v, n: n + 1}, name="impact")
+    return model.freeze()
+
+
+def pulse(width: float) -> Dae:
+    """Return a mass of 1 kg that 1000 N push from 5 s on."""
+    model = Model("pulse", stop_time=10.0, output_interval=0.1)
+    v = model.state("v", "m/s", 0.0, "speed")
+    pushed = ca.logic_and(model.t >= 5, model.t < 5 + width)
+    model.derivative(v, ca.if_else(pushed, 1000, 0))
+    return model.freeze()
+
+
+def rectified() -> Dae:
+    """Return the integral of fmax(0, sin t), 4 after two periods."""
+    model = Model("rectified", stop_time=4 * ca.pi, output_interval=ca.pi / 50)
+    y = model.state("y", "s", 0.0, "integral")
+    model.derivative(y, ca.fmax(0, ca.sin(model.t)))
+    return model.freeze()
+
+
+def sampled() -> Dae:
+    """Return a state that a sampled controller multiplies by 0.8 every 0.1 s."""
+    model = Model("sampled", stop_time=2.0, output_interval=0.05)
+    x = model.state("x", "m", 1.0, "place")
+    u = model.discrete("u", "m/s", 0.0, "control")
+    model.derivative(x, u)
+    model.every(0.1, {u: -2 * x}, name="control")
+    return model.freeze()
+
+
+def stopping() -> Dae:
+    """Return a motion at 1 m/s that ends at 0.777 m."""
+    model = Model("stopping", stop_time=2.0)
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1.0)
+    model.stop(x > 0.777, "the wall is reached")
+    return model.freeze()
+
+
+def block(*, branches: bool = False) -> Dae:
+    """Return a block at 3 m/s that dry friction of 4 m/s2 stops; by sign, or by branches."""
+    model = Model("block", stop_time=2.0)
+    x = model.state("x", "m", 0.0, "place")
+    v = model.state("v", "m/s", 3.0, "speed")
+    friction = RATE * (ca.if_else(v > 0, 1, -1) if branches else ca.sign(v))
+    model.derivative(x, v)
+    model.derivative(v, -friction)
+    model.output("friction", "N", friction, "friction per mass")
+    return model.freeze()
+
+
+def glimpses() -> Dae:
+    """Return the time for which cos(20 t) is above 0.9999."""
+    model = Model("glimpses", stop_time=3.0)
+    x = model.state("x", "m", 1.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    y = model.state("y", "s", 0.0, "time above")
+    model.derivative(x, v)
+    model.derivative(v, -400 * x)
+    model.derivative(y, ca.if_else(x > 0.9999, 1, 0))
+    return model.freeze()
+
+
+def everything(*, slides: bool = True) -> Dae:
+    """Return a DAE with state and time events, samples, a stop, an input, and perhaps sliding."""
+    model = Model("everything", stop_time=5.0)
+    x = model.state("x", "m", 0.3, "place")
+    v = model.state("v", "m/s", 1.0, "speed")
+    a = model.algebraic("a", "m/s2", 0.0, "acceleration")
+    n = model.discrete("n", "1", 0, "number of impacts")
+    u = model.input("u", "N", 0.0, "force")
+    mu = model.parameter("mu", "N", 0.3, "friction", minimum=0.0)
+    more = ca.if_else(ca.sin(3 * model.t) > 0.5, 1, 0) + ca.floor(2 * x) * 0.1
+    model.derivative(x, v)
+    model.derivative(v, a)
+    model.equation(a + x - u + mu * (ca.sign(v) if slides else v) - more)
+    model.when(x > 1, {v: -0.5 * v, n: n + 1}, name="impact")
+    model.every(0.3, {n: n + 0.001})
+    model.stop(n > 20, "enough")
+    model.output("power", "W", a * v, "power per mass")
+    return model.freeze()
+
+
+def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) -> None:
+    """Write model.h and model.c of an exported model under the toy's GUID, and its solver's files.
+
+    Args:
+        folder: An existing one.
+        dae: The model.
+        solver: Solver of co-simulation.
+        fmi: Version of FMI.
+        most_trials: Largest number of the solver's steps in a call.
+    """
+    files = source_files(dae, FmuOptions(fmi=fmi, solver=solver))
+    code = {Path(path).name: content.decode() for path, content in files.items()
+            if path.startswith("sources/") and Path(path).name in _GENERATED}  # fmt: skip
+    header = code["model.h"].splitlines()
+    limited = [line for line in header if "MOST_TRIALS" not in line and "MODEL_GUID" not in line]
+    limited[-1:-1] = [f"#define MOST_TRIALS {most_trials}", f'#define MODEL_GUID "{GUID}"']
+    code["model.h"] = "\n".join(limited) + "\n"
+    code["model.c"] += code.pop("equations.c")
+    for name, text in code.items():
+        (folder / name).write_text(text)
+
+
+_GENERATED = ("model.h", "model.c", "equations.c", "dop853_coefficients.h")

@@ -1,0 +1,490 @@
+"""Events against closed forms, on every solver."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import SolverError, UsageError
+
+SOLVERS = ("dop853", "ode8", "rk4", "erk", "rosenbrock", "cvodes", "cvodes_adams", "idas")
+FIXED = ("ode8", "rk4")
+G = 9.81
+
+
+def simulate(dae, solver="dop853", tolerance=1e-10, **options):
+    if solver not in FIXED:
+        options["relative_tolerance"] = tolerance
+    return cosim.simulate(dae, solver=solver, **options)
+
+
+def ball():
+    model = Model("ball", stop_time=2.55, output_interval=0.01)
+    h = model.state("h", "m", 1.0, "height")
+    v = model.state("v", "m/s", 0.0, "speed")
+    e = model.parameter("e", "1", 0.7, "restitution")
+    model.derivative(h, v)
+    model.derivative(v, -G)
+    model.when(h < 0, {v: -e * v}, name="impact")
+    return model, h, v
+
+
+def impact_times(n, e=0.7):
+    first = np.sqrt(2 / G)
+    return first + np.concatenate(([0.0], np.cumsum(2 * first * e ** np.arange(1, n))))
+
+
+def block(force):
+    """Return a block of 1 kg on a table with dry friction of 0.5 N."""
+    model = Model("block", stop_time=10.0)
+    x = model.state("x", "m", 0.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, force(model.t) - 0.5 * ca.sign(v))
+    return model.freeze()
+
+
+BALL_ERRORS = {
+    "dop853": 1e-12,
+    "ode8": 1e-12,
+    "rk4": 1e-12,
+    "erk": 1e-8,
+    "rosenbrock": 1e-8,
+    "cvodes": 3e-6,
+    "cvodes_adams": 3e-6,
+    "idas": 3e-6,
+}
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_impacts_of_a_ball_happen_at_their_closed_form(solver):
+    exact = impact_times(30)
+    run = simulate(ball()[0].freeze(), solver, stop_time=float(exact[29] + 1e-6))
+    times = [event.time for event in run.events]
+    assert len(times) == 30
+    np.testing.assert_allclose(times, exact, rtol=0, atol=BALL_ERRORS[solver])
+    assert run["h"].min() >= -1e-9
+    assert all(event.name == "impact" for event in run.events)
+    first = run.events[0]
+    assert first.after["v"] == pytest.approx(-0.7 * first.before["v"], rel=1e-14)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
+def test_impacts_without_end_are_reported(solver):
+    with pytest.raises(SolverError, match=r"'impact' happens ever faster before 2\.558.* \(Zeno\)"):
+        simulate(ball()[0].freeze(), solver, stop_time=3.0)
+
+
+def test_sampled_stop_ends_the_impacts():
+    """A controller looks every 0.1 s whether the ball is slow, and a stop ends the run."""
+    model, h, v = ball()
+    slow = model.discrete("slow", "1", 0.0, "1 once the ball is slow")
+    model.every(0.1, {slow: ca.if_else(v * v + 2 * G * h < 0.2, 1, 0)}, name="look")
+    model.stop(slow > 0.5, "the ball is slow")
+    run = simulate(model.freeze(), stop_time=3.0)
+    exact = impact_times(30)
+    speeds = G * exact[0] * 0.7 ** np.arange(1, 31)
+    quiet = exact[np.argmax(speeds**2 < 0.2)]
+    assert run.time[-1] == pytest.approx(np.ceil(quiet * 10) / 10, rel=1e-14)
+    assert "the ball is slow" in run.stats.stop
+    assert run.status == "complete"
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_block_comes_to_rest_and_stays(solver):
+    model = Model("block", stop_time=3.0)
+    x = model.state("x", "m", 0.0, "place")
+    v = model.state("v", "m/s", 1.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -0.7 * ca.sign(v))
+    run = simulate(model.freeze(), solver)
+    assert len(run.events) == 1
+    assert run.events[0].time == pytest.approx(1 / 0.7, abs=1e-9)
+    assert run.final["x"] == pytest.approx(1 / 1.4, abs=3e-9)
+    assert abs(run["v"][run.time > 1.43]).max() < 1e-15
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+def test_block_sticks_and_slips_under_a_periodic_force(solver):
+    """It slips while |sin t| exceeds 0.5 and until the impulse is used up."""
+    run = simulate(block(ca.sin), solver)
+    begin = np.pi / 6
+
+    def speed(t, t0, sign):
+        return np.cos(t0) - np.cos(t) - sign * 0.5 * (t - t0)
+
+    first = brentq(lambda t: speed(t, begin, 1), 3, 4.5)
+    assert np.sin(first) < -0.5  # it slips backwards at once
+    second = brentq(lambda t: speed(t, first, -1), first + 1, first + 4)
+    times = [event.time for event in run.events[:3]]
+    np.testing.assert_allclose(
+        times, [begin, first, second], atol=1e-6 if solver == "cvodes" else 3e-9
+    )
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_relation_of_time_is_met_exactly(solver):
+    """1000 N for 1 ms on 1 kg at a spring: the response is in closed form."""
+    model = Model("pulse", stop_time=10.0)
+    x = model.state("x", "m", 0.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    on = ca.logic_and(model.t > 5, model.t < 5.001)
+    model.derivative(v, ca.if_else(on, 1000, 0) - x)
+    run = simulate(model.freeze(), solver)
+    exact = 1000 * (np.cos(10 - 5.001) - np.cos(10 - 5))
+    error = 1e-6 if solver in ("cvodes", "cvodes_adams", "idas") else 1e-8
+    assert run.final["x"] == pytest.approx(exact, abs=error)
+    assert [event.time for event in run.events] == [5.0, 5.001]
+
+
+def random_pulses(count, solver):
+    """Return how many of some pulses of 1 N s on 1 kg a solver sees."""
+    model = Model("pulse", stop_time=10.0, output_interval=0.5)
+    v = model.state("v", "m/s", 0.0, "speed")
+    begin = model.parameter("begin", "s", 1.0, "begin")
+    length = model.parameter("length", "s", 1.0, "length")
+    on = ca.logic_and(model.t >= begin, model.t < begin + length)
+    model.derivative(v, ca.if_else(on, 1 / length, 0))
+    dae, seen = model.freeze(), 0
+    random = np.random.default_rng(1)
+    for width in 10 ** random.uniform(-9, 0, count):
+        values = {"begin": random.uniform(0, 9), "length": width}
+        final = simulate(dae, solver, start_values=values, outputs=["v"]).final["v"]
+        # the length of a nanosecond is known to 1e-7 only, where the time is 10 s
+        seen += abs(final - 1) < 1e-8 + 4e-15 / width
+    return seen
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_no_pulse_is_missed(solver):
+    assert random_pulses(10, solver) == 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_none_of_a_thousand_pulses_is_missed(solver):
+    assert random_pulses(1000, solver) == 1000
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_maximum_switches_where_the_arguments_meet(solver):
+    model = Model("half_waves", stop_time=4 * np.pi)
+    x = model.state("x", "1", 0.0, "integral")
+    model.derivative(x, ca.fmax(0, ca.sin(model.t)))
+    error = 1e-7 if solver in ("cvodes", "cvodes_adams", "idas") else 1e-9
+    assert simulate(model.freeze(), solver).final["x"] == pytest.approx(4, abs=error)
+
+
+def test_square_wave_faster_than_the_output_interval():
+    model = Model("square", stop_time=1.25, output_interval=1.0)
+    x = model.state("x", "1", 0.0, "integral")
+    model.derivative(x, ca.if_else(ca.sin(20 * np.pi * model.t) > 0, 1, -1))
+    run = simulate(model.freeze(), "erk")
+    assert run.final["x"] == pytest.approx(0.05, abs=1e-12)
+    assert len(run.events) == 25
+
+
+def test_bicycle_at_rest_feels_a_torque_that_begins_later():
+    """The case that the default solver did not see."""
+    torque = {"steer_torque": "where(t > 3, where(t < 4, 1, 0), 0)"}
+    runs = [
+        cosim.simulate("bicycle", start_values={"phi_dot": 0}, inputs=torque, solver=solver)
+        for solver in (None, "dop853", "idas")
+    ]
+    for run in runs:
+        assert abs(run["phi"]).max() == pytest.approx(0.41143530, abs=1e-7)
+        assert [event.time for event in run.events] == [3.0, 4.0]
+
+
+def robertson():
+    model = Model("robertson", stop_time=4e10, output_interval=4e7)
+    y1, y2, y3 = (model.state(f"y{i}", "1", float(i == 1), "share") for i in (1, 2, 3))
+    rate = -0.04 * y1 + 1e4 * y2 * y3
+    model.derivative(y1, rate)
+    model.derivative(y3, 3e7 * y2**2)
+    model.derivative(y2, -rate - 3e7 * y2**2)
+    count = model.discrete("count", "1", 0.0, "number of roots")
+    model.when(y3 > 0.01, {count: count + 1}, name="y3")
+    model.when(y1 < 1e-4, {count: count + 1}, name="y1")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "idas", "rosenbrock"])
+def test_roots_of_robertsons_problem(solver):
+    times = np.concatenate(([0.0], np.geomspace(1e-3, 4e10, 300)))
+    run = cosim.simulate(
+        robertson(), solver=solver, output_times=times, relative_tolerance=1e-9,
+        absolute_tolerance=1e-14,
+    )  # fmt: skip
+    found = {event.name: event.time for event in run.events}
+    assert found["y3"] == pytest.approx(0.26401908, rel=1e-6)
+    assert found["y1"] == pytest.approx(2.07954969e7, rel=1e-5)
+    assert run.final["count"] == 2
+
+
+def detest(number):
+    """Return a discontinuous problem of DETEST (Enright & Pryce 1987), F1 to F4."""
+    model = Model(f"F{number}", stop_time=20.0, output_interval=0.1)
+    t = model.t
+    odd = ca.fmod(ca.floor(t), 2)
+    y = model.state("y", "1", {1: 0.0, 2: 110.0, 3: 0.0, 4: 1.0}[number], "y")
+    if number == 2:
+        model.derivative(y, 55 - ca.if_else(odd > 0.5, 0.5, 1.5) * y)
+    elif number == 4:
+        early = -2 / 21 - 120 * (t - 5) / (1 + 4 * (t - 5) ** 2) ** 2
+        model.derivative(y, ca.if_else(t <= 10, early, -2 * y))
+    else:
+        v = model.state("v", "1", 0.0, "v")
+        model.derivative(y, v)
+        if number == 1:
+            force = ca.if_else(odd > 0.5, -1, 1)
+            model.derivative(v, 0.2 * v - (np.pi**2 + 0.01) * y + force)
+        else:
+            force = ca.fabs(ca.sin(np.pi * t))
+            model.derivative(v, 0.01 * v * (1 - y**2) - y - force)
+    return model.freeze()
+
+
+def smooth_pieces(number):
+    """Return y(20) of a DETEST problem, integrated from switch to switch by scipy."""
+
+    def law(t, y, side):
+        if number == 1:
+            return [y[1], 0.2 * y[1] - (np.pi**2 + 0.01) * y[0] + (-1) ** side]
+        if number == 2:
+            return [55 - (0.5 if side % 2 else 1.5) * y[0]]
+        if number == 3:
+            force = (-1) ** side * np.sin(np.pi * t)
+            return [y[1], 0.01 * y[1] * (1 - y[0] ** 2) - y[0] - force]
+        if side < 10:
+            return [-2 / 21 - 120 * (t - 5) / (1 + 4 * (t - 5) ** 2) ** 2]
+        return [-2 * y[0]]
+
+    y = {1: [0.0, 0.0], 2: [110.0], 3: [0.0, 0.0], 4: [1.0]}[number]
+    for side in range(20):
+        found = solve_ivp(law, (side, side + 1), y, "DOP853", args=(side,), rtol=1e-13, atol=1e-15)
+        y = found.y[:, -1]
+    return y[0]
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
+def test_discontinuous_problems_of_detest(number, solver):
+    run = simulate(detest(number), solver)
+    scale = max(1.0, abs(run["y"]).max())
+    error = 1e-7 if solver == "cvodes" else 2e-9
+    assert run.final["y"] == pytest.approx(smooth_pieces(number), abs=error * scale)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+def test_relay_with_hysteresis_has_the_period_of_its_closed_form(solver):
+    model = Model("relay", stop_time=10.0)
+    x = model.state("x", "1", 0.0, "temperature")
+    on = model.discrete("on", "1", 1.0, "heater")
+    model.derivative(x, -x + 2 * on)
+    model.when(x > 1.2, {on: 0}, name="off")
+    model.when(x < 0.8, {on: 1}, name="on")
+    run = simulate(model.freeze(), solver)
+    first, down, up = np.log(2 / 0.8), np.log(1.2 / 0.8), np.log(1.2 / 0.8)
+    exact = first + np.concatenate(([0.0], np.cumsum([down, up] * 20)))
+    exact = exact[exact < 10]
+    error = 1e-6 if solver == "cvodes" else 1e-8
+    np.testing.assert_allclose([event.time for event in run.events], exact, atol=error)
+    assert [event.name for event in run.events[:3]] == ["off", "on", "off"]
+
+
+def test_sampled_controller_is_that_of_its_difference_equation():
+    model = Model("sampled", stop_time=1.0, output_interval=0.05)
+    x = model.state("x", "1", 1.0, "plant")
+    u = model.discrete("u", "1", 0.0, "held control")
+    model.derivative(x, u)
+    model.every(0.1, {u: -4 * x}, name="sample")
+    run = simulate(model.freeze())
+    assert [event.time for event in run.events] == pytest.approx(0.1 * np.arange(11), abs=1e-15)
+    exact = 0.6 ** np.arange(11)
+    np.testing.assert_allclose(run["x"][::2], exact, rtol=1e-10)
+    np.testing.assert_allclose(run["u"][::2], -4 * exact, rtol=1e-10)  # after the sample
+
+
+def test_events_at_one_instant_use_the_values_before_it():
+    model = Model("swap", stop_time=2.0)
+    a, b = model.discrete("a", "1", 1.0, "a"), model.discrete("b", "1", 2.0, "b")
+    x = model.state("x", "1", 0.0, "x")
+    model.derivative(x, 1)
+    model.when(x > 1, {a: b, b: a}, name="swap")
+    model.when(a > 1.5, {x: 10 * x}, name="then")  # what an event makes true happens, too
+    run = simulate(model.freeze())
+    assert (run.final["a"], run.final["b"]) == (2.0, 1.0)
+    assert [event.name for event in run.events] == ["swap", "then"]
+    assert run.final["x"] == pytest.approx(11, rel=1e-12)
+
+
+def test_events_that_cause_each_other_without_end_are_reported():
+    model = Model("flutter", stop_time=2.0)
+    a = model.discrete("a", "1", 0.0, "a")
+    model.when(ca.logic_and(model.t > 1, a < 0.5), {a: 1}, name="up")
+    model.when(ca.logic_and(model.t > 1, a > 0.5), {a: 0}, name="down")
+    with pytest.raises(SolverError, match=r"happens again and again at 1 s"):
+        simulate(model.freeze())
+
+
+def test_two_crossings_within_an_output_interval_are_seen():
+    """The height is above the edge for 1 % of the interval."""
+    model = Model("dip", stop_time=2.0, output_interval=1.0)
+    x = model.state("x", "m", 0.0, "place")
+    n = model.discrete("n", "1", 0.0, "crossings")
+    model.derivative(x, ca.cos(np.pi * model.t) * np.pi)  # sin(pi t): its top is at 0.5 s
+    model.when(x > 0.9999, {n: n + 1}, name="over")
+    run = simulate(model.freeze())
+    assert run.final["n"] == 1
+    assert run.events[0].time == pytest.approx(np.arcsin(0.9999) / np.pi, abs=1e-9)
+
+
+def test_smooth_relations_are_no_events():
+    model = Model("smooth", stop_time=2.0)
+    x = model.state("x", "m", -1.0, "place")
+    model.derivative(x, 1)
+    y = model.state("y", "m", 0.0, "integral")
+    model.derivative(y, model.smooth(ca.fmax(x, 0) ** 4))
+    run = simulate(model.freeze())
+    assert run.events == ()
+    assert run.final["y"] == pytest.approx(0.2, abs=1e-9)
+
+
+def test_relations_in_a_dae_are_located_on_its_unknowns():
+    """The force in a spring-loaded contact is an algebraic unknown."""
+    model = Model("contact", stop_time=5.0)
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    force = model.algebraic("force", "N", 0.0, "contact force")
+    model.derivative(x, v)
+    model.derivative(v, force - 1)
+    model.equation(force - ca.fmax(0, -100 * x))
+    runs = [simulate(model.freeze(), solver) for solver in ("dop853", "idas", "rosenbrock")]
+    first = np.sqrt(2)
+    for run in runs:
+        times = [event.time for event in run.events]
+        assert times[0] == pytest.approx(first, abs=1e-7)
+        energy = run["v"] ** 2 / 2 + run["x"] + 50 * np.minimum(run["x"], 0) ** 2
+        np.testing.assert_allclose(energy, 1, atol=3e-7)
+
+
+def test_blocks_that_stick_to_each_other_move_as_one():
+    model = Model("blocks", stop_time=3.0)
+    x, v = model.state("x", "m", 0.0, "lower place"), model.state("v", "m/s", 1.0, "lower speed")
+    w = model.state("w", "m/s", 0.0, "upper speed")
+    between = 2.0 * ca.sign(v - w)
+    model.derivative(x, v)
+    model.derivative(v, -between - 0.5 * ca.sign(v))
+    model.derivative(w, between)
+    run = simulate(model.freeze())
+    together = 1 / 4.5  # v = 1 - 2.5 t, w = 2 t
+    speed = 2 * together
+    assert run.events[0].time == pytest.approx(together, abs=1e-12)
+    rest = together + speed / 0.25
+    assert run.events[1].time == pytest.approx(rest, abs=1e-11)
+    assert abs(run["v"] - run["w"])[run.time > together].max() < 1e-14
+    assert abs(run["v"][run.time > rest]).max() < 1e-14
+
+
+def test_assignment_off_the_constraints_is_rejected():
+    model = Model("pendulum", stop_time=2.0)
+    x, y = model.state("x", "m", 1.0, "x"), model.state("y", "m", 0.0, "y")
+    u, v = model.state("u", "m/s", 0.0, "u"), model.state("v", "m/s", 0.0, "v")
+    tension = model.algebraic("tension", "1", 0.0, "tension")
+    for state, rate in ((x, u), (y, v), (u, -tension * x), (v, -tension * y - G)):
+        model.derivative(state, rate)
+    model.equation(u**2 + v**2 - tension * (x**2 + y**2) - G * y)
+    model.invariant("drift", ca.vertcat(x, y), x**2 + y**2 - 1, "the length is 1")
+    model.when(model.t > 1, {x: 2 * x}, name="break")
+    with pytest.raises(SolverError, match="'break' at 1 s leaves states that violate: the length"):
+        simulate(model.freeze())
+
+
+def test_stop_that_is_true_at_the_start_is_rejected():
+    model, *_ = ball()
+    model.stop(model.t > -1, "always")
+    with pytest.raises(UsageError, match="stop 'always' is true at the start already"):
+        simulate(model.freeze())
+
+
+def test_jump_of_an_input_series_meets_the_events_of_the_model():
+    model = Model("driven", stop_time=2.0)
+    x, u = model.state("x", "m", 0.0, "place"), model.input("u", "m/s", 0.0, "speed")
+    model.derivative(x, ca.fmax(u, 0))
+    series = cosim.InputSeries(
+        ("u",), [0, 0.5, 0.5, 1.0, 1.0, 2.0], [[-1], [-1], [2], [2], [-1], [1]]
+    )
+    for solver in ("dop853", "cvodes", "rk4"):
+        run = simulate(model.freeze(), solver, inputs=series)
+        assert run.final["x"] == pytest.approx(1.0 + 0.25, abs=1e-8)
+        assert run.events[-1].time == pytest.approx(1.5, abs=1e-9)
+
+
+def test_forward_derivatives_jump_at_events():
+    """Impacts, a switching time that is a parameter, and friction that comes to rest."""
+    model, *_ = ball()
+    w = model.parameter("w", "s", 0.3, "when a wind begins")
+    x, u = model.state("x", "m", 0.0, "place"), model.state("u", "m/s", 1.0, "speed")
+    mu = model.parameter("mu", "1", 0.7, "friction")
+    model.derivative(x, u)
+    model.derivative(u, -mu * ca.sign(u) + ca.if_else(model.t > w, 0.1, 0))
+    dae = model.freeze()
+    names, by = ["h", "v", "x", "u"], ["e", "w", "mu"]
+    options = {"stop_time": 2.3, "output_interval": 0.1}
+    found = cosim.sensitivity(
+        dae, outputs=names, with_respect_to=by, relative_tolerance=1e-10, **options
+    )
+    base = {"e": 0.7, "w": 0.3, "mu": 0.7}
+    for name in by:
+        step = 1e-5
+        ends = [
+            simulate(dae, tolerance=1e-12, start_values={name: base[name] + side * step}, **options)
+            for side in (1, -1)
+        ]
+        for output in names:
+            slope = (ends[0].final[output] - ends[1].final[output]) / (2 * step)
+            assert found[output, name][-1] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+
+
+def test_integrator_refuses_a_model_with_events():
+    with pytest.raises(UsageError, match=r"ball has events .*use cosim.simulate and cosim.sens"):
+        cosim.integrator(ball()[0].freeze(), [0.0, 1.0])
+
+
+def test_reduction_keeps_events_that_outputs_depend_on():
+    model, h, _ = ball()
+    n = model.discrete("n", "1", 0.0, "number")
+    model.when(h > 2, {n: n + 1}, name="high")
+    small = cosim.reduce(model.freeze(), ["h"])
+    assert [event.name for event in small.events] == ["impact"]
+    assert [v.name for v in small.states] == ["h", "v"]
+    assert any(line.startswith("events: high") for line in small.report)
+    plain = simulate(model.freeze(), stop_time=2.0)
+    np.testing.assert_allclose(simulate(small, stop_time=2.0)["h"], plain["h"], atol=1e-12)
+
+
+def test_variants_with_events_run_one_by_one():
+    dae, options = ball()[0].freeze(), {"solver": "dop853", "stop_time": 1.0}
+    many = cosim.simulate_many(dae, {"h": [1.0, 2.0]}, **options)
+    for start, row in zip((1.0, 2.0), many["h"], strict=True):
+        run = cosim.simulate(dae, start_values={"h": start}, **options)
+        np.testing.assert_array_equal(row, run["h"])
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "dop853", "rk4"])
+def test_jumps_of_a_python_function_are_located(solver):
+    model = Model("mass", stop_time=2.0)
+    v, force = model.state("v", "m/s", 0.0, "speed"), model.input("f", "N", 0.0, "force")
+    model.derivative(v, force)
+
+    def kick(t):
+        return 2.0 if 0.5037 < t < 1.2541 else np.tanh(50 * (t - 1))  # steep, but no jump
+
+    run = simulate(model.freeze(), solver, inputs={"f": kick})
+    ends = [np.log(np.cosh(50 * (t - 1))) / 50 for t in (0, 0.5037, 1.2541, 2)]
+    exact = ends[1] - ends[0] + 2 * (1.2541 - 0.5037) + ends[3] - ends[2]
+    assert run.final["v"] == pytest.approx(exact, abs=1e-9)

@@ -1,0 +1,100 @@
+"""Pulses of time alone that lie between the stages of every solver."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import cosim
+from casadi_models.dae import Model
+from cosim.integrate.pulses import pulse_times
+
+ERRORS = {"dop853": 1e-7, "erk": 1e-6, "rosenbrock": 1e-5, "cvodes": 1e-5, "cvodes_adams": 1e-5,
+          "idas": 1e-5, "ode8": 1e-4, "rk4": 2e-3}  # fmt: skip
+RATE = 3.0  # rad/s of the spring
+
+
+def spring(force, **parameters):
+    """Return a spring of 1 kg at rest, pushed by a function of time."""
+    model = Model("spring", stop_time=10.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    more = [model.parameter(n, "s", value, n) for n, value in parameters.items()]
+    model.derivative(x, v)
+    model.derivative(v, -(RATE**2) * x + force(model.t, *more))
+    return model.freeze()
+
+
+def gauss(t, middle, width):
+    return ca.exp(-(((t - middle) / width) ** 2))
+
+
+def options(solver):
+    return {} if solver in ("rk4", "ode8") else {"relative_tolerance": 1e-9}
+
+
+def moved(t, middle, width):
+    """Return the place of the spring after a pulse."""
+    push = width * np.sqrt(np.pi) * np.exp(-((RATE * width) ** 2) / 4)
+    return push * np.sin(RATE * (t - middle)) / RATE
+
+
+def ends_of(dae, step=0.1):
+    """Return the times at which steps of a model must end that are this long at most, s."""
+    p = np.array([parameter.start for parameter in dae.parameters])
+    return pulse_times(dae, p, 0.0, 10.0, step)
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-2, 0.1])
+@pytest.mark.parametrize("solver", ERRORS)
+def test_no_gauss_pulse_is_stepped_over(solver, width):
+    dae = spring(gauss, middle=5.0, width=width)
+    for middle in np.random.default_rng(3).uniform(1, 8, 3):
+        run = cosim.simulate(dae, solver=solver, start_values={"middle": middle}, **options(solver))
+        after = run.time > middle + 6 * width
+        exact = moved(run.time[after], middle, width)
+        np.testing.assert_allclose(run["x"][after], exact, atol=ERRORS[solver] * abs(exact).max())
+
+
+def test_a_pulse_in_a_formula_of_an_input_is_seen():
+    model = Model("driven", stop_time=10.0)
+    v, f = model.state("v", "m/s", 0.0, "speed"), model.input("f", "N", 0.0, "force")
+    model.derivative(v, f)
+    run = cosim.simulate(model.freeze(), inputs={"f": "exp(-((t - 6.4321)/0.0005)**2)"})
+    assert run.final["v"] == pytest.approx(5e-4 * np.sqrt(np.pi), rel=1e-5)
+
+
+def test_a_pulse_beside_a_large_slow_term_is_seen():
+    dae = spring(lambda t: 100 * ca.sin(t) + gauss(t, 5.0, 1e-3))
+    plain = cosim.simulate(spring(lambda t: 100 * ca.sin(t)), solver="dop853", **options("dop853"))
+    run = cosim.simulate(dae, solver="dop853", **options("dop853"))
+    after = run.time > 5.01
+    exact = moved(run.time[after], 5.0, 1e-3)
+    np.testing.assert_allclose((run["x"] - plain["x"])[after], exact, atol=2e-6)
+
+
+def test_a_steep_rise_is_met_by_the_ends_of_steps():
+    ends = ends_of(spring(lambda t: ca.tanh((t - 4.3) / 1e-3)))
+    assert len(ends) > 5
+    assert abs(ends - 4.3).max() < 2e-2
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        ca.sin,
+        lambda t: ca.sin(2 * np.pi * 5 * t),
+        lambda t: ca.sin(2 * np.pi * 50 * t) + t,
+        lambda t: ca.exp(-t),
+        lambda t: gauss(t, 5.0, 0.5),
+        lambda t: ca.sin(t) ** 2 * ca.cos(7 * t),
+    ],
+)
+@pytest.mark.parametrize("step", [0.1, 0.01])
+def test_terms_that_are_smooth_change_nothing(force, step):
+    assert ends_of(spring(force), step).size == 0
+
+
+def test_terms_of_states_are_no_terms_of_time():
+    model = Model("own", stop_time=10.0)
+    x = model.state("x", "1", 0.0, "x")
+    model.derivative(x, gauss(x, 5.0, 1e-3) * ca.sin(x))
+    assert ends_of(model.freeze()).size == 0

@@ -1,0 +1,113 @@
+"""Limits of validity: declared by a model, watched in a run, kept or dropped by a reduction."""
+
+import numpy as np
+import pytest
+
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import SolverError, UnknownName
+
+
+def falling_ball(limit=True):
+    """A ball that falls from 1 m; the ground is at height 0, where the model ends."""
+    model = Model("ball", stop_time=1.0)
+    height = model.state("height", "m", 1.0, "height above the ground")
+    speed = model.state("speed", "m/s", 0.0, "speed upward")
+    way = model.state("way", "m", 0.0, "way along the ground")
+    model.derivative(height, speed)
+    model.derivative(speed, -9.81)
+    model.derivative(way, 1.0)
+    if limit:
+        model.limit(height, "the ball is above the ground")
+    return model.freeze()
+
+
+FALL = np.sqrt(2 / 9.81)  # s, from 1 m; 0.4515
+
+
+def test_run_beyond_a_limit_says_when_and_why():
+    run = cosim.simulate(falling_ball())
+    assert run.complete
+    assert run.stats["invalid"] == [
+        "from 0.46 s on it is no longer true that the ball is above the ground"
+    ]
+
+
+def test_run_within_its_limits_says_nothing():
+    run = cosim.simulate(falling_ball(), stop_time=0.45)
+    assert "invalid" not in run.stats
+
+
+def test_run_stops_at_a_limit_when_asked_and_keeps_what_is_valid():
+    with pytest.raises(SolverError, match="no longer true that the ball is above") as caught:
+        cosim.simulate(falling_ball(), on_invalid="stop")
+    partial = caught.value.partial
+    assert partial.time[-1] == pytest.approx(0.45)
+    assert partial.time[-1] < FALL < partial.time[-1] + 0.01
+    exact = 1 - 9.81 * partial.time**2 / 2
+    np.testing.assert_allclose(partial["height"], exact, rtol=0, atol=1e-8)  # measured 2e-10
+
+
+def test_limit_is_dropped_with_the_states_that_it_needs():
+    small = cosim.reduce(falling_ball(), ["way"])
+    assert small.limits == ()
+    assert any("the ball is above the ground" in line for line in small.report)
+    assert len(cosim.reduce(falling_ball(), ["height"]).limits) == 1
+
+
+def test_unknown_answer_is_refused():
+    with pytest.raises(UnknownName, match="did you mean stop"):
+        cosim.simulate(falling_ball(), on_invalid="stopp")
+
+
+def test_limit_without_meaning_or_declared_twice_is_refused():
+    model = Model("m")
+    x = model.state("x", "m", 1.0, "x")
+    with pytest.raises(ValueError, match="meaning"):
+        model.limit(x, " ")
+    model.limit(x, "x is positive")
+    with pytest.raises(ValueError, match="twice"):
+        model.limit(x, "x is positive")
+
+
+@pytest.mark.parametrize("solver", ["rk4", "ode8"])
+def test_fixed_step_too_long_for_a_near_singularity_is_flagged(solver):
+    dae = cosim.load("double_pendulum/euler_313_axial")
+    regular = cosim.simulate(cosim.load("double_pendulum"), relative_tolerance=1e-10)
+    run = cosim.simulate(dae, solver=solver)
+    gap = np.abs(run["x_tip"] - regular["x_tip"]).max()
+    assert gap > 1e-2  # m, wrong: measured 0.5 (rk4) and 0.02 (ode8)
+    assert "is too long" in run.stats["invalid"][0]
+
+
+@pytest.mark.parametrize("solver", ["rk4", "ode8"])
+def test_fixed_step_that_resolves_the_motion_is_not_flagged(solver):
+    run = cosim.simulate(cosim.load("double_pendulum"), solver=solver)
+    assert "invalid" not in run.stats
+
+
+STEERED = {"phi_dot": 0.0, "delta": np.radians(85), "delta_dot": 1.0, "thetaR_dot": -3.0}
+
+
+@pytest.mark.parametrize("formulation", ["independent", "book"])
+def test_bicycle_of_three_speeds_stops_where_the_steer_angle_is_singular(formulation):
+    dae = cosim.load(f"bicycle/{formulation}")
+    start = {"phi": 1.4, "phi_dot": 3.0, "thetaR_dot": -10.0}
+    run = cosim.simulate(dae, start_values=start, stop_time=0.5)
+    assert any("rolling no longer determines yaw" in text for text in run.stats["invalid"])
+    with pytest.raises(SolverError, match="the ground pushes the front wheel up"):
+        cosim.simulate(dae, start_values=start, stop_time=0.5, on_invalid="stop")
+
+
+def test_singular_steer_angle_is_not_a_limit_of_the_form_with_multipliers():
+    dae = cosim.load("bicycle/multipliers")
+    run = cosim.simulate(dae, start_values=STEERED, stop_time=0.1)
+    assert np.degrees(run["delta"]).max() > 100
+    assert not any("determines" in text for text in run.stats["invalid"])
+
+
+def test_wheel_that_the_ground_would_have_to_hold_down_is_reported():
+    run = cosim.simulate(cosim.load("bicycle/multipliers"), start_values=STEERED, stop_time=0.1)
+    lifted = run.time[np.argmax(run["fz_Q"] > 0)]
+    text = f"from {lifted:g} s on it is no longer true that the ground pushes the front wheel up"
+    assert any(line.startswith(text) for line in run.stats["invalid"])

@@ -1,0 +1,151 @@
+"""Events in the runtime: saved states, event mode, time events, derivatives while sliding."""
+
+from ctypes import byref, c_double, c_int, c_void_p
+
+import pytest
+from helpers import event_models, harness
+from helpers.harness import DISCARD, ERROR, OK, EventInfo, reals
+
+BALL = ("time", "h", "v", "n", "der(h)", "der(v)", "der(n)", "mode_1", "event_indicator_1")
+BLOCK = ("time", "x", "v", "der(x)", "der(v)", "mode_1", "friction", "event_indicator_1")
+SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
+
+
+@pytest.fixture(scope="module")
+def make(tmp_path_factory):
+    """Make instances of a model: 0 for model exchange, 1 for co-simulation."""
+    libraries, made = {}, []
+
+    def instance(name, names, interface, version=2):
+        key = name, version
+        if key not in libraries:
+            folder = tmp_path_factory.mktemp(name)
+            dae = getattr(event_models, name)()
+            event_models.write(folder, dae, "dop853", fmi=version, most_trials=2000)
+            libraries[key] = harness.library(folder, version, folder)
+        kind = harness.Fmu2 if version == 2 else harness.Fmu3
+        made.append(kind(libraries[key], names, interface))
+        return made[-1]
+
+    yield instance
+    for fmu in made:
+        fmu.free()
+
+
+def update(fmu):
+    """Call fmi2NewDiscreteStates."""
+    info = EventInfo()
+    assert fmu("NewDiscreteStates", byref(info)) == OK, fmu.said
+    assert not info.needed
+    return info
+
+
+def move(fmu, time, *states):
+    assert fmu("SetTime", c_double(time)) == OK
+    assert fmu("SetContinuousStates", reals(*states), len(states)) == OK
+
+
+def test_a_rollback_in_the_middle_of_bounces_gives_the_same_bits(make):
+    fmu, other = (make("ball", BALL, 1).initialize() for _ in range(2))
+    for k in range(8):
+        assert fmu("DoStep", k * 0.125, 0.125, 1) == OK
+    snapshot = fmu.take()
+    assert fmu("DoStep", 1.0, 1.0, 1) == OK
+    once = fmu.get(*BALL)
+    assert fmu("SetFMUstate", snapshot) == OK
+    blob, copy = fmu.serialize(snapshot), c_void_p()
+    assert other("DeSerializeFMUstate", blob, len(blob), byref(copy)) == OK
+    assert other("SetFMUstate", copy) == OK
+    for again in (fmu, other):
+        assert again("DoStep", 1.0, 1.0, 1) == OK
+        assert again.get(*BALL) == once
+    assert once[3] == 4
+
+
+@pytest.mark.parametrize("steps", [1, 7, 64])
+def test_impacts_do_not_depend_on_the_communication_step(make, steps):
+    runs = []
+    for count in (1, steps):
+        fmu = make("ball", BALL, 1).initialize()
+        for k in range(count):
+            assert fmu("DoStep", c_double(k * 2 / count), c_double(2 / count), 1) == OK, fmu.said
+        runs.append(fmu.get("h", "v", "n"))
+    assert runs[0] == pytest.approx(runs[1], abs=1e-12)
+
+
+def test_a_reset_forgets_all_events(make):
+    fmu = make("ball", BALL, 1).initialize()
+    assert fmu("DoStep", 0.0, 1.0, 1) == OK
+    used = fmu.get(*BALL)
+    assert fmu("Reset") == OK
+    fmu.initialize()
+    assert fmu("DoStep", 0.0, 1.0, 1) == OK
+    assert fmu.get(*BALL) == used
+
+
+def test_an_impact_happens_once_and_a_look_without_motion_changes_nothing(make):
+    fmu = make("ball", BALL, 0).initialize()
+    assert not update(fmu).values
+    assert fmu("EnterContinuousTimeMode") == OK
+    move(fmu, 0.45, -1e-16, -4.4, 0.0)
+    assert fmu("EnterEventMode") == OK
+    info = update(fmu)
+    assert info.values
+    assert not info.defined
+    assert fmu.get("h", "v", "n", "mode_1") == pytest.approx([0, 0.7 * 4.4, 1, -1], abs=1e-15)
+    before = fmu.get(*BALL)
+    assert not update(fmu).values
+    assert fmu.get(*BALL) == before
+    indicator = reals(0)
+    assert fmu("GetEventIndicators", indicator, 1) == OK
+    assert 0 < indicator[0] < 1e-12
+
+
+def test_modes_are_no_inputs(make):
+    fmu = make("ball", BALL, 0).initialize()
+    assert fmu.set(mode_1=1.0) == ERROR
+    assert fmu.said.endswith("mode_1, a calculated mode, cannot be set now")
+
+
+def test_samples_are_time_events(make):
+    fmu = make("sampled", SAMPLED, 0).initialize()
+    info = update(fmu)
+    assert (info.values, info.defined) == (1, 1)
+    assert info.next_time == 0.1
+    assert fmu.get("u") == [-2.0]
+    assert fmu("EnterContinuousTimeMode") == OK
+    move(fmu, 0.1, 0.8, -2.0)
+    assert fmu("EnterEventMode") == OK
+    assert update(fmu).next_time == 0.2
+    assert fmu.get("u") == [-1.6]
+
+
+def test_a_stop_ends_the_simulation_in_both_versions(make):
+    names = ("time", "x", "der(x)", "mode_1", "event_indicator_1")
+    fmu = make("stopping", names, 1).initialize()
+    assert fmu("DoStep", 0.0, 1.0, 1) == DISCARD
+    assert fmu.said == "fmi2DoStep: the run ends at 0.777 s: the wall is reached"
+    ended, last = c_int(), c_double()
+    assert fmu("GetBooleanStatus", 3, byref(ended)) == OK
+    assert fmu("GetRealStatus", 2, byref(last)) == OK
+    assert (ended.value, last.value) == (1, pytest.approx(0.777, abs=1e-15))
+    status, (event, ends, early), reached = (
+        make("stopping", names, 1, 3).initialize().step(0.0, 1.0)
+    )
+    assert (status, event, ends, early) == (OK, False, True, False)
+    assert reached == last.value
+
+
+def test_there_are_derivatives_of_the_present_mode_but_none_while_sliding(make):
+    fmu, result = make("block", BLOCK, 1).initialize(), reals(0)
+
+    def derivative():
+        known, unknown = fmu.refs("v"), fmu.refs("der(x)")
+        return fmu("GetDirectionalDerivative", unknown, 1, known, 1, reals(1.0), result)
+
+    assert derivative() == OK
+    assert result[0] == 1.0
+    assert fmu("DoStep", 0.0, 1.0, 1) == OK
+    assert fmu.get("v", "der(v)", "mode_1", "friction") == pytest.approx([0] * 4, abs=1e-12)
+    assert derivative() == DISCARD
+    assert fmu.said.endswith("there are no derivatives while an expression slides along 0")

@@ -1,0 +1,347 @@
+"""`accuracy` and `budget`: errors are predicted, checked on the run, or an error is raised.
+
+The truth is a closed form wherever an error is measured.
+"""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.known_errors import OTHER, error
+from helpers.oscillators import oscillator
+from helpers.small_models import table
+
+import cosim
+from casadi_models.dae import Model
+from cosim.api import simulate
+from cosim.cli.main import main
+from cosim.errors import ParameterError, SolverError, UsageError
+from cosim.integrate import events
+from cosim.integrate.call import RunStats
+from cosim.solvers import Goal
+from cosim.study.accuracy import choice
+from cosim.study.accuracy.candidates import measured_candidates
+from cosim.study.accuracy.choice import report
+
+ACCURACIES = (1e-3, 1e-6, 1e-9)
+
+
+def lorenz():
+    """Declare Lorenz's equations: two runs part however close they begin."""
+    model = Model("lorenz", stop_time=1.0)
+    x, y, z = (model.state(name, "1", 1.0, name, nominal=10.0) for name in "xyz")
+    for state, rate in ((x, 10 * (y - x)), (y, x * (28 - z) - y), (z, x * y - 8 / 3 * z)):
+        model.derivative(state, rate)
+    return model.freeze()
+
+
+def chosen(run):
+    """Return solver and tolerance of what was chosen."""
+    solver, _, tolerance = run.stats["configuration"].partition(" at ")
+    return {"solver": solver, "relative_tolerance": float(tolerance)}
+
+
+def known_errors():
+    """Return the measured error of x by solver and tolerance."""
+    every = measured_candidates(oscillator().dae, compiled=True).every
+    return {(c.solver, c.tolerance): c.errors["x"] for c in every}
+
+
+class Runs:
+    """A stand-in for a model's runs: known errors, and a list of what was requested."""
+
+    def __init__(self, offset, *, failing=(), seconds=0.0):
+        self.offset, self.failing, self.seconds = offset, failing, seconds
+        self.requested = []
+        self.one = simulate(oscillator().dae, outputs=["x"])
+
+    def __call__(self, request):
+        solver, tolerance = request.solver.name, request.solver.relative_tolerance
+        self.requested.append((solver, tolerance))
+        if solver in self.failing:
+            raise SolverError(f"{solver} failed", self.one)
+        shift = self.offset(solver, tolerance)
+        stats = {"solver": solver, "relative_tolerance": tolerance, "solve_time": self.seconds}
+        stats = replace(self.one.stats, **stats)
+        return replace(self.one, values=self.one.values + shift, stats=stats)
+
+    def for_goal(self, **goal):
+        """Return the run for a goal, chosen among these."""
+        request = cosim.requested(oscillator().dae, outputs=["x"], compiled=True, **goal)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(choice, "run", self)
+            return choice.accurate_run(request)
+
+
+@pytest.mark.parametrize("accuracy", ACCURACIES)
+def test_accuracy_is_reached_far_from_the_measured_values(dae, accuracy):
+    run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
+    assert error(run) <= accuracy  # measured 4e-5 to 0.02 of it
+    assert run.stats["error_estimate"] <= accuracy
+
+
+@pytest.mark.parametrize("accuracy", ACCURACIES)
+def test_estimate_is_the_error_of_the_configuration_that_was_chosen(dae, accuracy):
+    run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
+    again = simulate(dae, start_values=OTHER, outputs=["x"], **chosen(run))
+    assert error(again) <= accuracy
+    # as far as the run that checks it is right: measured 0.003
+    assert run.stats["error_estimate"] == pytest.approx(error(again), abs=0.03 * accuracy)
+    assert run.stats["error_estimate_of"] == "x"
+
+
+@pytest.mark.parametrize("accuracy", ACCURACIES)
+def test_returned_run_is_the_more_accurate_of_the_two(accuracy):
+    known = known_errors()
+    runs = Runs(lambda *configuration: known[configuration])
+    run = runs.for_goal(accuracy=accuracy)
+    assert np.ptp(run.values - runs.one.values) == pytest.approx(0, abs=1e-15)
+    shift = float((run.values - runs.one.values)[0, 0])
+    assert shift == pytest.approx(min(known[asked] for asked in runs.requested[-2:]), abs=1e-15)
+
+
+def test_chaotic_motion_is_not_accepted_as_a_result():
+    with pytest.raises(
+        SolverError, match=r"1e-06 is not reached: .* and .* are .* apart"
+    ) as caught:
+        simulate(lorenz(), stop_time=60.0, output_interval=0.6, accuracy=1e-6)
+    partial = caught.value.partial
+    assert len(partial) == 101
+    assert partial.status.startswith("accuracy 1e-06 is not reached")
+    assert partial.stats["error_estimate"] > 1e-6
+
+
+def test_run_that_is_more_sensitive_than_the_models_own_gets_a_tighter_tolerance():
+    """Lorenz's equations multiply an error at 1 s, the front's span, by about 1e5 until 15 s."""
+    span = {"stop_time": 15.0, "output_interval": 0.15}
+    run = simulate(lorenz(), accuracy=1e-5, **span)
+    assert run.stats["predicted_error"] < 1e-5 / 100  # at 1 s; a third would do there
+    best = simulate(lorenz(), solver="dop853", relative_tolerance=3e-14, **span)
+    assert cosim.compare(best, run).worst.scaled <= 1e-5
+
+
+def test_tolerance_without_effect_is_not_accepted_as_convergence():
+    """Each method agrees with itself however tight it is, and is wrong by another amount."""
+    wrong = {"cvodes": 1e-3, "erk": 0.0, "dop853": -1e-3}
+    runs = Runs(lambda solver, tolerance: wrong[solver])
+    with pytest.raises(SolverError, match="is not reached"):
+        runs.for_goal(accuracy=1e-5)
+    assert all(a[0] != b[0] for a, b in zip(runs.requested, runs.requested[1:], strict=False))
+
+
+def test_goal_is_reached_although_another_candidate_seems_cheapest(monkeypatch):
+    """Errors a thousand times those of the front, whose times are drawn at random."""
+    known = {configuration: 1e3 * error for configuration, error in known_errors().items()}
+    found = measured_candidates(oscillator().dae, compiled=True)
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        every = tuple(replace(c, solve_time=rng.uniform(1, 100)) for c in found.every)
+        drawn = replace(found, every=every)
+        monkeypatch.setattr(
+            "cosim.study.accuracy.choice.measured_candidates",
+            lambda *_, found=drawn, **__: found,
+        )
+        runs = Runs(lambda *configuration: known[configuration])
+        run = runs.for_goal(accuracy=1e-6)
+        assert len(runs.requested) == len(set(runs.requested))
+        assert known[tuple(chosen(run).values())] <= 1e-6
+        assert known[run.stats["solver"], run.stats["relative_tolerance"]] <= 1e-6
+
+
+@pytest.mark.parametrize("failing", ["cvodes", "erk", "dop853"])
+def test_failing_solver_is_replaced_by_another(failing):
+    runs = Runs(lambda *_: 0.0, failing=(failing,))
+    assert failing not in report(runs.for_goal(accuracy=1e-6))
+    assert failing not in report(runs.for_goal(budget=1.0))
+
+
+def test_run_on_which_two_solvers_fail_is_a_failed_run():
+    runs = Runs(lambda *_: 0.0, failing=("cvodes", "erk", "dop853"))
+    with pytest.raises(SolverError, match="failed") as caught:
+        runs.for_goal(accuracy=1e-6)
+    assert len(runs.requested) == 2
+    assert caught.value.partial is runs.one
+
+
+def test_more_time_gives_no_less_accuracy():
+    dae = oscillator().dae
+    front = measured_candidates(dae, compiled=True).cheapest_first(["x"])
+    slowest = front[-1].solve_time
+    errors = [
+        simulate(dae, budget=factor * slowest, outputs=["x"]).stats["predicted_error"]
+        for factor in (30, 300)
+    ]
+    assert errors == [front[-1].error] * 2
+
+
+def test_run_above_the_budget_leads_to_a_cheaper_configuration():
+    front = measured_candidates(oscillator().dae, compiled=True).cheapest_first(["x"])
+    runs = Runs(lambda *_: 0.0, seconds=1e3)
+    with pytest.raises(SolverError, match="the cheapest configuration, took 1e\\+06 ms") as caught:
+        runs.for_goal(budget=10.0)
+    asked = list(dict.fromkeys(runs.requested))
+    assert asked == [(c.solver, c.tolerance) for c in front[::-1]]
+    assert caught.value.partial.status == "took 1e+06 ms, more than its budget"
+
+
+def test_budget_below_the_cheapest_configuration_is_rejected_with_its_time():
+    with pytest.raises(ParameterError, match=r"budget = 1e-06 ms; the cheapest .* takes .* ms"):
+        simulate(oscillator().dae, budget=1e-9)
+
+
+def test_longer_run_has_less_time_for_each_second():
+    """Ten times the span: a tenth of the budget is what its second has."""
+    dae = oscillator().dae
+    front = measured_candidates(dae, compiled=True).cheapest_first(["x"])
+    budget = 5 * front[0].solve_time
+    with pytest.raises(ParameterError, match="increase the budget or shorten the run"):
+        simulate(dae, stop_time=50.0, budget=budget, outputs=["x"])
+
+
+@pytest.mark.parametrize("goal", [{"accuracy": 1e-9}, {"budget": 1e-3}])
+def test_model_without_states_is_exact(goal):
+    run = simulate(table(), **goal)
+    np.testing.assert_array_equal(run["y"], 1.5 + run.time)
+    assert run.stats["error_estimate"] < 1e-15  # rounding of 2.5
+    assert "no integration" in report(run)
+
+
+@pytest.mark.parametrize("goal", ["accuracy", "budget"])
+@pytest.mark.parametrize("value", [0, -1e-6, np.nan, np.inf, "small", True])
+def test_goal_that_is_no_positive_number_is_rejected(goal, value):
+    with pytest.raises(ParameterError, match=goal):
+        simulate(oscillator().dae, **{goal: value})
+    with pytest.raises(ParameterError, match=goal):
+        Goal(**{goal: value})
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"solver": "erk"},
+        {"relative_tolerance": 1e-6},
+        {"absolute_tolerance": 1e-6},
+        {"step_size": 0.1},
+        {"budget": 1.0},
+    ],
+)
+def test_goal_with_a_setting_that_it_replaces_is_rejected(other):
+    with pytest.raises(UsageError, match=f"accuracy.*{next(iter(other))}.*"):
+        simulate(oscillator().dae, accuracy=1e-6, **other)
+
+
+def test_accuracy_beyond_double_precision_is_rejected_with_the_smallest_possible(dae):
+    with pytest.raises(ParameterError, match="smallest possible") as caught:
+        simulate(dae, accuracy=1e-18, outputs=["x"])
+    smallest = float(str(caught.value).partition(" is below ")[2].partition(",")[0])
+    assert 1e-16 < smallest < 1e-15
+    with pytest.raises(SolverError, match="is not reached"):  # no two methods agree so well
+        simulate(dae, accuracy=smallest, outputs=["x"])
+
+
+def test_scene_has_an_accuracy_and_the_command_line_overrides_it(tmp_path, capsys):
+    scene = tmp_path / "bar.toml"
+    text = 'model = "bar_on_frame"\noutputs = ["theta"]\n[run]\nstop_time = 0.1\n'
+    scene.write_text(text + "accuracy = 1e-6\n")
+    target = ["--output-file", str(tmp_path / "out.csv")]
+    assert main(["simulate", str(scene), *target]) == 0
+    assert "accuracy 1e-06: " in capsys.readouterr().err
+    assert main(["simulate", str(scene), *target, "--accuracy", "1e-4", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["simulate", str(scene), *target, "--budget", "50"]) == 0
+    printed = capsys.readouterr().err
+    assert printed.startswith("budget 50 ms: ")
+    assert "(theta, compared with" in printed
+    assert main(["simulate", str(scene), *target, "--solver", "erk"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["simulate", str(scene), *target, "--solver", "erk", "--accuracy", "1"]) == 2
+    assert "UsageError: accuracy chooses solver" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("accuracy = 0", "line 4: run: accuracy = 0 is not positive"),
+        ('accuracy = "fine"', "line 4: run: accuracy = 'fine' is not a real number"),
+        ('accuracy = 1e-6\nsolver = "erk"', "line 4: accuracy chooses solver and tolerance"),
+        ("budget = 1.0\naccuracy = 1e-6", "accuracy and budget are both given"),
+    ],
+)
+def test_invalid_goal_of_a_scene_is_rejected_with_its_line(tmp_path, lines, message):
+    scene = tmp_path / "bar.toml"
+    scene.write_text(f'model = "bar_on_frame"\n\n[run]\n{lines}\n')
+    with pytest.raises(UsageError, match=message):
+        cosim.read_scene(scene)
+
+
+def test_missed_accuracy_exits_with_1_and_the_labeled_run(tmp_path, capsys):
+    target = tmp_path / "out.csv"
+    run = ["simulate", "bar_on_frame", "--stop-time", "0.1", "--outputs", "theta"]
+    assert main([*run, "--accuracy", "3e-16", "--output-file", str(target)]) == 1
+    assert "accuracy 3e-16 is not reached" in capsys.readouterr().err
+    assert len(target.read_text().splitlines()) == 12
+
+
+def pushed(t, length):
+    """Return a push of a length from 50.0003 s on: smooth, flat, and 0 before and after it."""
+    return np.exp(-(((t - 50.0003 - length / 2) / (length / 3)) ** 16))
+
+
+def at_rest():
+    model = Model("at_rest", stop_time=100.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    push = model.input("push", "m/s2", 0.0, "force over mass")
+    model.derivative(x, v)
+    model.derivative(v, push - x - 0.5 * v)
+    return model.freeze()
+
+
+@pytest.fixture
+def no_pulse_is_looked_for(monkeypatch):
+    """Let solvers step over thin pulses of time: the check must notice by itself."""
+    monkeypatch.setattr(events, "pulse_times", lambda *_: np.empty(0))
+
+
+@pytest.mark.parametrize("length", [0.004, 0.0005])
+def test_push_is_found_and_the_estimate_holds(length):
+    run = simulate(at_rest(), inputs={"push": lambda t: pushed(t, length)}, accuracy=1e-6)
+    assert_swings(run, length)
+    assert 0 < run.stats["error_estimate"] < 1e-6
+
+
+def assert_swings(run, length):
+    """Assert that a push has made the lightly damped mass swing as its impulse says."""
+    t = np.linspace(50, 50.01, 1_000_001)
+    impulse = np.trapezoid(pushed(t, length), t)
+    rate, frequency = 0.25, np.sqrt(1 - 0.25**2)
+    since = run.time - 50.0003 - length / 2
+    exact = impulse * np.exp(-rate * since) * np.sin(frequency * since) / frequency
+    late = since > length
+    np.testing.assert_allclose(run["x"][late], exact[late], rtol=0, atol=1e-6)
+
+
+@pytest.mark.usefixtures("no_pulse_is_looked_for")
+@pytest.mark.parametrize("goal", [{"accuracy": 1e-4}, {"budget": 1.0}])
+def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
+    inputs = {"push": lambda t: pushed(t, 0.001)}
+    with pytest.raises(SolverError, match=r"agree exactly, but missed .* from 50.000\d+ s on"):
+        simulate(at_rest(), inputs=inputs, **goal)
+
+
+@pytest.mark.usefixtures("no_pulse_is_looked_for")
+def test_check_sees_a_push_that_the_checked_run_missed():
+    """The checking run evaluates the equations inside every output interval.
+
+    Which run is checked depends on the times that were measured; none may be wrong.
+    """
+    with suppress(SolverError):  # which says how far apart the two runs are
+        run = simulate(at_rest(), inputs={"push": lambda t: pushed(t, 0.004)}, accuracy=1e-4)
+        assert_swings(run, 0.004)
+
+
+def test_exact_agreement_is_confirmed_where_nothing_changes():
+    still = cosim.InputSeries(("push",), [0.0, 100.0], [[0.0], [0.0]])
+    run = simulate(at_rest(), inputs=still, accuracy=1e-4)
+    assert run.stats["error_estimate"] == 0
+    assert isinstance(run.stats, RunStats)
