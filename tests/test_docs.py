@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # "```python fragment" is a part of something that stands elsewhere
 FENCE = re.compile(r"^```(\w+)(?! fragment)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
-EXTRAS = ("zarr", "xarray", "pandas", "dask", "viser", "libcosimpy", "ecospy")
+EXTRAS = ("zarr", "xarray", "pandas", "dask", "meshcat", "libcosimpy", "ecospy")
 
 
 def blocks(page, *languages):

@@ -36,7 +36,7 @@ def test_fmu_is_shown_by_the_model_that_it_is_named_after(tmp_path):
 def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr(
-        "cosim.present.playback.animate.animate",
+        "cosim.cli.verbs.animate.animate",
         lambda runs, *_, **__: shown.extend(runs) or tmp_path / "x",
     )
     values = ("-p", "thetaR_dot=-12,-14,-16", "--stop-time", "0.1")
@@ -70,7 +70,7 @@ def test_wrong_options_exit_with_their_code(words, code, expected, capsys, tmp_p
 
 
 def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
+    monkeypatch.setitem(sys.modules, "meshcat", None)
     code = animate("crank_shaft", "--stop-time", "0.1", "-o", tmp_path / "x.html")
     assert code == 5
     assert 'pip install "cosim-rigid[animate]"' in capsys.readouterr().err

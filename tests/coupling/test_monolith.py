@@ -7,6 +7,7 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from cosim.coupling.files import read_system
+from cosim.drawing.pose import motion
 from cosim.errors import UsageError
 
 FOLDER = "examples/coupled"
@@ -102,6 +103,8 @@ def test_events_limits_and_drawings_of_parts_are_kept():
     assert system.dae.limits[0][1].startswith("bicycle: ")
     assert len(system.dae.drawing.shapes) == len(bicycle.drawing.shapes)
     assert {"world", "bicycle.fork"} <= {body.name for body in system.dae.drawing.bodies}
+    known = {v.name for v in (*system.dae.variables, *system.dae.parameters)}
+    assert {symbol.name() for symbol in ca.symvar(motion(system.dae.drawing))} <= known
 
 
 def test_joint_cut_pendulum_starts_at_its_hinge():

@@ -1,102 +1,106 @@
-"""The HTML file in a browser: bodies stand where the run says, nothing is asked of the network."""
-
-import re
-import shutil
-import subprocess
+"""Pages in a browser: bodies stand where the run says, sliders compute, nothing is requested."""
 
 import numpy as np
 import pytest
+from helpers.browser import CHROMIUM, opened
 from helpers.scenes import spinning
-from PIL import Image
 
 import cosim
 from cosim.drawing.camera import View, camera_for, scale_of
 from cosim.present.playback.animate import animate
-from cosim.present.playback.html import html
+from cosim.present.playback.page import DISTANCE, page
 from cosim.present.playback.playback import playback
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-SIZE = 900, 700
-HALF_ANGLE = np.radians(75 / 2)  # viser's camera
+SYSTEMS = {
+    "crank_shaft": "alpha",
+    "bar_on_frame": "theta",
+    "bicycle": "phi_dot",
+    "disk_two_bars": "theta1",
+    "double_pendulum": "m",
+}
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt-get install chromium"),
 ]
 
-
-def picture(page, folder, milliseconds):
-    """Return what the browser shows after some time, (rows, columns, 3), and what it logged."""
-    target = folder / "shot.png"
-    options = (
-        "--headless=new --no-sandbox --disable-dev-shm-usage --use-gl=angle --hide-scrollbars "
-        "--use-angle=swiftshader --enable-unsafe-swiftshader --enable-logging=stderr "
-        "--host-resolver-rules=MAP*~NOTFOUND --disable-background-networking"
-    ).replace("MAP*~", "MAP * ~")
-    words = re.split(r" (?=--)", options)
-    for attempt in range(3):  # headless Chromium hangs now and then, whatever the page
-        command = [
-            CHROMIUM,
-            *words,
-            f"--window-size={SIZE[0]},{SIZE[1]}",
-            f"--user-data-dir={folder / f'profile {attempt}'}",
-            f"--virtual-time-budget={milliseconds}",
-            f"--screenshot={target}",
-            page.as_uri(),
-        ]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-            break
-        except subprocess.TimeoutExpired:
-            continue
-    else:
-        pytest.skip("headless Chromium hung three times on this machine")
-    with Image.open(target) as shot:
-        return np.asarray(shot.convert("RGB")).astype(int), done.stderr
+FRAMES = "for (let k = 0; k < 4; ++k) await new Promise(requestAnimationFrame);"
 
 
-def problems(log):
-    """Return what the page itself complains of."""
-    lines = [line for line in log.splitlines() if "CONSOLE" in line]
-    return [line for line in lines if "ERR_" in line or "Uncaught" in line or "rror:" in line]
+def asked(path, code, folder):
+    """Return what JavaScript returns in a page that has no complaint and requests nothing."""
+    pytest.importorskip("websockets")
+    with opened(path, folder) as page:
+        found = page.ask(code)
+        assert page.messages == []
+        assert [
+            url for url in page.requests if not url.startswith(("file:", "blob:", "data:"))
+        ] == []
+    return found
 
 
 @pytest.mark.parametrize("angle", [0.4, 2.0])
 def test_a_known_point_is_where_the_run_says(angle, tmp_path):
-    pytest.importorskip("viser")
     run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
     played = playback(run, run.drawing, times=[angle / 4.0])
-    page = tmp_path / "x.html"
-    page.write_text(html([played]), encoding="utf-8")
-    shot, log = picture(page, tmp_path, 3000)
-    assert not problems(log)
-
-    camera = camera_for(played.world, View.ISO, scale_of([played], None))
+    path = tmp_path / "x.html"
+    path.write_text(page([played], [run]), encoding="utf-8")
+    code = """
+        const { scene } = player, { shapes } = scene.actors[0];
+        const mark = shapes.find((shape) => shape.solid.name === "mark");
+        scene.scene.updateMatrixWorld(true);
+        const at = new THREE.Vector3().setFromMatrixPosition(mark.group.matrixWorld);
+        const seen = at.clone().project(scene.camera);
+        return [...at.toArray(), seen.x * scene.camera.aspect, seen.y];
+    """
+    found = asked(path, code, tmp_path)
     mark = np.array([0.5 * np.cos(angle), 0.5 * np.sin(angle), 1.0])
-    local = (mark - camera.eye) @ camera.axes.T
-    rows, columns = shot.shape[:2]
-    pixels = rows / 2 / np.tan(HALF_ANGLE)
-    wanted = np.array([rows / 2 + pixels * local[1] / local[2],
-                       columns / 2 - pixels * local[0] / local[2]])  # fmt: skip
-    r, g, b = np.moveaxis(shot, -1, 0)
-    blue = np.argwhere((b > 1.4 * g) & (b > 2.5 * r) & (b > 60))  # the mark's #0072B2
-    assert len(blue) > 30
-    assert (
-        np.linalg.norm(blue.mean(axis=0) - wanted) < 0.05 * rows
-    )  # a part of the mark is hidden by the disk
+    camera = camera_for(played.world, View.ISO, scale_of([played], None), DISTANCE)
+    np.testing.assert_allclose(found, [*mark, *camera.seen(mark)[:2]], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "model", ["crank_shaft", "bar_on_frame", "bicycle", "disk_two_bars", "double_pendulum"]
-)
-def test_every_system_moves_in_the_browser(model, tmp_path):
-    pytest.importorskip("viser")
+@pytest.mark.parametrize("model", SYSTEMS)
+def test_a_slider_of_a_system_computes_the_run_that_the_fmu_gives(model, tmp_path):
+    pytest.importorskip("ziglang")
+    dae = cosim.load(model)
+    path = animate(dae, tmp_path / "x.html")
+    assert path.stat().st_size < 1.5e6
+    name = SYSTEMS[model]
+    code = f"""
+        const slider = document.getElementById("setting {name}");
+        slider.value = Number(slider.value) + 0.25 * (slider.max - slider.value);
+        slider.dispatchEvent(new Event("input"));
+        const setting = player.data.live.settings.find((s) => s.name === "{name}");
+        {FRAMES}
+        const {{ time, values }} = player.results[0].curves;
+        return [slider.valueAsNumber / setting.factor, location.hash, Array.from(time),
+                player.data.columns.map((c) => c.name), values.map((v) => Array.from(v))];
+    """
+    chosen, link, time, names, values = asked(path, code, tmp_path)
+    assert link == f"#{name}={chosen!r}"
+    fmu = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    run = cosim.simulate_fmu(
+        fmu, interface="CoSimulation", start_values={name: chosen}, outputs=names
+    )
+    np.testing.assert_array_equal(time, run.time)
+    for name, found in zip(names, values, strict=True):
+        size = max(np.abs(run[name]).max(), run.column(name).nominal)
+        np.testing.assert_allclose(found, run[name], rtol=0, atol=1e-9 * size, err_msg=name)
+
+
+@pytest.mark.parametrize("model", SYSTEMS)
+def test_every_recorded_system_moves_in_the_browser(model, tmp_path):
     run = cosim.simulate(cosim.load(model), compiled=False)
-    page = animate(run, tmp_path / "x.html")
-    first, log = picture(page, tmp_path, 2500)
-    second, more = picture(page, tmp_path, 4500)
-    assert not problems(log + more)
-    for shot in (first, second):
-        colored = (np.ptp(shot, axis=2) > 60)[150:, 150:-150]
-        assert colored.sum() > 300  # not blank
-    assert (np.abs(first - second).max(axis=2) > 40)[150:-60].sum() > 100  # not the same
+    path = animate(run, tmp_path / "x.html")
+    code = f"""
+        const {{ bodies }} = player.scene.actors[0];
+        const seen = () => bodies.map(({{ body }}) => body.matrixWorld.toArray());
+        player.go(player.begin);
+        {FRAMES}
+        const first = JSON.stringify(seen());
+        player.go(0.4 * player.end);
+        {FRAMES}
+        return [first !== JSON.stringify(seen()), player.curves.charts.length > 0, player.t];
+    """
+    found = asked(path, code, tmp_path)
+    assert found == [True, True, pytest.approx(0.4 * run.time[-1])]

@@ -36,6 +36,11 @@ def solver_source(*names: str) -> str:
     return _unfolded(solver_sources(), names)
 
 
+def page_source() -> bytes:
+    """Return the C source of a page that computes."""
+    return (files("cosim._fmu") / "page" / "page.c").read_bytes()
+
+
 def master_source(*names: str) -> str:
     """Return headers of the FMU master, e.g. "co_simulation.h", with their includes."""
     own = (e for e in (files("cosim._fmu") / "master").iterdir() if e.name.endswith(".h"))

@@ -128,8 +128,11 @@ def compile_library(
         MissingTool: There is no compiler, or it fails; the message quotes its last lines.
     """
     compiler = tuple(command or find_compiler())
-    flags, libraries = FLAGS, ("-lm",)
-    if sys.platform == "win32" and "ziglang" not in compiler:  # Clang rejects both there
+    flags: tuple[str, ...] = FLAGS
+    libraries: tuple[str, ...] = ("-lm",)
+    if target.suffix == ".wasm":  # a program without `main`
+        flags = tuple(flag for flag in FLAGS if flag != "-shared")
+    elif sys.platform == "win32" and "ziglang" not in compiler:  # Clang rejects both there
         flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
     arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
     files = [*map(str, sources), "-o", str(target), *libraries]

@@ -150,8 +150,15 @@ def _renamed(part: str, dae: Dae, time: SX) -> Dae:
     def named_variable(v: Variable) -> Variable:
         return replace(v, name=f"{part}.{v.name}")
 
+    def with_longer_names(drawn: list[SX]) -> list[SX]:
+        symbols = ca.symvar(ca.veccat(SX(0, 1), *drawn))
+        moving = [s for s in symbols if s.name() != "time"]
+        longer = [SX.sym(f"{part}.{s}") for s in moving]
+        return ca.substitute(drawn, moving, longer) if moving else drawn
+
     changed = dae.rewritten(in_new_symbols)
-    inertias, drawing = rewritten((dae.inertias, dae.drawing), in_new_symbols)
+    inertias = rewritten(dae.inertias, in_new_symbols)
+    drawing = rewritten(dae.drawing, with_longer_names)  # it knows variables by name
     return replace(
         changed,
         name=part,

@@ -15,7 +15,7 @@ from cosim.drawing.pose import Load, Poses
 from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
-_HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
+HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
 _NEAR = 2.6  # distance of a camera from the center over `Scale.size`
 
 
@@ -55,7 +55,7 @@ class Camera:
         local = (points - self.eye) @ self.axes.T
         distance = -local[..., 2]
         near = np.maximum(distance, 1e-6)
-        flat = local[..., :2] / (tan(_HALF_ANGLE) * near[..., None])
+        flat = local[..., :2] / (tan(HALF_ANGLE) * near[..., None])
         return np.concatenate([flat, distance[..., None]], axis=-1)
 
     def faces(self, corners: Vector, colors: Vector) -> tuple[Vector, Vector]:

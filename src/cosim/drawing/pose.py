@@ -9,13 +9,20 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae, Drawing
-from casadi_models.dae.drawing import Shape, World
+from casadi_models.dae.drawing import WORLD, Body, Shape, World
+from casadi_models.dae.scenery import DARK
 from casadi_models.units import convert
 from cosim.arrays import Vector
 from cosim.codegen.initialization import usual_start
 from cosim.drawing.rotation import continuous, onto, to_matrices, to_quaternions
 from cosim.errors import UsageError
 from cosim.series.samples import resample
+
+# The drawing of a model without shapes, on pages that show its curves
+POINT = Drawing(
+    bodies=(Body(WORLD, SX.zeros(3, 1), SX(SX.eye(3))),),
+    shapes=(Shape("point", WORLD, "sphere", SX(0), SX.zeros(3, 1), SX([0, 0, 1]), DARK),),
+)
 
 
 @dataclass(frozen=True)

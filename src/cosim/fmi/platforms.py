@@ -22,8 +22,8 @@ class Target:
     """One processor and system that code is compiled for.
 
     Attributes:
-        processor: "x86_64" or "aarch64".
-        system: "linux", "windows" or "darwin".
+        processor: "x86_64", "aarch64", or "wasm32" for a page.
+        system: "linux", "windows", "darwin", or "wasi" for a page in a browser.
         triple: What the bundled compiler calls it; empty for the machine's own compiler.
     """
 
@@ -59,10 +59,9 @@ class Target:
     def options(self, library: str, compiler: Sequence[str]) -> tuple[str, ...]:
         """Return the compiler's options for a library of this name that runs on every processor."""
         name = (f"-Wl,-install_name,@rpath/{library}",) if self.system == "darwin" else ()
-        processors = [_TABLES["baselines"][self.processor]]
-        if any(Path(word).stem.startswith("zig") for word in compiler):
-            processors = [_TABLES["baselines"]["zig"]]
-        elif self.system == "darwin" and self.processor == "aarch64":
+        bundled = any(Path(word).stem.startswith("zig") for word in compiler)
+        processors = [_TABLES["baselines"]["zig" if bundled else self.processor]]
+        if self.system == "darwin" and self.processor == "aarch64" and not bundled:
             processors = []  # whose first of the kind is what Apple's compiler takes
         unused_code_out = _TABLES["systems"][self.system]["unused_code_out"]
         return (*_TABLES["options"], *processors, *unused_code_out, *name)
@@ -72,6 +71,7 @@ PLATFORMS: dict[str, tuple[Target, ...]] = {
     name: tuple(Target(*facts) for facts in members)
     for name, members in _TABLES["platforms"].items()
 }
+WEB_PAGE = Target("wasm32", "wasi", "wasm32-wasi")
 NATIVE = "native"
 ALL_PLATFORMS = "all"
 

@@ -23,7 +23,7 @@ from cosim.model.reduction import size
 from cosim.model.values import plain_values
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
-from cosim.present.playback.html import html as playback_page
+from cosim.present.playback.page import page as playback_page
 from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.text import html_table
@@ -113,7 +113,7 @@ def _bodies(c: ReportContents) -> Iterable[str]:
     yield _svg(draw_pose([still], [0], follow=""), "At the start; lines are the paths of points.")
     try:
         played = playback(c.shown, c.shown.drawing)
-        page = html.escape(playback_page([played]), quote=True)
+        page = html.escape(playback_page([played], [c.shown]), quote=True)
         yield f'<iframe class="screen" title="playback" srcdoc="{page}"></iframe>'
     except MissingTool as error:
         yield f'<p class="note">Without playback: {html.escape(str(error))}</p>'

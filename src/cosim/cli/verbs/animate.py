@@ -2,12 +2,16 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 
+from casadi_models.dae import Dae
 from cosim.cli.arguments import names_in, numbers_in, start_numbers
 from cosim.cli.runs import runs_of, size_of
+from cosim.errors import UsageError
 from cosim.model.catalogue import load
 from cosim.present.playback.animate import animate, animation_format, guessed_model
+from cosim.scene.scene import Scene
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,14 +28,14 @@ def run(args: argparse.Namespace) -> int:
                 "those of -p",
                 file=sys.stderr,
             )
-    runs, _, code = runs_of(args, everything=args.outputs is None)
+    runs, scenes, code = runs_of(args, everything=args.outputs is None)
     model = args.shown_model
     if any(run.drawing is None for run in runs):  # parameters of the run of an FMU, or of a result
         values = start_numbers(args, None if model is None else load(model))
         known = [{**(run.numbers or {}), **values} for run in runs]
         runs = [replace(run, numbers=own) for run, own in zip(runs, known, strict=True)]
     path = animate(
-        runs,
+        _live_model(scenes) if args.live else runs,
         args.output_file,
         model=model,
         at=at,
@@ -45,3 +49,15 @@ def run(args: argparse.Namespace) -> int:
     if not args.quiet:
         print(path, file=sys.stderr)
     return code
+
+
+def _live_model(scenes: Sequence[Scene | None]) -> Dae:
+    """Return the model of a page that computes."""
+    scene = scenes[0]
+    if len(scenes) > 1 or scene is None:
+        raise UsageError("--live needs a single model or scene")
+    request = scene.request.reduced()
+    if request.inputs is not None:
+        names = ", ".join(request.inputs.names)
+        raise UsageError(f"--live: {names} follows a table; give a number or a formula instead")
+    return request.configured()

@@ -17,9 +17,10 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
 import casadi_models
 from casadi_models.dae import Dae, Drawing
+from cosim.api import simulate
 from cosim.drawing.camera import View
 from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
-from cosim.drawing.pose import Poses
+from cosim.drawing.pose import POINT, Poses
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
@@ -27,7 +28,8 @@ from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import load
 from cosim.model.request import choice
 from cosim.plotting import picture
-from cosim.present.playback.html import html
+from cosim.present.playback.live import live_part
+from cosim.present.playback.page import page as html_page
 from cosim.present.playback.playback import FRAMES_PER_SECOND, playback
 from cosim.trajectory import Trajectory
 
@@ -50,7 +52,11 @@ class AnimationFormat(StrEnum):
     @property
     def frames_per_second(self) -> float:
         """Smallest number of frames in a second of playback."""
-        return {AnimationFormat.GIF: 15.0, AnimationFormat.MP4: 25.0}.get(self, FRAMES_PER_SECOND)
+        return {
+            AnimationFormat.GIF: 15.0,
+            AnimationFormat.MP4: 25.0,
+            AnimationFormat.HTML: 100.0,
+        }.get(self, FRAMES_PER_SECOND)
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class Animation:
 
 
 def animate(
-    runs: Trajectory | Sequence[Trajectory],
+    runs: Trajectory | Sequence[Trajectory] | Dae,
     target: str | os.PathLike[str] | None = None,
     *,
     model: Dae | str | None = None,
@@ -85,7 +91,8 @@ def animate(
     """Show runs in three dimensions.
 
     Args:
-        runs: One run, or several of one scene; all but the first are pale ghosts.
+        runs: One run, or several of one scene; all but the first are pale ghosts. A model makes a
+            page that computes: it has sliders for start values, inputs and parameters.
         target: File name that ends with .html, .mp4, .gif, .png, .svg or .pdf; if None, the result
             is an object that a notebook shows.
         model: Model whose shapes are drawn, as a Dae or a name that `load` accepts, for runs that
@@ -115,25 +122,29 @@ def animate(
         >>> animate(cosim.simulate("crank_shaft", stop_time=0.1), "crank.png").name
         'crank.png'
     """
-    shown = [runs] if isinstance(runs, Trajectory) else list(runs)
-    if not shown or not all(isinstance(run, Trajectory) for run in shown):
-        raise UsageError.of_type("animate", runs, "results of simulate or simulate_fmu")
+    live = runs if isinstance(runs, Dae) else None
+    shown = _shown(runs)
     kind = AnimationFormat.HTML if target is None else animation_format(target)
     look: dict[str, Any] = {"view": choice(View, "view", view), "follow": follow}
     if not speed > 0:
         raise UsageError(f"animate: speed {speed:g} is not positive; give a number above 0")
     if at is not None and not kind.still:
         raise UsageError(f"animate: at= needs a still picture; name a .png file, not .{kind}")
+    if live is not None and kind is not AnimationFormat.HTML:
+        raise UsageError(f"animate: only a page computes; name an .html file, not .{kind}")
     times = None
     if kind.still:
         times = [float(time) for time in (shown[0].time[:1] if at is None else at)]
+    rate = {"frames_per_second": kind.frames_per_second, "speed": speed}
     played: list[Poses] = []
     for run in shown:
         if played:
             times = [min(max(t, run.time[0]), run.time[-1]) for t in played[0].time.tolist()]
-        rate = {"frames_per_second": kind.frames_per_second, "speed": speed}
         beside = () if played else labels
-        played.append(playback(run, drawing_of(run, model), times=times, labels=beside, **rate))
+        drawing = drawing_of(run, model)
+        if not drawing and kind is AnimationFormat.HTML:
+            drawing = POINT
+        played.append(playback(run, drawing, times=times, labels=beside, **rate))
         for note in played[-1].notes:
             warn(f"{run.model}: {note}", stacklevel=2)
     if kind.still:
@@ -141,7 +152,8 @@ def animate(
         still = draw_pose(played, range(len(played[0].time)), size=size, **look)
         content = picture(still, kind, dpi)
     elif kind is AnimationFormat.HTML:
-        page = Animation(html(played, speed=speed, **look))
+        solver = None if live is None else live_part(live, shown[0])
+        page = Animation(html_page(played, shown, speed=speed, live=solver, **look))
         if target is None:
             return page
         content = page.page.encode()
@@ -149,6 +161,16 @@ def animate(
         content = movie(played, kind, speed=speed, size=size, dpi=dpi, **look)
     assert target is not None
     return write_atomically(target, content)
+
+
+def _shown(runs: Trajectory | Sequence[Trajectory] | Dae) -> list[Trajectory]:
+    """Return the runs to show; of a model, its own run."""
+    if isinstance(runs, Dae):
+        return [simulate(runs)]
+    shown = [runs] if isinstance(runs, Trajectory) else list(runs)
+    if not shown or not all(isinstance(run, Trajectory) for run in shown):
+        raise UsageError.of_type("animate", runs, "results of simulate or simulate_fmu")
+    return shown
 
 
 def animation_format(target: str | os.PathLike[str]) -> AnimationFormat:

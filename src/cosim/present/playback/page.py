@@ -1,0 +1,205 @@
+"""Playback as one HTML file: bodies in three dimensions, curves, and, if asked for, the solver.
+
+The viewer is three.js as the package meshcat ships it, the curves are those of uPlot.
+"""
+
+import base64
+import gzip
+import html
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from importlib.util import find_spec
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from casadi_models.units import UNITS
+from cosim.colors import CURVES, INVALID_BODY
+from cosim.drawing.camera import HALF_ANGLE, Scale, View, camera_for, scale_of
+from cosim.drawing.pose import Poses
+from cosim.drawing.rotation import to_matrices
+from cosim.errors import MissingTool
+from cosim.series.samples import Column, resample
+from cosim.trajectory import Trajectory
+
+_SCRIPTS = ("scene.js", "curves.js", "live.js", "player.js")
+_PACKAGES = {
+    "meshcat": ("viewer/dist/main.min.js",),
+    "uplot": ("static/uPlot.iife.js", "static/uPlot.min.css"),
+}
+_CURVES_AT_FIRST = 3
+_SIMILAR = 10  # times the range of the first curve that further ones may have
+DISTANCE = 3.2  # of the camera from the middle of what is seen, over half its size
+
+
+def page(
+    played: Sequence[Poses],
+    runs: Sequence[Trajectory],
+    *,
+    follow: str | None = None,
+    view: View = View.ISO,
+    speed: float = 1.0,
+    live: Mapping[str, Any] | None = None,
+) -> str:
+    """Return a self-contained page that plays runs; the first is in full color, others are ghosts.
+
+    Args:
+        played: The poses of each run.
+        runs: The runs, whose variables are the curves.
+        follow, view, speed: See `animate`.
+        live: What the page computes instead of playing the run; see `live_part`.
+
+    Raises:
+        MissingTool: meshcat or uplot-python is not installed.
+    """
+    three, plots, style = _packages()
+    own = files("cosim.present.playback") / "page"
+    scripts = [three, plots, *((own / name).read_text(encoding="utf-8") for name in _SCRIPTS)]
+    facts = _facts(played, runs, scale_of(played, follow), view)
+    facts |= {"speed": speed, "follow": _followed(played[0], follow), "live": live}
+    names = [column.name for column in runs[0].columns]
+    if live:
+        facts["title"] = runs[0].model
+    recorded = () if live else zip(played, runs, strict=True)
+    facts["runs"] = [_run(poses, run, names) for poses, run in recorded] or [{}]
+    content = {
+        "TITLE": html.escape(played[0].title),
+        "STYLE": style + (own / "page.css").read_text(encoding="utf-8"),
+        "DATA": json.dumps(facts, allow_nan=False).replace("<", "\\u003c"),
+        "SCRIPTS": "\n".join(f"<script>{text}</script>" for text in scripts),
+    }
+    text = (own / "page.html").read_text(encoding="utf-8")
+    for name, part in content.items():
+        before, _, after = text.partition(f"@{name}@")
+        text = f"{before}{part}{after}"
+    return text
+
+
+def _packages() -> list[str]:
+    """Return three.js, uPlot and its style."""
+    texts = []
+    for package, names in _PACKAGES.items():
+        found = find_spec(package)
+        places = found.submodule_search_locations if found else None
+        for name in names:
+            path = Path(places[0] if places else "", name)
+            if not path.is_file():
+                raise MissingTool(
+                    f"the {package} that pages need is not installed; "
+                    'bring it with: pip install "cosim-rigid[animate]"'
+                )
+            texts.append(path.read_text(encoding="utf-8"))
+    return texts
+
+
+def _facts(
+    played: Sequence[Poses], runs: Sequence[Trajectory], scale: Scale, view: View
+) -> dict[str, Any]:
+    """Return all but the numbers of the runs' bodies and curves."""
+    first, world = played[0], played[0].world
+    camera = camera_for(world, view, scale, DISTANCE)
+    up = np.array(world.up) / np.linalg.norm(world.up)
+    labels = [name for name, _, _ in first.labels]
+    columns = runs[0].columns
+    names = [column.name for column in columns]
+    spans = np.ptp(runs[0].values, axis=0)
+    moving = [i for i, span in enumerate(spans) if span > 0]
+    similar = [i for i in moving if columns[i].unit == columns[moving[0]].unit
+             and spans[i] < _SIMILAR * spans[moving[0]]]  # fmt: skip
+    chosen = [names.index(name) for name in labels] or similar[:_CURVES_AT_FIRST]
+    return {
+        "title": first.title,
+        "bodies": first.bodies,
+        "solids": [
+            {
+                "name": s.name,
+                "body": s.body,
+                "kind": s.kind,
+                "color": s.color,
+                "numbers": len(s.size),
+            }
+            for s in first.solids
+        ],
+        "flat": not any(any(s.size) for s in first.solids),
+        "loads": [
+            {
+                "name": load.name,
+                "meaning": load.meaning,
+                "unit": load.display_unit,
+                "factor": _factor(load.unit, load.display_unit),
+                "color": load.color,
+                "per_unit": scale.per_unit[load.unit],
+            }
+            for load in first.loads
+        ],
+        "paths": [{"name": path.name, "color": path.color} for path in first.paths],
+        "world": {"up": world.up, "axes": world.axes, "ground": world.ground},
+        "camera": {
+            "eye": camera.eye.tolist(),
+            "center": scale.center.tolist(),
+            "field": float(np.degrees(2 * HALF_ANGLE)),
+        },
+        "size": scale.size,
+        "pose": scale.pose,
+        "cell": scale.cell,
+        "floor": float((scale.corners @ up).min()),
+        "colors": CURVES,
+        "invalid_color": INVALID_BODY,
+        "labels": [names.index(name) for name in labels],
+        "chosen": chosen,
+        "columns": [column_facts(column) for column in columns],
+    }
+
+
+def column_facts(column: Column) -> dict[str, Any]:
+    """Return what a page knows of a variable."""
+    factor = _factor(column.unit, column.display_unit or column.unit)
+    return {
+        "name": column.name,
+        "meaning": column.meaning,
+        "unit": column.shown_unit,
+        "factor": factor,
+    }
+
+
+def _factor(unit: str, display_unit: str) -> float:
+    return UNITS[unit].factor / UNITS[display_unit].factor
+
+
+def _followed(first: Poses, follow: str | None) -> int:
+    name = first.world.follow if follow is None else follow
+    return first.bodies.index(name) if name else -1
+
+
+def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]:
+    """Return a recorded run; its numbers are those that scene.js and player.js read."""
+    n = len(played.time)
+    turns = to_matrices(played.quaternions).swapaxes(2, 3).reshape(n, -1, 9)
+    parts = [np.concatenate([played.places, turns], axis=2).reshape(n, -1)]
+    parts += [np.hstack([load.at, load.vector]) for load in played.loads]
+    parts += [resample(run.time, path.points, played.time)[0] for path in played.paths]
+    rows = np.hstack(parts)
+    known, missing = {**run}, np.full(len(run), np.nan)
+    curves = (known.get(name, missing) for name in names)
+    numbers = np.concatenate([played.time, rows.T.ravel(), run.time, *curves]).astype("<f4")
+    shapes = [[*s.size, *s.at.tolist(), *s.rotation[:, 2].tolist()] for s in played.solids]
+    return {
+        "title": played.title,
+        "packed": packed(numbers.tobytes()),
+        "n": n,
+        "m": len(run.time),
+        "width": rows.shape[1],
+        "shapes": [number for shape in shapes for number in shape],
+        "events": [[event.time, event.name] for event in run.events],
+        "invalid_from": played.invalid_from if isfinite(played.invalid_from) else None,
+        "reasons": played.reasons,
+        "stopped": run.status != "complete",
+    }
+
+
+def packed(content: bytes) -> str:
+    """Return bytes as the page unpacks them; the same bytes give the same text."""
+    return base64.b64encode(gzip.compress(content, mtime=0)).decode()

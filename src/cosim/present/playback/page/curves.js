@@ -1,0 +1,115 @@
+"use strict";
+/* Curves of the chosen variables, one chart for each unit, with a mark at the present time. */
+
+/* Values at times, linear between samples; null outside. */
+function sampled(times, samples, wanted) {
+  return Array.from(wanted, (t) => {
+    if (t < times[0] || t > times[times.length - 1]) return null;
+    const [i, j, s] = station(times, t);
+    return samples[i] + s * (samples[j] - samples[i]);
+  });
+}
+
+class Curves {
+  constructor(data, place, choice, jump) {
+    this.data = data;
+    this.place = place;
+    this.jump = jump;
+    this.charts = [];
+    this.chosen = new Set(data.chosen);
+    data.columns.forEach((column, k) => {
+      const line = document.createElement("label"), box = document.createElement("input");
+      box.type = "checkbox";
+      box.checked = this.chosen.has(k);
+      box.addEventListener("change", () => {
+        if (box.checked) this.chosen.add(k); else this.chosen.delete(k);
+        this.build();
+      });
+      line.append(box, ` ${column.name}`);
+      line.title = `${column.meaning} [${column.unit}]`;
+      choice.append(line);
+    });
+  }
+
+  take(results) {
+    this.results = results;
+    if (this.charts.length) this.fill(); else this.build();
+  }
+
+  build() {
+    for (const { plot } of this.charts) plot.destroy();
+    const units = new Map();
+    for (const k of [...this.chosen].sort((a, b) => a - b)) {
+      const { unit } = this.data.columns[k];
+      units.set(unit, [...(units.get(unit) || []), k]);
+    }
+    this.charts = [...units].map(([unit, columns]) => this.chart(unit, columns));
+    this.fill();
+  }
+
+  chart(unit, columns) {
+    const style = getComputedStyle(document.body), { colors } = this.data;
+    const color = style.getPropertyValue("--ink"), faint = style.getPropertyValue("--faint");
+    const axis = { stroke: color, grid: { stroke: faint, width: 1 }, ticks: { stroke: faint } };
+    const lines = this.results.flatMap((run, i) => columns.map((k, position) => ({
+      label: this.data.columns[k].name + (i ? ` (${run.title})` : ""),
+      stroke: colors[position % colors.length],
+      dash: i ? [4 + 2 * i, 4] : undefined,
+      width: i ? 1 : 1.8,
+      points: { show: false },
+      value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit === "1" ? "" : unit}`),
+    })));
+    const options = {
+      width: this.place.clientWidth, height: 170, legend: { live: true }, cursor: { drag: { x: false, y: false } },
+      scales: { x: { time: false } },
+      series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${shown(v)} s`) }, ...lines],
+      axes: [{ ...axis, size: 34 }, { ...axis, size: 62, label: unit === "1" ? "" : unit, labelSize: 18,
+        values: (_, ticks) => ticks.map(shown) }],
+    };
+    const plot = new uPlot(options, [[]], this.place);
+    plot.over.addEventListener("click", (e) => this.jump(plot.posToVal(e.offsetX, "x")));
+    const mark = plot.over.appendChild(document.createElement("div"));
+    mark.className = "moment";
+    return { plot, columns, mark };
+  }
+
+  fill() {
+    const { time } = this.results[0].curves;
+    for (const chart of this.charts) {
+      const rows = this.results.flatMap(({ curves }, i) => chart.columns.map((k) => {
+        const { factor } = this.data.columns[k], own = curves.values[k];
+        const values = i ? sampled(curves.time, own, time) : Array.from(own);
+        return values.map((v) => (Number.isFinite(v) ? v * factor : null));
+      }));
+      chart.plot.setData([Array.from(time), ...rows]);
+      this.annotate(chart);
+    }
+  }
+
+  /* Lines at events, and a shade where the run is invalid. */
+  annotate({ plot }) {
+    for (const old of plot.over.querySelectorAll(".event, .invalid")) old.remove();
+    const [first] = this.results;
+    const add = (name, time, text) => {
+      const line = plot.over.appendChild(document.createElement("div"));
+      line.className = name;
+      line.title = text;
+      line.style.left = `${plot.valToPos(time, "x")}px`;
+    };
+    for (const [time, text] of first.events) add("event", time, text);
+    if (first.invalid_from !== null) add("invalid", first.invalid_from, first.reasons.join("; "));
+  }
+
+  show(t) {
+    const [row] = station(this.results[0].curves.time, t);
+    for (const { plot, mark } of this.charts) {
+      mark.style.left = `${plot.valToPos(t, "x")}px`;
+      plot.setLegend({ idx: row }, false);
+    }
+  }
+
+  resize() {
+    for (const { plot } of this.charts) plot.setSize({ width: this.place.clientWidth, height: 170 });
+    if (this.results) for (const chart of this.charts) this.annotate(chart);
+  }
+}

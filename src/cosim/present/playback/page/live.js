@@ -1,0 +1,146 @@
+"use strict";
+/* The model's own solver in the page: a slider moves, the whole run is computed anew. */
+
+const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+const unpacked = async (text) =>
+  new Response(new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+
+/* A run of the compiled model; the numbers of `fmu/page/page.c`. */
+class Solver {
+  static async of(live) {
+    const { instance } = await WebAssembly.instantiate(await unpacked(live.program), {});
+    instance.exports._initialize();
+    return new Solver(instance.exports, live);
+  }
+
+  constructor(program, live) {
+    this.program = program;
+    this.live = live;
+    const { references, times, width, settings } = live;
+    this.references = this.stored(Uint32Array.from(references));
+    this.times = this.stored(Float64Array.from(times));
+    this.rows = program.page_room(8 * times.length * width);
+    this.set = program.page_room(4 * settings.length);
+    this.values = program.page_room(8 * settings.length);
+    this.given = program.page_room(12);
+  }
+
+  stored(array) {
+    const place = this.program.page_room(array.byteLength);
+    new array.constructor(this.program.memory.buffer, place, array.length).set(array);
+    return place;
+  }
+
+  /* A run with settings by name, SI; those that are missing keep the model's own values. */
+  run(chosen) {
+    const { program, live } = this, { buffer } = program.memory;
+    const used = live.settings.filter(({ name }) => chosen.has(name));
+    new Uint32Array(buffer, this.set, used.length).set(used.map((s) => s.reference));
+    new Float64Array(buffer, this.values, used.length).set(used.map((s) => chosen.get(s.name)));
+    new Uint32Array(buffer, this.given, 3).set([used.length, this.set, this.values]);
+    const { width, times, references } = live;
+    const reached = program.page_run(this.given, references.length, this.references, times.length,
+      this.times, width, this.rows);
+    const rows = new Float64Array(program.memory.buffer, this.rows, reached * width).slice();
+    const text = new Uint8Array(program.memory.buffer), start = program.page_messages();
+    const messages = new TextDecoder().decode(text.slice(start, text.indexOf(0, start)));
+    return this.result(rows, reached, messages.split("\n").filter(Boolean));
+  }
+
+  result(rows, reached, messages) {
+    const { width, times, references, first, shapes } = this.live;
+    const time = times.slice(0, reached);
+    const column = (k) => Float64Array.from({ length: reached }, (_, i) => rows[i * width + k]);
+    const values = Array.from({ length: references.length - first }, (_, k) => column(first + k));
+    const reasons = messages.map((line) => line.replace(/^\w+: /, ""));
+    const since = messages.map((line) => /from time (\S+) on/.exec(line)).find(Boolean);
+    return {
+      time, rows: rows.subarray(references.length), across: width, down: 1, title: "",
+      shapes: reached ? Array.from(rows.subarray(width - shapes, width)) : [],
+      curves: { time, values }, events: [], reasons,
+      invalid_from: since ? Number(since[1]) : null, stopped: reached < times.length,
+    };
+  }
+}
+
+/* Sliders of start values, inputs and parameters. */
+class Settings {
+  constructor(live, place, changed) {
+    this.live = live;
+    this.changed = changed;
+    this.chosen = new Map();
+    this.lines = new Map();
+    const titles = { input: "Inputs", start: "Start values", parameter: "Parameters" };
+    for (const [kind, title] of Object.entries(titles)) {
+      const own = live.settings.filter((s) => s.kind === kind);
+      if (!own.length) continue;
+      const group = place.appendChild(document.createElement("details"));
+      group.open = own.length <= 12;
+      group.appendChild(document.createElement("summary")).textContent = title;
+      for (const setting of own) group.append(this.line(setting));
+    }
+    this.read();
+  }
+
+  line(setting) {
+    const { name, meaning, unit, factor, low, high } = setting;
+    const line = document.createElement("div"), mark = document.createElement("label");
+    const slider = document.createElement("input"), field = document.createElement("input");
+    line.className = "setting";
+    mark.textContent = name;
+    mark.title = meaning;
+    mark.htmlFor = slider.id = `setting ${name}`;
+    Object.assign(slider, { type: "range", min: low * factor, max: high * factor, step: "any" });
+    Object.assign(field, { type: "number", step: "any" });
+    field.setAttribute("aria-label", `${name}, ${unit}`);
+    const end = document.createElement("span");
+    end.textContent = unit === "1" ? "" : unit;
+    line.append(mark, slider, field, end);
+    slider.addEventListener("input", () => this.choose(setting, slider.valueAsNumber / factor));
+    field.addEventListener("change", () => {
+      if (Number.isFinite(field.valueAsNumber)) this.choose(setting, field.valueAsNumber / factor);
+    });
+    slider.addEventListener("dblclick", () => this.choose(setting, setting.value));
+    this.lines.set(name, { mark, slider, field });
+    this.show(setting);
+    return line;
+  }
+
+  show(setting) {
+    const { mark, slider, field } = this.lines.get(setting.name);
+    const value = this.chosen.has(setting.name) ? this.chosen.get(setting.name) : setting.value;
+    slider.value = value * setting.factor;
+    field.value = Number((value * setting.factor).toPrecision(6));
+    mark.classList.toggle("changed", this.chosen.has(setting.name));
+  }
+
+  choose(setting, value) {
+    if (value === setting.value) this.chosen.delete(setting.name);
+    else this.chosen.set(setting.name, value);
+    this.show(setting);
+    history.replaceState(null, "", this.link);
+    this.changed();
+  }
+
+  reset() {
+    this.chosen.clear();
+    for (const setting of this.live.settings) this.show(setting);
+    history.replaceState(null, "", this.link);
+    this.changed();
+  }
+
+  get link() {
+    const parts = [...this.chosen].map(([name, value]) => `${encodeURIComponent(name)}=${value}`);
+    return `${location.href.split("#")[0]}${parts.length ? "#" : ""}${parts.join("&")}`;
+  }
+
+  /* Takes the settings that the page's address holds. */
+  read() {
+    for (const [name, text] of new URLSearchParams(location.hash.slice(1))) {
+      const setting = this.live.settings.find((s) => s.name === name), value = Number(text);
+      if (!setting || !Number.isFinite(value)) continue;
+      this.chosen.set(name, value);
+      this.show(setting);
+    }
+  }
+}

@@ -1,0 +1,209 @@
+"use strict";
+/* The page: time, buttons and keys; what is seen follows from the runs and the present time. */
+const $ = (name) => document.getElementById(name);
+
+function saved(content, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+class Player {
+  constructor(data, results) {
+    this.data = data;
+    this.speed = data.speed;
+    this.playing = !window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+    document.body.classList.toggle("flat", data.flat);
+    this.scene = new Scene(data, $("view"));
+    this.curves = new Curves(data, $("charts"), $("choice").querySelector("div"), (t) => this.go(t));
+    for (const speed of [...new Set([0.05, 0.1, 0.2, 0.5, 1, 2, 5, data.speed])].sort((a, b) => a - b))
+      $("speed").add(new Option(`${speed} x`, speed, speed === data.speed, speed === data.speed));
+    $("speed").addEventListener("change", (e) => (this.speed = Number(e.target.value)));
+    this.t = results[0].time[0];
+    this.take(results);
+    this.listen();
+    this.resize();
+    this.last = performance.now();
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  take(results) {
+    this.results = results;
+    results.forEach((run, i) => run.time.length && this.scene.actors[i].take(run));
+    const { time } = results[0];
+    [this.begin, this.end] = [time[0], time[time.length - 1]];
+    this.t = Math.min(Math.max(this.t, this.begin), this.end);
+    Object.assign($("time"), { min: this.begin, max: this.end });
+    this.curves.take(results);
+    this.stale = true;
+  }
+
+  go(t) {
+    this.playing = false;
+    this.t = Math.min(Math.max(t, this.begin), this.end);
+    this.stale = true;
+  }
+
+  step(count) {
+    const { time } = this.results[0], [i, j, s] = station(time, this.t);
+    const next = count > 0 ? (s < 1 ? j : j + 1) : s > 0 ? i : i - 1;
+    this.go(time[Math.min(Math.max(next, 0), time.length - 1)]);
+  }
+
+  listen() {
+    const pressed = (button, on) => button.setAttribute("aria-pressed", on);
+    const toggle = (button, act) => button.addEventListener("click", () => {
+      const on = button.getAttribute("aria-pressed") !== "true";
+      pressed(button, on);
+      act(on);
+      this.stale = true;
+    });
+    $("play").addEventListener("click", () => (this.playing = !this.playing));
+    $("back").addEventListener("click", () => this.step(-1));
+    $("forth").addEventListener("click", () => this.step(1));
+    $("time").addEventListener("input", (e) => this.go(e.target.valueAsNumber));
+    $("fit").addEventListener("click", () => { this.scene.fit(); this.stale = true; });
+    toggle($("axes"), (on) => this.scene.axes(on));
+    $("beside").hidden = this.results.length < 2;
+    toggle($("beside"), (on) => this.scene.beside(on));
+    $("picture").addEventListener("click", () =>
+      this.scene.canvas.toBlob((content) => saved(content, `${document.title}.png`)));
+    const keys = {
+      " ": () => (this.playing = !this.playing), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
+      Home: () => this.go(this.begin), End: () => this.go(this.end), "+": () => this.scene.zoom(0.9),
+      "-": () => this.scene.zoom(1.1), r: () => this.scene.fit(), a: () => $("axes").click(),
+    };
+    document.addEventListener("keydown", (e) => {
+      if (e.ctrlKey || e.metaKey || e.altKey || e.target.matches("input, select, button, summary")) return;
+      if (!keys[e.key]) return;
+      e.preventDefault();
+      keys[e.key]();
+      this.stale = true;
+    });
+    const { canvas } = this.scene;
+    for (const name of ["pointermove", "wheel", "pointerdown"])
+      canvas.addEventListener(name, (e) => { this.stale = true; this.point(e); });
+    canvas.addEventListener("pointerleave", () => ($("hover").hidden = true));
+    window.addEventListener("resize", () => this.resize());
+    DARK.addEventListener("change", () => {
+      this.scene.paint();
+      this.curves.build();
+      this.stale = true;
+    });
+  }
+
+  point(event) {
+    const text = event.buttons ? "" : this.scene.at(event.clientX, event.clientY), box = $("hover");
+    box.hidden = !text;
+    box.textContent = text;
+    const place = $("view").getBoundingClientRect();
+    box.style.left = `${event.clientX - place.left + 14}px`;
+    box.style.top = `${event.clientY - place.top + 10}px`;
+  }
+
+  resize() {
+    this.scene.resize();
+    this.curves.resize();
+    this.stale = true;
+  }
+
+  facts() {
+    const parts = [this.data.title];
+    for (const k of this.data.labels) {
+      const { name, factor, unit } = this.data.columns[k], { time, values } = this.results[0].curves;
+      parts.push(`${name} = ${shown(sampled(time, values[k], [this.t])[0] * factor)} ${unit}`);
+    }
+    $("facts").textContent = parts.join("\n");
+    for (const run of this.results) {
+      const invalid = run.invalid_from !== null && this.t >= run.invalid_from;
+      for (const reason of run.reasons.filter(() => invalid || run.stopped)) {
+        const line = $("facts").appendChild(document.createElement("div"));
+        line.className = "alarm";
+        line.textContent = `${run.stopped ? "stopped" : "invalid"}: ${reason}`;
+      }
+    }
+    const event = this.results[0].events.filter(([time]) => time <= this.t).pop();
+    if (event && this.t - event[0] < 0.5 * this.speed)
+      $("facts").appendChild(document.createElement("div")).textContent = event[1];
+  }
+
+  frame(now) {
+    const passed = Math.min(0.1, (now - this.last) / 1000);
+    this.last = now;
+    if (this.playing && this.end > this.begin) {
+      this.t += passed * this.speed;
+      if (this.t > this.end) this.t = this.begin;
+      this.stale = true;
+    }
+    if (this.stale) {
+      this.stale = false;
+      this.scene.draw(this.t);
+      this.curves.show(this.t);
+      this.facts();
+      $("time").value = this.t;
+      $("now").textContent = `${this.t.toFixed(this.end - this.begin < 1 ? 4 : 2)} s`;
+      $("play").textContent = this.playing ? "pause" : "play";
+    }
+    requestAnimationFrame((next) => this.frame(next));
+  }
+}
+
+/* A recorded run: all of it in one packed array of 4-byte floats, column by column. */
+async function recorded(run, columns) {
+  const numbers = new Float32Array(await unpacked(run.packed)), { n, m, width } = run;
+  let next = 0;
+  const take = (count) => numbers.subarray(next, (next += count));
+  const time = take(n), rows = take(n * width), curve_time = take(m);
+  const values = Array.from({ length: columns }, () => take(m));
+  return { ...run, time, rows, across: 1, down: n, curves: { time: curve_time, values } };
+}
+
+async function begin() {
+  const data = JSON.parse($("data").textContent);
+  if (!data.live) {
+    const results = await Promise.all(data.runs.map((run) => recorded(run, data.columns.length)));
+    window.player = new Player(data, results);
+    return;
+  }
+  const solver = await Solver.of(data.live);
+  let waiting = false, latest = null;
+  const compute = () => {
+    const start = performance.now();
+    const result = solver.run(settings.chosen);
+    $("cost").textContent = `computed in ${shown(performance.now() - start)} ms`;
+    if (result.time.length) return (latest = result);
+    $("cost").textContent = result.reasons.join("; ") || "the model cannot start with these values";
+    return null;
+  };
+  const settings = new Settings(data.live, $("live"), () => {
+    if (waiting) return;
+    waiting = true;
+    requestAnimationFrame(() => {
+      waiting = false;
+      const result = compute();
+      if (result) window.player.take([result]);
+    });
+  });
+  $("live").hidden = false;
+  if (!compute()) {
+    settings.reset();
+    compute();
+  }
+  window.player = new Player(data, [latest]);
+  window.solver = solver;
+  $("reset").addEventListener("click", () => settings.reset());
+  $("link").addEventListener("click", () =>
+    navigator.clipboard ? navigator.clipboard.writeText(settings.link) : prompt("link", settings.link));
+  $("csv").addEventListener("click", () => {
+    const { time, values } = latest.curves, head = ["time", ...data.columns.map((c) => c.name)].join();
+    const lines = Array.from(time, (t, i) => [t, ...values.map((v) => v[i])].join());
+    saved(new Blob([[head, ...lines].join("\n"), "\n"], { type: "text/csv" }), `${document.title}.csv`);
+  });
+}
+
+begin().catch((error) => {
+  $("facts").textContent = `This page needs WebGL and WebAssembly: ${error.message}`;
+  throw error;
+});
