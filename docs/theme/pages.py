@@ -1,10 +1,11 @@
-"""MkDocs hook: turn formulas into MathML, and prepare the Markdown of the pages for it.
+"""MkDocs hook: formulas become MathML, and the pages that compute are written beside the site's.
 
 MathML is part of HTML: the pages show their formulas without a script and without a network.
 """
 
 import re
 from html import unescape
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -12,6 +13,17 @@ from latex2mathml.converter import convert
 ADJACENT_FORMULAS = re.compile(r"(?<=\S)\$\$\n\$\$(?=\S)")
 FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
+)
+
+LIVE = (
+    "crank_shaft",
+    "bar_on_frame",
+    "bicycle",
+    "disk_two_bars",
+    "double_pendulum",
+    "examples/coupled/ride.toml",
+    "examples/coupled/quarter_car.toml",
+    "examples/furuta.py:build",
 )
 
 
@@ -29,3 +41,15 @@ def on_page_content(html: str, **_: Any) -> str:
 def _mathml(formula: re.Match[str]) -> str:
     display = "inline" if formula["tag"] == "span" else "block"
     return convert(unescape(formula["latex"]).strip(), display=display)
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Write the pages that compute; a sentence instead where their tools are missing."""
+    from cosim.cli.main import main
+
+    folder = Path(config["site_dir"]) / "live"
+    folder.mkdir(exist_ok=True)
+    for source in LIVE:
+        path = folder / f"{Path(source.partition(':')[0]).stem}.html"
+        if main(["animate", source, "--live", "-q", "-o", str(path)]) != 0:
+            path.write_text("This page needs the tools of cosim-rigid[live].", encoding="utf-8")
