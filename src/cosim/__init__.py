@@ -35,7 +35,7 @@ __all__ = sorted(_MODULES)
 present_by(
     animate="cosim.present.playback.animate:animate",
     plot="cosim.present.figures:draw_panels",
-    tradeoff="cosim.present.work_precision:draw_pareto_front",
+    tradeoff="cosim.present.work_precision:draw_tradeoff",
 )
 
 

@@ -7,7 +7,7 @@ from cosim.backend import Backend
 from cosim.colors import solver_look
 from cosim.integrate.families.casadi_rk import Erk
 from cosim.integrate.solvers import SOLVERS
-from cosim.present.work_precision import draw_pareto_front, draw_tradeoff
+from cosim.present.work_precision import draw_tradeoff
 from cosim.study.tradeoff.configuration import Configuration
 from cosim.study.tradeoff.measurement import Measurement, Outcome, Timing
 
@@ -48,7 +48,5 @@ def test_figures_draw_a_solver_that_is_not_in_the_table():
         pareto_front=lambda cost: points[:2], provenance={}, shown_error=lambda m: m.error,
         reference=SimpleNamespace(method="a", check="b"),
     )  # fmt: skip
-    axis = draw_pareto_front(study).axes[0]
+    axis = draw_tradeoff(study).axes[0]
     assert {line.get_label().partition(",")[0] for line in axis.lines[:3]} == set(NAMES)
-    legend = draw_tradeoff(study).legends[0]
-    assert [text.get_text() for text in legend.get_texts()][:3] == list(NAMES)

@@ -45,10 +45,9 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.output_file, text)
     if args.figure:
         from cosim.plotting import save
-        from cosim.present.work_precision import draw_pareto_front, draw_tradeoff
+        from cosim.present.work_precision import draw_tradeoff
 
-        draw = draw_tradeoff if args.everything else draw_pareto_front
-        save([draw(study)], args.figure)
+        save([draw_tradeoff(study)], args.figure)
     if args.json:
         write_text(None, study.to_json())
     else:
