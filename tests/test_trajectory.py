@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
+import cosim
+from cosim.errors import CosimError, ExportError, ParameterError, UnknownName, UsageError
 from cosim.trajectory import Column, Trajectory
 
 # Numbers whose shortest text needs all 17 digits, and the ends of the range
@@ -274,9 +275,70 @@ def test_files_of_other_tools_are_read(text, tmp_path):
         ("time,x\n1,1\n0,1\n", "line 3: time decreases"),
         ("time,x [furlong]\n1,1\n", "'furlong', which is unknown"),
         ("time [deg],x\n1,1\n", "time is in 'deg'"),
+        ("time,x\n0,1\n,1\n", "line 3: the time is missing"),
     ],
 )
 def test_files_that_make_no_sense_are_refused_with_the_line(text, told, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(UsageError, match=told):
         Trajectory.read_csv(tmp_path / "a.csv")
+
+
+RIG = """no,t [ms],roll [deg],torque [kNm],roll [rad],remark
+1,0,180,1,3,a
+2,500,,2,3,b
+,,,,,
+4,750,nan,3,3,c
+"""
+
+
+def test_columns_of_a_measurement_get_names_units_and_gaps(tmp_path):
+    (tmp_path / "rig.csv").write_text(RIG)
+    columns = {"phi": "roll [deg]", "T": "torque"}
+    rig = Trajectory.read_csv(tmp_path / "rig.csv", columns=columns, time="t [ms]")
+    np.testing.assert_array_equal(rig.time, [0, 0.5, 0.75])
+    np.testing.assert_allclose(rig["phi"], [np.pi, np.nan, np.nan])
+    np.testing.assert_allclose(rig["T"], [1000, 2000, 3000])
+    assert rig.units == {"time": "s", "phi": "rad", "T": "N.m"}
+    assert rig.stats == {"file": "rig.csv", "gaps": 2}
+    rig.to_csv(tmp_path / "again.csv")
+    np.testing.assert_array_equal(Trajectory.read_csv(tmp_path / "again.csv").values, rig.values)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (
+            {"columns": {"phi": "rol [deg]"}},
+            r"has no column 'rol \[deg\]'; did you mean roll \[deg\]",
+        ),
+        ({"columns": {"phi": "roll"}}, "2 columns are called 'roll'"),
+        ({"columns": {"phi": "remark"}}, "line 2, column 'remark': 'a' is not a number"),
+        ({"columns": ["phi"]}, r"columns was given \['phi'\]"),
+        ({"columns": {}, "time": "clock"}, "has no column 'clock'"),
+        ({"columns": {}, "time": "torque"}, "time is in 'kNm'"),
+        ({"columns": {"time": "no"}, "time": "t [ms]"}, "'time' is recorded twice"),
+    ],
+)
+def test_columns_that_a_file_does_not_have_are_rejected(options, reason, tmp_path):
+    (tmp_path / "rig.csv").write_text(RIG)
+    with pytest.raises(CosimError, match=reason):
+        Trajectory.read_csv(tmp_path / "rig.csv", **options)
+
+
+@pytest.mark.parametrize(
+    ("unit", "si", "factor"),
+    [("kN", "N", 1e3), ("kPa", "kg.m-1.s-2", 1e3), ("m/s\u00b2", "m/s2", 1)],
+)
+def test_header_may_have_any_unit_that_values_may_have(unit, si, factor, tmp_path):
+    (tmp_path / "a.csv").write_text(f"time,x [{unit}]\n0,1\n1,2\n", encoding="utf-8")
+    run = Trajectory.read_csv(tmp_path / "a.csv")
+    np.testing.assert_allclose(run["x"], [factor, 2 * factor])
+    assert run.units["x"] == si
+
+
+def test_run_that_is_computed_again_accepts_a_time_twice():
+    run = cosim.simulate("crank_shaft", stop_time=0.1, compiled=False)
+    found = run.at([0.0, 0.1, 0.1])
+    np.testing.assert_array_equal(found.time, [0.0, 0.1, 0.1])
+    np.testing.assert_array_equal(found.values[1], found.values[2])

@@ -34,6 +34,7 @@ __all__ = sorted(_MODULES)
 
 present_by(
     animate="cosim.present.playback.animate:animate",
+    compare="cosim.present.figures:draw_residuals",
     plot="cosim.present.figures:draw_panels",
     tradeoff="cosim.present.work_precision:draw_tradeoff",
 )

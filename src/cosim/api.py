@@ -39,7 +39,7 @@ def simulate(
     stop_time: float | None = None,
     output_interval: float | None = None,
     solver: str | Solver | None = None,
-    accuracy: float | None = None,
+    accuracy: float | str | None = None,
     budget: float | None = None,
     start_values: Mapping[str, float | str] | None = None,
     inputs: Any = None,
@@ -58,8 +58,9 @@ def simulate(
         solver: A solver with its numbers, as `cosim.solvers.Dop853(relative_tolerance=1e-10)`, or
             the name of one; CVODES, or IDAS for a DAE, when None.
         accuracy: Target instead of solver and tolerance: largest global error of the outputs, in
-            nominal values. The cheapest configuration whose measured error is small enough is used,
-            and its error on this run is estimated by a second method.
+            nominal values, or a text with a unit that fits every output, as "1mm". The cheapest
+            configuration whose measured error is small enough is used, and its error on this run is
+            estimated by a second method.
         budget: Target instead of solver, tolerance and accuracy: largest time of the solver, s.
         start_values: Numbers in SI units, or texts with a unit, by name, that replace initial
             values of states, parameters, or constant inputs.

@@ -51,7 +51,7 @@ class UnknownName(CosimError):
     def among(cls, owner: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:
         """Say what does not exist and which names come nearest."""
         names = list(dict.fromkeys(known))
-        near = _near(str(name), names)
+        near = near_names(str(name), names)
         hint = (
             f"did you mean {' or '.join(near)}?"
             if near
@@ -127,7 +127,7 @@ class CacheError(MissingTool):
     """A folder for compiled code that cannot be used, or that others could write to."""
 
 
-def _near(name: str, names: list[str], most: int = 3) -> list[str]:
+def near_names(name: str, names: Iterable[str], most: int = 3) -> list[str]:
     """Return the names that are spelt like one, whatever the case of its letters."""
     folded: dict[str, list[str]] = {}
     for known in names:

@@ -21,7 +21,8 @@ from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.presenters import presenter
-from cosim.series.csv_file import in_si, read_csv_samples, repr_17, write_csv
+from cosim.series.csv_file import read_samples, repr_17, write_csv
+from cosim.series.mat_file import write_mat
 from cosim.series.samples import Column, resample, summary_rows, times_within
 from cosim.text import MOST_LINES, Table, html_table, text_table
 
@@ -221,7 +222,10 @@ class Trajectory:
         """
         requested = times_within(self.model, self.time, times)
         if self.again is not None:
-            found = self.again(np.atleast_1d(requested)).select(self.names)
+            distinct, places = np.unique(requested, return_inverse=True)
+            found = self.again(distinct).select(self.names)
+            if len(distinct) < requested.size:
+                found = replace(found, time=requested, values=found.values[places])
         else:
             values, _ = resample(self.time, self.values, np.atleast_1d(requested))
             found = replace(self, time=np.atleast_1d(requested), values=values)
@@ -244,35 +248,40 @@ class Trajectory:
         cls,
         path: str | os.PathLike[str],
         *,
+        columns: Mapping[str, str] | None = None,
+        time: str | None = None,
         units: Mapping[str, str] | None = None,
         like: Trajectory | None = None,
         model: str | None = None,
     ) -> Trajectory:
         """Read a run, a measurement or another tool's result from a CSV file.
 
-        The first line names the columns. Time is the column `time`, or else the first one. Units
-        are in brackets after the names or in a second line; values are converted to SI.
+        The first line names the columns. Time is the column `time`, or else the first one; its
+        steps may differ. Units are in brackets after the names or in a second line; values are
+        converted to SI. Empty cells and `nan` are gaps: they are NaN in the result, `compare`
+        leaves them out, and `stats["gaps"]` counts them.
 
         Args:
             path: The file; columns separated by commas, semicolons or tabs.
+            columns: Header of a column, with or without its unit, by name of the variable, e.g.
+                `{"phi": "roll [deg]"}`; other columns are not read. All columns if None.
+            time: Header of the column with the times, e.g. `"t [ms]"`.
             units: Units by name of columns without a unit in the file.
             like: A run whose units, nominal values and meanings apply to the same names.
             model: Name of the model; the name of the file if None.
 
         Raises:
             UsageError: The file cannot be read, has no header or an unknown unit.
-            ParameterError: A cell is not a number, or time decreases.
+            UnknownName: There is no column with a requested header.
+            ParameterError: A cell is not a number, or time is missing or decreases.
         """
+        if not isinstance(columns, Mapping | None):
+            raise UsageError.of_type("read_csv: columns", columns, "headers by name of a variable")
         place = Path(path)
-        samples = read_csv_samples(place)
         known = {} if like is None else {column.name: column for column in like.columns}
-        requested = {name: column.unit for name, column in known.items()}
-        pairs, values = in_si(place, samples, units or {}, requested)
-        columns = tuple(
-            known.get(name, Column(name, unit, shown))
-            for name, (unit, shown) in zip(samples.names, pairs, strict=True)
-        )
-        return cls(model or place.stem, samples.time, columns, values)
+        times, own, values = read_samples(place, columns, time, units or {}, known)
+        stats = {"file": place.name, "gaps": int(np.isnan(values).sum())}
+        return cls(model or place.stem, times, own, values, stats)
 
     def __repr__(self) -> str:
         rows = summary_rows(self.columns, self.time, self.values, when=False)
@@ -319,6 +328,17 @@ class Trajectory:
             UnknownName: There is no such kind of units.
         """
         write_csv(target, self.columns, self.time, self.values, units)
+
+    def to_mat(self, target: str | os.PathLike[str]) -> None:
+        """Write a MATLAB file (version 5): `time`, each variable as a column, the struct `units`.
+
+        What MATLAB does not allow in a name becomes `_`; the struct `names` holds the names here.
+
+        Raises:
+            MissingTool: scipy is not installed.
+            ExportError: The file cannot be written.
+        """
+        write_mat(target, self.columns, self.time, self.values)
 
     def to_npz(self, target: str | os.PathLike[str] | BinaryIO) -> None:
         """Write everything, bit for bit, as an NPZ file of numpy; see `from_npz`.

@@ -66,6 +66,28 @@ def test_file_in_the_book_s_units_names_them_in_its_second_line(tmp_path, capsys
     assert "no kind of units 'imperial'; it has si, book" in capsys.readouterr().err
 
 
+def test_accuracy_may_have_the_unit_of_the_outputs(tmp_path, capsys):
+    line = ["simulate", "crank_shaft", "--outputs", "phi", "--stop-time", "0.2"]
+    line += ["-o", str(tmp_path / "a.csv")]
+    assert main([*line, "--accuracy", "1 deg"]) == 0
+    by_unit = capsys.readouterr().err
+    nominal = cosim.load("crank_shaft").variable("phi").nominal
+    assert main([*line, "--accuracy", str(np.radians(1) / nominal)]) == 0
+    assert capsys.readouterr().err.split(";")[0] == by_unit.split(";")[0]
+
+
+def test_values_along_a_parameter_may_have_a_unit(capsys):
+    line = ["linearize", "bicycle", "--equilibrium", "-q", "--along"]
+    tables = []
+    for span in ("speed = 8 mph : 10 mph : 3", "speed=3.57632:4.4704:3"):
+        assert main([*line, span]) == 0
+        tables.append(capsys.readouterr().out)
+    assert tables[0] == tables[1]
+    assert "4.292" in tables[0]
+    assert main([*line, "speed=8kg:10kg:3"]) == 2
+    assert "'kg' cannot be converted to 'm/s'" in capsys.readouterr().err
+
+
 def test_terminal_shows_a_summary_and_a_pipe_receives_every_row(monkeypatch, capsys):
     line = ["simulate", "crank_shaft", *SHORT, "--outputs", "phi"]
     assert main(line) == 0

@@ -94,6 +94,8 @@ def test_wrong_usage_is_reported_with_the_remedy(line, expected, refused):
         ("--relative-tolerance 2", "relative_tolerance = 2 is not within"),
         ("--relative-tolerance 0", "both tolerances are 0"),
         ("--absolute-tolerance -1", "absolute_tolerance = -1 is negative"),
+        ("--absolute-tolerance 1e300", r"absolute_tolerance = 1e\+300 is above 0.1"),
+        ("--accuracy 1mm", "accuracy of phi = 1mm: 'mm' cannot be converted to 'rad'"),
         ("--absolute-tolerance 1e400", "absolute_tolerance = inf is not finite"),
         ("--solver rk4 --step-size 0", "step_size = 0.0 is not positive"),
         ("--solver rk4 --step-size nan", "step_size = nan is not finite"),
@@ -226,8 +228,8 @@ def test_impossible_output_file_is_reported_before_any_computation(line, refused
 @pytest.mark.parametrize(
     ("line", "endings"),
     [
-        ("simulate crank_shaft -o x.xlsx", r"\.csv or \.json"),
-        ("simulate crank_shaft -o x.mat", r"\.csv or \.json"),
+        ("simulate crank_shaft -o x.xlsx", r"\.csv or \.mat or \.json"),
+        ("simulate crank_shaft --json -o x.mat", r"\.json is for --json"),
         ("simulate crank_shaft -o x.json", r"\.json is for --json"),
         ("simulate crank_shaft --json -o x.csv", r"\.json is for --json"),
         ("export crank_shaft -o x.zip", r"\.fmu"),

@@ -10,6 +10,7 @@ from helpers.small_models import decay
 from lxml import etree
 
 import cosim
+from cosim.errors import ParameterError
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp" / "schema"
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
@@ -74,3 +75,10 @@ def test_fmpy_reads_it(fmu, tmp_path, own_files):
     bindings = [element.parameterBindings for element in system.elements]
     read = [p.name for own in bindings for b in own for p in b.parameterValues[0].parameters]
     assert read == ["x", "rate"]
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 0.0, -1.0, "1"])
+def test_stop_time_that_is_no_positive_number_is_rejected(fmu, tmp_path, bad):
+    with pytest.raises(ParameterError, match="write_ssp: stop_time = "):
+        cosim.write_ssp(tmp_path / "one.ssp", {"a": fmu}, [], stop_time=bad)
+    assert not (tmp_path / "one.ssp").exists()

@@ -17,6 +17,7 @@ from cosim.codegen import compiler
 from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.keywords import _ELSEWHERE, Keywords
 from cosim.integrate.solvers import SOLVERS, default_solver, solver_named
 from cosim.model.solver import Tolerance
 from cosim.model.times import time_grid
@@ -241,6 +242,48 @@ def test_unknown_keyword_is_refused_as_python_does(ode):
     for call in (cosim.simulate, cosim.requested):
         with pytest.raises(TypeError, match=r"simulate\(\) got an unexpected keyword .*'tol'"):
             call(ode, tol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("foreign", "own"),
+    [
+        ("rtol", "relative_tolerance"),
+        ("abstol", "absolute_tolerance"),
+        ("t_end", "stop_time"),
+        ("tspan", "stop_time"),
+        ("t_eval", "output_times"),
+        ("dt", "output_interval"),
+        ("parameters", "start_values"),
+        ("x0", "start_values"),
+        ("method", "solver"),
+        ("output", "outputs"),
+        ("relative_tol", "relative_tolerance"),
+    ],
+)
+def test_keyword_of_another_tool_leads_to_the_own_one(ode, foreign, own):
+    with pytest.raises(TypeError, match=rf"argument '{foreign}'; did you mean {own}\?"):
+        cosim.simulate(ode, **{foreign: 1})
+
+
+def test_table_of_foreign_keywords_names_own_ones_only():
+    assert set(_ELSEWHERE) <= Keywords.__optional_keys__
+    foreign = [name for names in _ELSEWHERE.values() for name in names.split()]
+    assert len(foreign) == len({*foreign})
+    assert not Keywords.__optional_keys__ & {*foreign}
+
+
+@pytest.mark.parametrize("a", [0.11, 1e300])
+def test_absolute_tolerance_is_bounded_everywhere(ode, a):
+    calls = (
+        lambda: cosim.simulate(ode, absolute_tolerance=a),
+        lambda: cosim.integrator(ode, [0.0, 1.0], absolute_tolerance=a),
+        lambda: cosim.run_scene(
+            cosim.Scene("s", cosim.requested(ode)), "fmu-cs", absolute_tolerance=a
+        ),
+    )
+    for call in calls:
+        with pytest.raises(ParameterError, match=r"absolute_tolerance = .* is above 0\.1"):
+            call()
 
 
 @pytest.mark.parametrize("number", ["relative_tolerance", "absolute_tolerance"])

@@ -37,6 +37,7 @@ def test_quantity_is_converted_to_the_variable_s_unit(text, unit, expected):
         ("--1", "not a number with a unit"),
         ("0x10", "unit 'x10' is unknown"),
         ("1,5", "write a decimal point"),
+        ("1deg, 2deg", "one number only"),
         ("1_000", "unit '_000' is unknown"),
         ("1furlong", "unit 'furlong' is unknown; fitting: rad, deg, rev$"),
         ("1kg", "'kg' cannot be converted to 'rad': not the same kind of unit"),
@@ -59,6 +60,18 @@ def test_text_that_is_no_quantity_is_refused_with_the_variable(text, reason):
         ("10 lb", "kg", 4.5359237),  # only a mass fits
         ("3 RPM", "rad/s", 0.1 * math.pi),
         ("3 kN", "N", 3000.0),
+        ("5Nm", "N.m", 5.0),
+        ("2 kNm", "N.m", 2000.0),
+        ("0.1 Nm/rad", "N.m/rad", 0.1),
+        ("0.1 Nms/rad", "N.m.s/rad", 0.1),
+        ("1 lb-ft", "N.m", 1.3558179483314003),
+        ("36 kmh", "m/s", 10.0),
+        ("36 km/hr", "m/s", 10.0),
+        ("180 degree/sec", "rad/s", math.pi),
+        ("180 deg/s", "rad/s", math.pi),
+        ("2 inch", "m", 0.0508),
+        ("2 feet", "m", 0.6096),
+        ("9.81 m/s\u00b2", "m/s2", 9.81),
         ("2 min", "s", 120.0),
         ("60 mph", "m/s", 26.8224),
         ("45\u00b0", "rad", math.pi / 4),
@@ -94,8 +107,9 @@ def test_every_unit_reads_as_itself(name):
     assert parse_unit(name) in (UNITS.get(name), PARTS.get(name), MORE.get(name))
 
 
-@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize("name", [*UNITS, *PARTS, *MORE])
 def test_si_unit_of_a_kind_has_factor_1(name):
-    si = si_name(name)
+    unit = parse_unit(name)
+    si = si_name(name, unit)
     assert UNITS[si].factor == 1
-    assert UNITS[si].measures_like(UNITS[name])
+    assert UNITS[si].measures_like(unit)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.errors import ParameterError, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import compare
 
@@ -57,7 +57,7 @@ def test_what_is_not_finite_agrees_with_nothing_and_comes_first(bad, both):
     ("second", "reason"),
     [
         (run(y=[0, 0, 0]), "no variable in common"),
-        (run(time=(0, 1), x=[0, 0]), "m has 3, m has 2; run both with the same"),
+        (run(time=(0, 1), x=[0, 0]), r"index 2 on \(3 and 2 in all\); run both with the same"),
         (run(time=(0, 1, 2.1), x=[0, 0, 0]), "different output times from index 2 on"),
     ],
 )
@@ -131,6 +131,62 @@ def test_comparison_shows_its_worst_variables_in_few_lines():
     lines = repr(result).splitlines()
     assert len(lines) == 15
     assert lines[0] == str(result)
-    assert lines[2].split() == ["v98", "9.8", "2"]
+    assert lines[1].split() == ["name", "difference", "at", "[s]", "largest", "rms", "unit"]
+    assert lines[2].split() == ["v98", "9.8", "2", "98", "56.6", "m"]
     assert "<td>v98</td><td>9.8</td><td>2</td>" in result._repr_html_()
     assert next(iter(result)) is result.worst
+
+
+# -- measurements ---------------------------------------------------------------------------------
+
+
+def measured(path, text):
+    path.write_text(text)
+    return Trajectory.read_csv(path)
+
+
+def test_run_is_evaluated_at_the_measured_times_and_gaps_are_left_out(tmp_path):
+    rig = measured(tmp_path / "rig.csv", "time,x [cm]\n0.1,11\n0.1,9\n0.7,\n1.3,133\n5,0\n")
+    line = run(time=(0, 0.5, 2), x=[0, 0.5, 2])  # x = t
+    for first, second, sign in ((line, rig, 1), (rig, line, -1)):
+        result = compare(first, second, bound=0.1)
+        np.testing.assert_array_equal(result.residuals.time, [0.1, 0.1, 0.7, 1.3])
+        residuals = sign * result.residuals["x"]
+        np.testing.assert_allclose(residuals, [0.01, -0.01, np.nan, 0.03], atol=1e-15)
+        nominal = first.column("x").nominal
+        assert result.worst.scaled == pytest.approx(0.03 / nominal)
+        assert result.worst.time == 1.3
+        assert "compared at 4 times" in result.note
+        assert "gaps left out: 1" in str(result)
+    row = compare(line, rig).rows()[0]
+    assert (row["unit"], row["largest"]) == ("m", pytest.approx(0.03))
+    assert row["rms"] == pytest.approx(math.sqrt(11e-4 / 3))
+    assert compare(rig, line).rows()[0]["largest"] == pytest.approx(3.0)  # in cm
+
+
+def test_gap_of_a_simulation_agrees_with_nothing_even_next_to_a_measurement(tmp_path):
+    rig = measured(tmp_path / "rig.csv", "time,x [m]\n0,0\n1,\n2,0\n")
+    assert compare(run(x=[0, np.nan, 0]), rig, bound=1.0).worst.scaled == 0  # not measured there
+    assert compare(run(x=[np.nan, 0, 0]), rig, bound=1.0).worst.scaled == math.inf
+
+
+def test_variable_without_a_measured_value_is_rejected(tmp_path):
+    rig = measured(tmp_path / "rig.csv", "time,x [m],y [m]\n0,,1\n1,,1\n")
+    both = run(time=(0, 1), x=[0, 0], y=[1, 1])
+    with pytest.raises(UsageError, match=r"x has no measured value .* without=\['x'\]"):
+        compare(both, rig)
+    assert compare(both, rig, without=["x"]).agrees
+
+
+def test_picture_has_points_a_line_and_the_residuals_in_one_unit(tmp_path):
+    rig = measured(tmp_path / "rig.csv", "time,x [cm]\n0,10\n1,110\n2,210\n")
+    result = compare(run(x=[0, 1, 2]), rig)
+    figure = result.plot(tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 5000
+    above, below = figure.axes
+    line, points = above.lines
+    np.testing.assert_allclose(points.get_ydata(), line.get_ydata() + 0.1)  # both in m
+    np.testing.assert_allclose(below.lines[0].get_ydata(), 0.1)
+    assert (line.get_marker(), points.get_linestyle()) == ("None", "None")
+    with pytest.raises(UnknownName, match="no variable 'y'"):
+        result.plot(names="y")

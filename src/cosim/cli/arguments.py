@@ -116,19 +116,6 @@ def names_in(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(","))
 
 
-def numbers_in(option: str, text: str) -> tuple[float, ...]:
-    """Return the numbers of a list with commas."""
-    return tuple(number_in(option, word) for word in text.split(","))
-
-
-def number_in(option: str, text: str) -> float:
-    """Return the number of an option."""
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(f"{option}: '{text}' is not a number") from None
-
-
 def named_scene(name: str) -> Scene:
     """Return the scene of a file `NAME.toml`, or a model as a scene without settings."""
     return read_scene(name) if name.endswith(".toml") else Scene(name, RunRequest(load(name)))
@@ -149,8 +136,13 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
     for name, text in start_texts(args):
         if name in numbers:
             raise UsageError(f"{name} is given twice; give it once")
-        numbers[name] = value_in(name, text, None if dae is None else _unit_of_name(dae, name))
+        numbers[name] = value_of(dae, name, text)
     return numbers
+
+
+def value_of(dae: Dae | None, name: str, text: str) -> float:
+    """Return the number of a variable in SI units; without a model, in its own unit."""
+    return value_in(name, text, None if dae is None else _unit_of_name(dae, name))
 
 
 def value_in(name: str, text: str, unit: str | None) -> float:

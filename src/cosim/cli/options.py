@@ -62,10 +62,6 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 def seconds(text: str) -> float:
     """Read a time: a number of seconds, or a number with a unit, as 5s, 200ms, 2min."""
-    try:
-        return float(text)
-    except ValueError:
-        pass
     from cosim.errors import ParameterError
     from cosim.model.quantities import quantity
 

@@ -14,7 +14,6 @@ from cosim.cli.arguments import (
     TIMES,
     inputs_in,
     names_in,
-    number_in,
     options_in,
     scene_from,
     start_numbers,
@@ -26,6 +25,7 @@ from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
+from cosim.model.quantities import quantity
 from cosim.model.request import RunRequest
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
@@ -123,6 +123,8 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
         raise UsageError("--input is for models; drive an input of a system by a part of its own")
     names = (*TIMES, "relative_tolerance", "accuracy", *_OF_SYSTEMS)
     options = {name: value for name, value in options_in(args, *names).items() if value is not None}
+    if "accuracy" in options:
+        options["accuracy"] = quantity("--accuracy", options["accuracy"], "1")
     options["start_values"] = dict(start_texts(args))
     options["outputs"] = None if args.outputs is None else names_in(args.outputs)
     system = read_system(args.model)
@@ -208,4 +210,4 @@ def size_of(args: argparse.Namespace) -> tuple[float, float]:
     width, cross, height = args.size.partition("x")
     if not cross:
         raise ParameterError(f"--size {args.size}: write WIDTHxHEIGHT in inches, e.g. 6.4x4.8")
-    return number_in("--size", width), number_in("--size", height)
+    return quantity("--size", width, "1"), quantity("--size", height, "1")

@@ -11,6 +11,7 @@ from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import zipped
+from cosim.model.values import number
 from cosim.trajectory import repr_17
 
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -87,6 +88,7 @@ def write_ssp(
     Raises:
         UnknownName: A component or a variable does not exist.
         UsageError: A connection does not lead from an output to an input.
+        ParameterError: The stop time is not positive and finite.
         FmuError, ExportError: A file cannot be read or written.
 
     Example:
@@ -95,6 +97,8 @@ def write_ssp(
         >>> write_ssp("shaft.ssp", {"crank": path}, [], values={"crank.omega": 10.0}).name
         'shaft.ssp'
     """
+    if stop_time is not None:
+        stop_time = number("write_ssp", "stop_time", stop_time, positive=True)
     described = {name: _described(path) for name, path in components.items()}
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
     name, files, used = Path(target).stem, dict[str, bytes](), set[str]()

@@ -1,13 +1,15 @@
 """`requested`: build a `RunRequest` from the keywords of `cosim.simulate`."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
-from cosim.errors import UsageError
+from cosim.errors import UsageError, near_names
+from cosim.integrate.outputs import all_columns
 from cosim.integrate.solvers import requested_solver
 from cosim.memo import cached_per_thread
 from cosim.model.catalogue import load
@@ -33,7 +35,7 @@ class SharedKeywords(TypedDict, total=False):
     absolute_tolerance: float | None
     step_size: float | None
     max_step: float | None
-    accuracy: float | None
+    accuracy: float | str | None
     budget: float | None
     compiled: bool | None
     on_invalid: str | None
@@ -51,6 +53,15 @@ _SOLVER = ("solver", "step_size", *LIMITS)
 _GOAL = ("accuracy", "budget")
 _TIMES = ("start_time", "stop_time", "output_interval", "output_times")
 _POLICY = ("compiled", "on_invalid", "drift_control", "stop_when")
+_ELSEWHERE = {  # names of other tools
+    "relative_tolerance": "rtol reltol rel_tol tol tolerance",
+    "absolute_tolerance": "atol abstol abs_tol",
+    "stop_time": "t_end tend tf t_final final_time tspan t_span duration t_max",
+    "output_interval": "dt saveat",
+    "output_times": "t_eval teval t grid",
+    "start_values": "parameters params p p0 x0 y0 u0 initial_values initial_conditions",
+    "solver": "method integrator",
+}
 
 
 def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> RunRequest:
@@ -71,7 +82,10 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
     """
     for name in keywords:
         if name not in Keywords.__optional_keys__:
-            raise TypeError(f"simulate() got an unexpected keyword argument '{name}'")
+            near = [own for own, others in _ELSEWHERE.items() if name in others.split()]
+            near = near or near_names(name, sorted(Keywords.__optional_keys__), 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise TypeError(f"simulate() got an unexpected keyword argument '{name}'{hint}")
     given: dict[str, Any] = {k: v for k, v in keywords.items() if v is not None}
     request = subject if isinstance(subject, RunRequest) else RunRequest(_model(subject))
     times = _times(request.times, {name: given[name] for name in _TIMES if name in given})
@@ -79,6 +93,9 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
         request.dae, given.get("inputs", request.inputs), lambda: times.grid(request.dae)
     )
     dae = settled.dae
+    outputs = given.get("outputs", request.outputs)
+    if isinstance(given.get("accuracy"), str):
+        given["accuracy"] = _accuracy(dae, given["accuracy"], outputs)
     values = {**request.values, **_plain(dae, given.get("start_values")), **settled.constants}
     if twice := settled.constants.keys() & (given.get("start_values") or {}).keys():
         raise UsageError(f"{dae.full_name}: {min(twice)} is given twice; give it once")
@@ -87,7 +104,7 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
         dae,
         values,
         times,
-        given.get("outputs", request.outputs),
+        outputs,
         settled.series,
         _solver(request, given),
         replace(request.policy, **policy),
@@ -142,6 +159,15 @@ def _plain(dae: Dae, values: Any) -> dict[str, float]:
         else value
         for name, value in (values or {}).items()
     }
+
+
+def _accuracy(dae: Dae, text: str, outputs: Sequence[str] | None) -> float:
+    """Return the accuracy in nominal values at which the error of no output exceeds a quantity."""
+    with suppress(ValueError):
+        return float(text)
+    columns = [c for c in all_columns(dae) if outputs is None or c.name in outputs]
+    sizes = (quantity(f"accuracy of {c.name}", text, c.unit) / c.nominal for c in columns)
+    return min(sizes, default=1.0)  # unknown outputs are rejected later
 
 
 def _solver(request: RunRequest, given: dict[str, Any]) -> Solver | Tolerance | Goal | None:

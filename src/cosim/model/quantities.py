@@ -46,8 +46,8 @@ def quantity(name: str, text: str, unit: str) -> float:
             f"{name}: '{text}' is not a number with a unit; write e.g. 1.5{unit.strip('1')}"
         )
     value, written = float(match[1]), match[2]
-    if written.startswith(","):
-        raise ParameterError(f"{name} = {text}: write a decimal point, and no other comma")
+    if "," in written:
+        raise ParameterError(f"{name} = {text}: write a decimal point, and one number only")
     if not written:
         return value
     target = parse_unit(unit)
@@ -90,7 +90,7 @@ def _known(name: str) -> Unit | None:
 def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
     """Return a product of powers; all factors after a `/` divide, as in FMI."""
     factor, base, sign = 1.0, dict[str, int](), 1
-    position, text = 0, text.strip()
+    position, text = 0, text.strip().replace("\u00b2", "2").replace("\u00b3", "3")
     expected = True
     while position < len(text):
         separator = _SEPARATOR.match(text, position)

@@ -37,10 +37,13 @@ class Tolerance:
                 f"relative_tolerance = {relative:g} is not within 2.2e-14 ... 0.1; "
                 "double precision cannot resolve less, and more gives no accuracy"
             )
-        if self.absolute is not None and number("solver", "absolute_tolerance", self.absolute) < 0:
-            raise ParameterError(
-                f"absolute_tolerance = {self.absolute:g} is negative; give 0 or more"
-            )
+        if self.absolute is not None:
+            absolute = number("solver", "absolute_tolerance", self.absolute)
+            if not 0 <= absolute <= 0.1:
+                problem = "negative" if absolute < 0 else "above 0.1, a tenth of nominal values"
+                raise ParameterError(
+                    f"absolute_tolerance = {absolute:g} is {problem}; give 0 ... 0.1"
+                )
         if relative == 0 and not self.absolute:
             raise ParameterError("both tolerances are 0; give one of them a positive value")
         if self.max_step is not None:

@@ -179,6 +179,7 @@ def _scale(axis: Axes, spec: FigureSpec, panel: Sequence[str], runs: Sequence[Tr
 
 
 _SECOND_RUN: Any = {"color": SECOND, "linewidth": 0.9, "linestyle": (0, (4, 4))}
+_POINTS: Any = {"color": SECOND, "linestyle": "none", "marker": ".", "markersize": 4}
 _PAD = 0.07  # inches
 VARIABLES_PER_FIGURE = 3  # in figures that no scene declares
 
@@ -212,6 +213,24 @@ def draw_figures(
         reject_other_times(run, other)
     with matplotlib.rc_context(STYLE):
         return [_figure(spec, run, other) for spec in specs]
+
+
+def draw_residuals(residuals: Trajectory, run: Trajectory, other: Trajectory) -> Figure:
+    """Draw a run as lines, another one as points, and the residuals below each variable."""
+    count, other = len(residuals.columns), replace(other, columns=run.columns)
+    with matplotlib.rc_context(STYLE):
+        figure = Picture(figsize=(_WIDTH, 1.0 + 3.0 * count), layout="constrained")
+        axes = figure.subplots(2 * count, 1, sharex=True, height_ratios=[2, 1] * count)
+        for column, above, below in zip(residuals.columns, axes[::2], axes[1::2], strict=True):
+            above.plot(run.time, _displayed(run, column.name))
+            above.plot(other.time, _displayed(other, column.name), **_POINTS)
+            below.plot(residuals.time, _displayed(residuals, column.name), **_POINTS)
+            above.set_ylabel(_beside(column.name, column.shown_unit, 19))
+            below.set_ylabel(_beside("residual", column.shown_unit, 16))
+        axes[-1].set_xlabel("time [s]")
+        figure.suptitle(fill(residuals.model, 70), fontsize=11)
+        _name_invalid(figure, axes, [run], [run.model])
+    return figure
 
 
 def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:

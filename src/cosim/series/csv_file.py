@@ -5,16 +5,16 @@ import io
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
-from casadi_models.units import UNITS
+from casadi_models.units import UNITS, Unit
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.progress import doing
+from cosim.model.quantities import parse_unit
 from cosim.series.samples import Column
 from cosim.text import csv_cell
 
@@ -22,23 +22,6 @@ UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _BLOCK = 1000  # rows, that are written at once
 _TIMES = ("time", "t", "zeit", "temps")
-
-
-@dataclass(frozen=True)
-class CsvSamples:
-    """Content of a CSV file.
-
-    Attributes:
-        names: Names of the columns, without time.
-        units: Unit of each column as written; None if there is none.
-        time: Sample times, s, (n,).
-        values: Samples as written, (n, columns).
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str | None, ...]
-    time: Vector
-    values: Vector
 
 
 def write_csv(
@@ -87,81 +70,93 @@ def repr_17(value: float) -> str:
     return f"{value:.17g}"
 
 
-def read_csv_samples(path: Path) -> CsvSamples:
-    """Read a CSV file with a header, times in its first column or in one that is called time.
+def read_samples(
+    path: Path,
+    headers: Mapping[str, str] | None,
+    time: str | None,
+    units: Mapping[str, str],
+    known: Mapping[str, Column],
+) -> tuple[Vector, tuple[Column, ...], Vector]:
+    """Read a CSV file with a header; see `Trajectory.read_csv` for its form and the errors.
 
-    Columns are separated by commas, semicolons or tabs; units stand in brackets behind the names
-    or in a second line; lines that begin with # are comments.
+    Args:
+        path: The file.
+        headers: Header of a column by name of the variable; all columns if None.
+        time: Header of the times; that of a column called time, or the first one, if None.
+        units: Units by name of columns without a unit in the file.
+        known: Variables by name whose units and meanings apply to columns of that name.
 
-    Raises:
-        UsageError: The file cannot be read, or has no header, time or sample.
-        ParameterError: A cell is not a number, or time decreases; the line is named.
+    Returns:
+        Times, s, (n,); variables; their values, SI, (n, variables), NaN in gaps.
     """
     rows = _rows(path)
-    header = [_NAMED.fullmatch(cell) for cell in rows[0][1]]
-    if len(header) < 2 or any(_is_number(cell) for cell in rows[0][1]):
+    cells = [cell.strip() for cell in rows[0][1]]
+    header = [_NAMED.fullmatch(cell) for cell in cells]
+    if len(header) < 2 or any(_is_number(cell) for cell in cells):
         raise UsageError(f"{path}, line {rows[0][0]}: no header; write 'time,NAME,...' there")
-    if not all(header):
+    if headers is None and not all(header):
         raise UsageError(f"{path}, line {rows[0][0]}: a column has no name; give each one a name")
-    names = [match[1] for match in header if match]
-    units: list[str | None] = [match[2] for match in header if match]
+    names = [match[1] if match else "" for match in header]
+    written: list[str | None] = [match[2] if match else None for match in header]
     body = rows[1:]
     if body and not any(_is_number(cell) for cell in body[0][1]):
-        units = [cell.strip() or None for cell in body[0][1]]
+        written = [cell.strip() or None for cell in body[0][1]]
         body = body[1:]
     if not body:
         raise UsageError(f"{path}: there is no sample below the header; give one line or more")
-    table = np.array([_numbers(path, line, row, names) for line, row in body])
     at = next((i for i, name in enumerate(names) if name.lower() in _TIMES), 0)
-    time = table[:, at] * _time_factor(path, units[at])
-    if (falling := np.flatnonzero(np.diff(time) < 0)).size:
-        line = body[int(falling[0]) + 1][0]
-        raise ParameterError(f"{path}, line {line}: time decreases; sort the lines by time")
-    rest = [i for i in range(len(names)) if i != at]
-    return CsvSamples(
-        tuple(names[i] for i in rest), tuple(units[i] for i in rest), time, table[:, rest]
-    )
+    at = at if time is None else _place(path, cells, names, time)
+    chosen = [(name, i) for i, name in enumerate(names) if i != at]
+    if headers is not None:
+        chosen = [(name, _place(path, cells, names, text)) for name, text in headers.items()]
+    places = [at, *(i for _, i in chosen)]
+    table = np.array([_numbers(path, line, row, names, places) for line, row in body])
+    _, factor = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
+    times = table[:, 0] * factor
+    for wrong, problem in (
+        (np.isnan(times), "the time is missing; fill it in"),
+        (np.diff(times, prepend=times[0]) < 0, "time decreases; sort the lines by time"),
+    ):
+        if wrong.any():
+            raise ParameterError(f"{path}, line {body[int(np.argmax(wrong))][0]}: {problem}")
+    pairs = [_column(path, n, units.get(n, written[i]), known.get(n)) for n, i in chosen]
+    return times, tuple(c for c, _ in pairs), table[:, 1:] * [factor for _, factor in pairs]
 
 
-def in_si(
-    path: Path, samples: CsvSamples, units: Mapping[str, str], targets: Mapping[str, str]
-) -> tuple[list[tuple[str, str | None]], Vector]:
-    """Return SI unit and display unit of each column, and the values in SI units.
-
-    Args:
-        path, samples: The file, for messages, and its content.
-        units: Units by name of columns without a unit in the file.
-        targets: SI units that the columns should have, by name, where known.
-
-    Raises:
-        UsageError: A unit is unknown, or does not convert to the expected one.
-    """
-    pairs: list[tuple[str, str | None]] = []
-    values = samples.values.copy()
-    for i, (name, written) in enumerate(zip(samples.names, samples.units, strict=True)):
-        unit, target = units.get(name, written), targets.get(name)
-        if unit is None or unit == target:
-            pairs.append((target or "1", None))
-            continue
-        if unit not in UNITS:
-            raise UsageError(
-                f"{path}: {name} is in '{unit}', which is unknown; give units={{'{name}': ...}}, "
-                f"one of {', '.join(UNITS)}"
-            )
-        target = target or si_name(unit)
-        if not UNITS[unit].measures_like(UNITS[target]):
-            raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
-        values[:, i] *= UNITS[unit].factor / UNITS[target].factor
-        pairs.append((target, unit if unit != target else None))
-    return pairs, values
+def _place(path: Path, cells: Sequence[str], names: Sequence[str], text: str) -> int:
+    """Return the place of the column whose header, or the name in it, is a text."""
+    found = [i for i, cell in enumerate(cells) if text.strip() in (cell, names[i])]
+    if not found:
+        raise UnknownName.among(str(path), "column", text, filter(None, cells))
+    if len(found) > 1:
+        raise UsageError(f"{path}: {len(found)} columns are called '{text}'; rename them")
+    return found[0]
 
 
-def si_name(unit: str) -> str:
-    """Return the SI unit that a unit converts to; the unit itself if there is none."""
-    if UNITS[unit].factor == 1:
-        return unit
-    fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(UNITS[unit]))
-    return next(fitting, unit)
+def _column(path: Path, name: str, unit: str | None, known: Column | None) -> tuple[Column, float]:
+    """Return a variable, and the factor from a unit to its SI unit."""
+    target = known.unit if known else None
+    if unit is None or unit == target:
+        return known or Column(name), 1.0
+    source = parse_unit(unit, UNITS[target] if target else None)
+    if source is None:
+        raise UsageError(
+            f"{path}: {name} is in '{unit}', which is unknown; give units={{'{name}': ...}}, "
+            f"one of {', '.join(UNITS)}"
+        )
+    target = target or si_name(unit, source)
+    if not source.measures_like(UNITS[target]):
+        raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
+    shown = unit if unit != target and unit in UNITS else None
+    return known or Column(name, target, shown), source.factor / UNITS[target].factor
+
+
+def si_name(name: str, unit: Unit) -> str:
+    """Return the name of the SI unit that a unit converts to."""
+    if name in UNITS and unit.factor == 1:
+        return name
+    fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(unit))
+    return next(fitting, None) or ".".join(f"{b}{n if n != 1 else ''}" for b, n in unit.base)
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
@@ -173,18 +168,23 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
         raise UsageError(f"{path} is empty; give a CSV file with a header")
     head = lines[0][1]
     mark = next((mark for mark in (";", "\t", ",") if mark in head), ",")
-    return [(i, next(csv.reader(io.StringIO(line), delimiter=mark))) for i, line in lines]
+    rows = [(i, next(csv.reader(io.StringIO(line), delimiter=mark))) for i, line in lines]
+    return [(i, cells) for i, cells in rows if any(cell.strip() for cell in cells)]
 
 
-def _numbers(path: Path, line: int, cells: Sequence[str], names: Sequence[str]) -> list[float]:
+def _numbers(
+    path: Path, line: int, cells: Sequence[str], names: Sequence[str], places: Sequence[int]
+) -> list[float]:
+    """Return the numbers of a line at some places; NaN for an empty cell."""
     if len(cells) != len(names):
         raise ParameterError(
             f"{path}, line {line}: {len(cells)} cells under {len(names)} names; give each its own"
         )
-    for name, cell in zip(names, cells, strict=True):
+    chosen = [cells[i].strip() or "nan" for i in places]
+    for name, cell in zip([names[i] for i in places], chosen, strict=True):
         if not _is_number(cell):
             raise ParameterError(f"{path}, line {line}, column '{name}': '{cell}' is not a number")
-    return [float(cell) for cell in cells]
+    return [float(cell) for cell in chosen]
 
 
 def _is_number(cell: str) -> bool:
@@ -193,11 +193,3 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _time_factor(path: Path, unit: str | None) -> float:
-    if unit is None:
-        return 1.0
-    if unit not in UNITS or not UNITS[unit].measures_like(UNITS["s"]):
-        raise UsageError(f"{path}: time is in '{unit}'; give it in s or ms")
-    return UNITS[unit].factor

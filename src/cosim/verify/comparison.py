@@ -1,8 +1,9 @@
 """`compare`: differences of two trajectories, and the verdict of a check."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from cosim.backend import Backend
 from cosim.errors import UsageError
 from cosim.model.values import number
+from cosim.presenters import presenter
 from cosim.series.samples import resample as interpolated
 from cosim.text import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
@@ -31,6 +33,8 @@ class Comparison:
     Attributes:
         first, second: Names of the two runs.
         differences: One for each common variable, the largest first.
+        residuals: Second run minus first, at the compared times, SI; NaN in gaps of a measurement.
+        runs: Both runs at their own times.
         bound: Largest scaled difference that counts as agreement (1).
         note: How the runs were brought to the same output times; empty if they have the same.
 
@@ -44,6 +48,8 @@ class Comparison:
     first: str
     second: str
     differences: tuple[Difference, ...]
+    residuals: Trajectory = field(repr=False, compare=False)
+    runs: tuple[Trajectory, Trajectory] = field(repr=False, compare=False)
     bound: float
     note: str = ""
 
@@ -58,8 +64,35 @@ class Comparison:
         return self.worst.scaled <= self.bound
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row per variable, the largest difference first."""
-        return [{"name": d.name, "difference": d.scaled, "at [s]": d.time} for d in self]
+        """Return one row per variable; `largest` and `rms` residual are in display units."""
+        rows = []
+        for one in self:
+            column = self.residuals.column(one.name)
+            own = column.shown(self.residuals[one.name])
+            own = np.abs(own[np.isfinite(own)])
+            row = {"name": one.name, "difference": one.scaled, "at [s]": one.time}
+            row |= {"largest": own.max(initial=0.0), "rms": np.sqrt(own @ own / max(1, len(own)))}
+            rows.append(row | {"unit": column.shown_unit})
+        return rows
+
+    def plot(self, target: str | Path | None = None, names: Sequence[str] | None = None) -> Any:
+        """Draw the first run as a line, the second as points, and the residuals below.
+
+        Args:
+            target: PNG, SVG or PDF file; no file if None.
+            names: Names of variables; the six with the largest differences if None.
+
+        Raises:
+            UnknownName: A variable was not compared, or the file has another ending.
+            ExportError: The file cannot be written.
+        """
+        chosen = names if names is not None else [one.name for one in self.differences[:6]]
+        figure = presenter("compare")(self.residuals.select(chosen), *self.runs)
+        if target is not None:
+            from cosim.plotting import save  # loads matplotlib
+
+            save([figure], str(target))
+        return figure
 
     def __iter__(self) -> Iterator[Difference]:
         return iter(self.differences)
@@ -91,8 +124,9 @@ def compare(
     """Compare the variables that two runs have in common.
 
     If the runs have different output times, the second run is evaluated at the times of the first
-    one that lie within both. `note` says how: computed again, or interpolated with an estimated
-    error.
+    one that lie within both; but if only the second one was read from a file (a measurement), the
+    first run is evaluated at its times. `note` says how: computed again, or interpolated with an
+    estimated error. Gaps of a measurement (NaN) are left out.
 
     Args:
         first, second: Two runs; the nominal values are those of the first.
@@ -102,7 +136,8 @@ def compare(
 
     Raises:
         ParameterError: The bound is not a positive number.
-        UsageError: The runs have no variable in common, one in another unit, or no time in common.
+        UsageError: The runs have no variable in common, one in another unit, or no time in common;
+            or a measurement has nothing but gaps there.
 
     Example:
         >>> import cosim
@@ -127,21 +162,38 @@ def compare(
                 "file, set its units: read_csv(path, like=run) or read_csv(path, units={...})"
             )
     note = ""
-    if resample and len(first) and len(second) and not _same_times(first, second):
-        first, second, note = _on_common_times(first.select(names), second.select(names))
+    first, second = runs = first.select(names), second.select(names)
+    if resample and len(first) and len(second) and _apart(first, second) is not None:
+        if "file" in second.stats and "file" not in first.stats:
+            second, first, note = _on_common_times(second, first, "second", "first")
+        else:
+            first, second, note = _on_common_times(first, second)
     reject_other_times(first, second)
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
+        values = second.values - first.values
+    gaps = np.zeros(values.shape, dtype=bool)
+    for run in (first, second):
+        gaps |= np.isnan(run.values) & ("file" in run.stats)
+    if gaps.all(axis=0).any():
+        name = names[int(np.argmax(gaps.all(axis=0)))]
+        raise UsageError(f"{name} has no measured value there; leave it out: without=['{name}']")
+    scaled = np.abs(values) / [column.nominal for column in runs[0].columns]
+    scaled = np.where(gaps, 0.0, np.where(np.isnan(scaled), np.inf, scaled))  # NaN never agrees
     differences = []
-    for name in names:
-        with np.errstate(invalid="ignore"):  # infinity minus infinity
-            gap = np.abs(first[name] - second[name]) / first.column(name).nominal
-        gap = np.where(np.isnan(gap), np.inf, gap)  # NaN agrees with nothing
-        at = int(np.argmax(gap))
-        differences.append(Difference(name, float(gap[at]), float(first.time[at])))
+    for name, own in zip(names, scaled.T, strict=True):
+        at = int(np.argmax(own))
+        differences.append(Difference(name, float(own[at]), float(first.time[at])))
     differences.sort(key=lambda difference: -difference.scaled)
-    return Comparison(*labels, tuple(differences), bound, note)
+    if gaps.any():
+        note = f"{note}{'; ' * bool(note)}gaps left out: {gaps.sum()}"
+    title = f"{labels[1]} minus {labels[0]}"
+    residuals = Trajectory(title, first.time, runs[0].columns, values)
+    return Comparison(*labels, tuple(differences), residuals, runs, bound, note)
 
 
-def _on_common_times(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory, str]:
+def _on_common_times(
+    first: Trajectory, second: Trajectory, one: str = "first", other: str = "second"
+) -> tuple[Trajectory, Trajectory, str]:
     """Return both runs at the times of the first that both cover, and a note on the method."""
     begin = max(first.time[0], second.time[0])
     end = min(first.time[-1], second.time[-1])
@@ -164,15 +216,17 @@ def _on_common_times(first: Trajectory, second: Trajectory) -> tuple[Trajectory,
             e / first.column(n).nominal for n, e in zip(second.names, estimate, strict=True)
         )
         how = f"interpolated, with an estimated error of {scaled:.1e}"
-    note = f"compared at {len(time)} times of the first run, {time[0]:g} ... {time[-1]:g} s; "
-    return part, resampled, note + f"the second run is {how}"
+    note = f"compared at {len(time)} times of the {one} run, {time[0]:g} ... {time[-1]:g} s; "
+    return part, resampled, note + f"the {other} run is {how}"
 
 
-def _same_times(first: Trajectory, second: Trajectory) -> bool:
-    if len(first) != len(second):
-        return False
-    slack = 1e-9 * max(1.0, float(np.abs(first.time).max()))
-    return float(np.abs(first.time - second.time).max()) <= slack
+def _apart(first: Trajectory, second: Trajectory) -> int | None:
+    """Return the index from which on two runs have different output times; None if the same."""
+    times = [run.time[: min(len(first), len(second))] for run in (first, second)]
+    apart = np.abs(times[0] - times[1]) > 1e-9 * np.abs(first.time).max(initial=1.0)
+    if apart.any():
+        return int(np.argmax(apart))
+    return None if len(first) == len(second) else len(apart)
 
 
 def reject_other_times(first: Trajectory, second: Trajectory) -> None:
@@ -183,18 +237,11 @@ def reject_other_times(first: Trajectory, second: Trajectory) -> None:
     """
     if not len(first):
         raise UsageError(f"{_label(first)} has no output times; there is nothing to compare")
-    if len(first) != len(second):
-        raise UsageError(
-            f"different output times: {_label(first)} has {len(first)}, {_label(second)} has "
-            f"{len(second)}; run both with the same start_time, stop_time and output_interval"
-        )
-    apart = np.abs(first.time - second.time)
-    if apart.max() > 1e-9 * max(1.0, float(np.abs(first.time).max())):
-        i = int(np.argmax(apart))
+    if (i := _apart(first, second)) is not None:
         raise UsageError(
             f"{_label(first)} and {_label(second)} have different output times from index {i} on "
-            f"({first.time[i]:g} s and {second.time[i]:g} s); run both with the same "
-            "output_interval"
+            f"({len(first)} and {len(second)} in all); run both with the same start_time, "
+            "stop_time and output_interval"
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.cli.arguments import names_in, number_in, numbers_in, scene_from, start_numbers
+from cosim.cli.arguments import names_in, scene_from, start_numbers, times_in, value_of
 from cosim.cli.tables import show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.trust import require_trust
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         model, start, outputs = request.dae, dict(request.values), request.outputs
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
-        points = [*numbers_in("--at", args.at)]
+        points = [*times_in("--at", args.at)]
     if args.along:
         if len(points) > 1:
             raise UsageError("--along needs a single point; give one time with --at")
@@ -50,11 +50,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: Any) -> int:
-    name, equals, span = args.along.partition("=")
-    parts = span.split(":")
+    name, equals, span = (part.strip() for part in args.along.partition("="))
+    parts = [part.strip() for part in span.split(":")]
     if not equals or len(parts) != 3 or not parts[2].isdigit():
         raise UsageError(f"--along {args.along}: write NAME=A:B:N")
-    first, last = (number_in("--along", part) for part in parts[:2])
+    dae = None if isinstance(model, str) else model
+    first, last = (value_of(dae, name, part) for part in parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
     along = {name: values}
     found = linearize(model, along=along, at=at, start_values=start, outputs=outputs)

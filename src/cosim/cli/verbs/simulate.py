@@ -3,22 +3,21 @@
 import argparse
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 from cosim.cli.arguments import runs_natively, times_in
 from cosim.cli.runs import run_or_partial, scene_or_none
 from cosim.cli.tables import show_table, write_text
 from cosim.errors import UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
 from cosim.series.csv_file import UNIT_KINDS
 from cosim.trajectory import Trajectory
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a model, a scene or an FMU."""
-    if args.units not in UNIT_KINDS:
-        raise UnknownName.among("cosim simulate", "kind of units", args.units, UNIT_KINDS)
-    if (args.output_file or "").lower().endswith(".csv" if args.json else ".json"):
-        raise UsageError(f"{args.output_file}: .json is for --json, and .csv for runs without it")
+    ending = _checked_ending(args)
     scene = scene_or_none(args)
     run, code = run_or_partial(args, scene)
     if args.at is not None and (scene is None or not runs_natively(args)):
@@ -33,6 +32,8 @@ def run(args: argparse.Namespace) -> int:
     elif args.output_file is None and sys.stdout.isatty():
         print(run.summary())
         print("every output time: -o FILE.csv, or cosim simulate ... > FILE.csv", file=sys.stderr)
+    elif ending == ".mat":
+        run.to_mat(args.output_file)
     else:
         run.to_csv(args.output_file or sys.stdout, units=args.units)
     if "stop" in run.stats and not args.quiet:
@@ -42,6 +43,21 @@ def run(args: argparse.Namespace) -> int:
             print(line, file=sys.stderr)
         print(", ".join(f"{key} {value}" for key, value in run.stats.items()), file=sys.stderr)
     return code
+
+
+def _checked_ending(args: argparse.Namespace) -> str:
+    """Return the ending of the output file, or reject it before anything is computed."""
+    if args.units not in UNIT_KINDS:
+        raise UnknownName.among("cosim simulate", "kind of units", args.units, UNIT_KINDS)
+    file = args.output_file or ""
+    ending = Path(file).suffix.lower()
+    if ending and (ending == ".json") != args.json:
+        raise UsageError(f"{file}: .json is for --json, and .csv or .mat for runs without it")
+    if ending == ".mat":
+        optional_module("scipy.io", "data")
+        if args.units != "si":
+            raise UsageError(f"{file}: a MATLAB file is in SI units; write .csv with --units book")
+    return ending
 
 
 def _at_times(run: Trajectory, units: str) -> list[dict[str, Any]]:

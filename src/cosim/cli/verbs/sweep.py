@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, value_in
+from cosim.cli.arguments import TIMES, assigned, names_in, options_in, times_in, value_in
 from cosim.cli.tables import write_text
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         samples=_samples(subject, args),
         progress=False if args.quiet else None,
         outputs=None if args.outputs is None else names_in(args.outputs),
-        output_times=None if args.times is None else numbers_in("--times", args.times),
+        output_times=None if args.times is None else times_in("--times", args.times),
         **options_in(args, *_OF_SWEEP, *_OF_RUNS),
     )
     if args.output_file is not None or args.store is None:

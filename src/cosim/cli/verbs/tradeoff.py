@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cosim.cli.arguments import names_in, numbers_in, scene_from
+from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import show_table, write_text
 from cosim.errors import UnknownName, UsageError
+from cosim.model.quantities import quantity
 from cosim.study.tradeoff.configuration import Selection
 from cosim.study.tradeoff.measurement import COSTS
 from cosim.study.tradeoff.result import Tradeoff
@@ -63,7 +64,7 @@ def _selection(args: argparse.Namespace) -> Selection:
     }
     for name in ("tolerances", "steps"):
         if text := getattr(args, name):
-            chosen[name] = numbers_in(f"--{name}", text)
+            chosen[name] = tuple(quantity(f"--{name}", word, "1") for word in text.split(","))
     if args.relative_tolerance is not None:
         if "tolerances" in chosen:
             raise UsageError(
