@@ -11,6 +11,7 @@ import cosim
 # Public names without an example, and why
 WITHOUT = {
     "extremes": "its cases take minutes",
+    "from_sympy": "docs/user_models.md has one",
     "mechanism": "docs/user_models.md has one",
 }
 MODULES = ("contact", "errors", "kane", "rotations", "solvers")

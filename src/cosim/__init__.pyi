@@ -27,6 +27,7 @@ from cosim.model.catalogue import load as load
 from cosim.model.catalogue import models as models
 from cosim.model.foreign.dae_builder import from_dae_builder as from_dae_builder
 from cosim.model.foreign.from_casadi import from_casadi as from_casadi
+from cosim.model.foreign.from_sympy import from_sympy as from_sympy
 from cosim.model.inputs import InputSeries as InputSeries
 from cosim.model.inputs import read_inputs as read_inputs
 from cosim.model.reduction import reduce as reduce

@@ -11,7 +11,7 @@ def optional_module(name: str, extra: str) -> Any:
 
     Args:
         name: Its import name, `SALib.sample.sobol`.
-        extra: `data`, `animate` or `sweep`.
+        extra: `data`, `animate`, `sweep` or `sympy`.
 
     Raises:
         MissingTool: The package is not installed.

@@ -160,7 +160,7 @@ class Facts:
         missing = [e for e, value in zip(symbol.entries, values, strict=True) if value is None]
         if missing:
             raise ParameterError(
-                f"{self.who}: parameter {', '.join(missing)} has no value; give it in start_values"
+                f"{self.who}: parameter {', '.join(missing)} has no value; give it one"
             )
         return values
 
@@ -241,8 +241,7 @@ def from_casadi(
         raise UsageError.of_type(f"{who}: outputs", outputs, "a dict of expressions by name")
     found = read_system(who, system, outputs or {})
     facts = Facts(who, start_values or {}, units or {}, meanings or {}, nominals or {})
-    facts.reject_strangers(found)
-    facts = replace(facts, starts=found.starts | dict(facts.starts))
+    reject_sizes(who, found)
     try:
         model = Model(
             name,
@@ -251,7 +250,10 @@ def from_casadi(
             stop_time=stop_time,
             output_interval=output_interval,
         )
-        return _built(who, found, facts, model)
+        x, laws = declare_system(found, facts, model)
+        if "I" in laws:
+            model.invariant("constraint_drift", x, laws["I"], CONSTRAINTS)
+        return model.freeze()
     except ValueError as error:
         raise UsageError(f"from_casadi: {error}") from error
 
@@ -284,8 +286,10 @@ def from_user(value: Any, name: str) -> Dae:
     return from_casadi(value, **options)
 
 
-def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
-    reject_sizes(who, system)
+def declare_system(system: System, facts: Facts, model: Model) -> tuple[SX, dict[str, SX]]:
+    """Return the states and all laws in the symbols of the model; of `I` the independent rows."""
+    facts.reject_strangers(system)
+    who, facts = facts.who, replace(facts, starts=system.starts | dict(facts.starts))
     starts = {kind: _given_starts(who, system, facts, kind) for kind in "xzup"}
     rules = {entry: start for entry, start in starts["x"].items() if not isinstance(start, float)}
     starts["x"] |= dict.fromkeys(rules, 0.0)
@@ -314,10 +318,9 @@ def _built(who: str, system: System, facts: Facts, model: Model) -> Dae:
         state = values["x"][[*starts["x"]].index(entry)]
         model.start(state, results[f"start of {entry}"], f"start of {entry}")
     if consistent:
-        held = results["I"][list(consistent.rows)]
-        model.start_equation(values["x"][list(consistent.states)], held, CONSTRAINTS)
-        model.invariant("constraint_drift", values["x"], held, CONSTRAINTS)
-    return model.freeze()
+        results["I"] = results["I"][list(consistent.rows)]
+        model.start_equation(values["x"][list(consistent.states)], results["I"], CONSTRAINTS)
+    return values["x"], results
 
 
 def _declared(
