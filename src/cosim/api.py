@@ -11,7 +11,7 @@ from cosim import backend as backends
 from cosim.backend import Backend
 from cosim.errors import UsageError
 from cosim.integrate.keywords import Keywords, requested
-from cosim.model.request import RunRequest
+from cosim.model.request import RunRequest, choice
 from cosim.model.solver import Goal, Solver
 from cosim.scene.scene import Scene
 from cosim.study.accuracy.choice import accurate_run
@@ -165,4 +165,4 @@ def run_scene(
     if not isinstance(scene, Scene):
         raise UsageError.of_type("run_scene", scene, "what cosim.read_scene returns")
     request = requested(scene.request, **keywords) if keywords else scene.request
-    return execute(request.reduced(), Backend.named(backend))
+    return execute(request.reduced(), choice(Backend, "backend", backend))

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from cosim.fmi.run.exported import run as run_as_fmu
 from cosim.integrate.run import run as run_natively
-from cosim.model.request import RunRequest, choice
+from cosim.model.request import RunRequest
 from cosim.trajectory import Trajectory
 
 
@@ -16,15 +16,6 @@ class Backend(StrEnum):
     INTERPRETED = "native-interpreted"
     MODEL_EXCHANGE = "fmu-me"
     CO_SIMULATION = "fmu-cs"
-
-    @classmethod
-    def named(cls, name: object) -> "Backend":
-        """Return a backend by its name.
-
-        Raises:
-            UnknownName: There is no backend of that name.
-        """
-        return choice(cls, "backend", name)
 
     @property
     def interface(self) -> str | None:

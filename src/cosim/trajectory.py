@@ -231,10 +231,6 @@ class Trajectory:
             found = replace(self, time=np.atleast_1d(requested), values=values)
         return found.final if requested.ndim == 0 else found
 
-    def computed_by(self, again: Callable[[Vector], Trajectory]) -> Trajectory:
-        """Return the same run with a function that computes it at other times; see `at`."""
-        return replace(self, again=again)
-
     def summary(self) -> Table:
         """Return start, end, smallest and largest value of every variable, in display units."""
         return Table(

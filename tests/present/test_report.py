@@ -24,11 +24,14 @@ def without_playback(page):
 
 
 def test_report_holds_every_part(page):
-    for part in ("The system", "In motion", "Numbers", "The book&#x27;s numbers", "Figures",
-                 "How far the numbers can be trusted", "How to make it again"):  # fmt: skip
-        assert f"<h2>{part}" in page.replace("The book's", "The book&#x27;s")
+    for i, part in enumerate(
+        ("The system", "In motion", "Numbers", "The book's numbers", "Figures",
+         "How far the numbers can be trusted", "How to make it again")
+    ):  # fmt: skip
+        assert f'<h2 id="{i}">{part}' in page
+        assert f'<a href="#{i}">{part}' in page
     text = without_playback(page)
-    for fact in ("Unit 7, Example 1", "seven welded slender bars", "phi, omega", "477.46483",
+    for fact in ("Unit 7, Example 1", "phi, omega", "477.46483",
                  "6.4994176", "fmu-me", "crank_shaft/multipliers", "SHA-256",
                  "cosim report crank_shaft.toml"):  # fmt: skip
         assert fact in text
@@ -93,7 +96,7 @@ def test_invalid_run_is_called_so_at_the_top():
     page = report(
         ReportContents(cosim.Scene("x", cosim.requested(dae)), dae, run, None, [], "cosim report x")
     )
-    head = page[: page.index("<h2>")]
+    head = page[: page.index("<h2 ")]
     assert "From 0.5 s on this run is outside its model" in head
     assert "shaded: INVALID" in page
 

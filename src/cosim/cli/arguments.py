@@ -13,7 +13,7 @@ from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity
-from cosim.model.request import RunRequest
+from cosim.model.request import RunRequest, choice
 from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
 from cosim.scene.scene import Scene
@@ -53,7 +53,7 @@ def options_in(args: argparse.Namespace, *names: str) -> dict[str, Any]:
 
 def runs_natively(args: argparse.Namespace) -> bool:
     """Return whether the backend of a command line needs no FMU."""
-    return Backend.named(getattr(args, "backend", None) or Backend.NATIVE).native
+    return choice(Backend, "backend", getattr(args, "backend", None) or Backend.NATIVE).native
 
 
 def _with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:

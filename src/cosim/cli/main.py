@@ -216,15 +216,14 @@ def _reported(args: argparse.Namespace) -> int:
         print(f"{type(error).__name__}: {visible(str(error), lines=True)}", file=sys.stderr)
         return error.exit_code
     except Exception as error:
-        if args.debug or (isinstance(error, OSError) and _is_of_output(error)):
+        to_output = (
+            isinstance(error, OSError) and error.errno in _OUTPUT_ERRORS and not error.filename
+        )
+        if args.debug or to_output:
             raise
         cause = sentence(f"{type(error).__name__}: {error}")
         print(f"cosim {args.verb} failed with {cause}; show where with: --debug", file=sys.stderr)
         return 1
-
-
-def _is_of_output(error: OSError) -> bool:
-    return error.errno in _OUTPUT_ERRORS and error.filename is None
 
 
 def _discard_output() -> None:

@@ -26,7 +26,7 @@ from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
 from cosim.model.quantities import quantity
-from cosim.model.request import RunRequest
+from cosim.model.request import RunRequest, choice
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
 from cosim.study.accuracy.choice import report
@@ -202,7 +202,7 @@ def _variant_of(scene: Scene | None, name: str, first: str | None) -> tuple[RunR
         raise UsageError("--compare is for models and scenes; an FMU has one backend only")
     other, backend = variant(scene.request, name)
     takes_over = first is not None and backend is Backend.NATIVE and name != backend
-    return other, Backend.named(first) if takes_over else backend
+    return other, choice(Backend, "backend", first) if takes_over else backend
 
 
 def size_of(args: argparse.Namespace) -> tuple[float, float]:

@@ -12,7 +12,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -117,7 +116,7 @@ def compile_library(
     options: Sequence[str] = (),
     command: Sequence[str] | None = None,
 ) -> Path:
-    """Compile C sources to a shared library, without optimization if memory is exhausted.
+    """Compile C sources to a shared library.
 
     Args:
         target: The library, replaced when the compiler succeeds; the compiler's temporary files
@@ -135,16 +134,9 @@ def compile_library(
     elif sys.platform == "win32" and "ziglang" not in compiler:  # Clang rejects both there
         flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
     arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
-    files = [*map(str, sources), "-o", str(target), *libraries]
-    try:
-        _run_compiler([*compiler, *arguments, *files], target)
-    except CompilerTimeout:
-        raise
-    except CompilerExhausted as error:
-        warnings.warn(
-            f"{error}; compiling again without optimization", RuntimeWarning, stacklevel=2
-        )
-        _run_compiler([*compiler, *arguments, "-O0", *files], target)
+    _run_compiler(
+        [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries], target
+    )
     return target
 
 

@@ -17,7 +17,7 @@ from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.coupling.parts import Connection
-from cosim.errors import FmuError, Interrupted, SolverError, UnknownName, UsageError
+from cosim.errors import FmuError, Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recorded, Recording
 from cosim.fmi.run.instance import (
     by_name,
@@ -43,13 +43,6 @@ class Method(StrEnum):
     GAUSS_SEIDEL = "gauss_seidel"
     EXTRAPOLATED = "extrapolated"
     ITERATED = "iterated"
-
-    @classmethod
-    def of(cls, name: str) -> "Method":
-        """Return the method of a name; raise `UnknownName` if there is none."""
-        if name not in tuple(cls):
-            raise UnknownName.among("the system", "method", str(name), tuple(cls))
-        return cls(name)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.variables import is_name
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description
+from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description, unit_of
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
 
@@ -109,8 +109,7 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     found = {}
     for name, variable in by_name(description).items():
         continuous = variable.type in ("Real", "Float64") and is_number(variable)
-        declared = variable.declaredType
-        unit = variable.unit or (declared.unit if declared else None)
+        unit = unit_of(variable)
         is_input = continuous and variable.causality == "input"
         source = continuous and variable.causality in ("output", "local")
         start = is_number(variable) and may_be_set(variable)

@@ -20,6 +20,7 @@ from cosim.fmi.ssp import write_ssp
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import requested
 from cosim.model.quantities import quantity
+from cosim.model.request import choice
 from cosim.model.values import number, plain_values
 from cosim.trajectory import Trajectory
 
@@ -55,7 +56,8 @@ class System:
     def __repr__(self) -> str:
         lines = [f"{self.name}: {len(self.parts)} parts, {len(self.connections)} connections"]
         for name, part in self.parts.items():
-            lines.append(f"  {name}: {_subject_name(part)}")
+            subject = part.subject
+            lines.append(f"  {name}: {getattr(subject, 'full_name', subject.name)}")
         for wire in self.connections:
             lines.append(f"  {'.'.join(wire.output)} -> {'.'.join(wire.input)}")
         return "\n".join(lines)
@@ -143,7 +145,7 @@ class System:
             *self._times(start_time, stop_time, output_interval),
             accuracy=_positive(self.name, "accuracy", accuracy),
             macro_step=_positive(self.name, "macro_step", macro_step),
-            method=Method.of(method),
+            method=choice(Method, "method", method),
             tolerance=_positive(self.name, "relative_tolerance", relative_tolerance),
         )
         values = self.start_values | _values(self.parts, start_values or {})
@@ -356,7 +358,3 @@ def _values(
 
 def _positive(owner: str, name: str, value: float | None) -> float | None:
     return None if value is None else number(owner, name, value, positive=True)
-
-
-def _subject_name(part: Part) -> str:
-    return part.subject.full_name if isinstance(part.subject, Dae) else part.subject.name

@@ -89,7 +89,6 @@ class Scale:
         size: Half the largest extent of that box.
         pose: Half the largest extent of a single pose; arrows are measured by it.
         center: Center of the box at the start of the run, (3,).
-        label_at: Where text stands: above the box, (3,).
         per_unit: Length of an arrow per SI unit of its load, by unit: m/N, m/(N.m).
         cell: Edge of a cell of the grid on the ground.
     """
@@ -98,7 +97,6 @@ class Scale:
     size: float
     pose: float
     center: Vector
-    label_at: Vector
     per_unit: dict[str, float]
     cell: float
 
@@ -141,7 +139,6 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         size=size,
         pose=pose or 1.0,
         center=center,
-        label_at=center + up * (np.abs(up) @ (high - low) / 2 + 0.35 * size),
         per_unit=per_unit,
         cell=0.5 * float(10.0 ** np.round(np.log10(pose or 1.0))),
     )

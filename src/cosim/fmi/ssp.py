@@ -11,6 +11,7 @@ from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import zipped
+from cosim.fmi.run.instance import unit_of
 from cosim.model.values import number
 from cosim.trajectory import repr_17
 
@@ -145,10 +146,9 @@ def _described(path: str | os.PathLike[str]) -> Any:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
 
 
-def unit_of(variable: Any) -> str | None:
+def _known_unit(variable: Any) -> str | None:
     """Return the unit of a variable; None if the table of units does not contain it."""
-    declared = variable.declaredType
-    unit = variable.unit or (declared.unit if declared else None)
+    unit = unit_of(variable)
     return unit if unit is not None and known(unit) else None
 
 

@@ -257,7 +257,7 @@ class _Course:
             self._accept(piece, found[0].t)
             event, left = found
             before = self._conditions_at(at)
-            due_rows = 2 * piece.upto(event.t)
+            due_rows = 2 * int(np.searchsorted(piece.times, event.t))
             self.window = max(self.least_window, min(self.window, due_rows))
             self._switch(event, event.zero - left, left, before)
             return ""

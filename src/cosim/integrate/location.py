@@ -118,10 +118,6 @@ class Piece:
             du[:, places] = [series.slopes(float(t)) for t in times]
         return u, du
 
-    def upto(self, t: float) -> int:
-        """Return the number of times before a time."""
-        return int(np.searchsorted(self.times, t))
-
     def at_end(self) -> Instant:
         """Return the instant at its end, in the modes of the piece."""
         solved = self.seen.solved[-1] if self.own.sliding else None

@@ -69,7 +69,7 @@ def run(request: RunRequest) -> Trajectory:
         found = replace(found, stats=replace(found.stats, note=note))
     if prepared.solver.adaptive:
         span = float(found.time[0]), float(found.time[-1])
-        found = found.computed_by(partial(run_at, request, span))
+        found = replace(found, again=partial(run_at, request, span))
     return found
 
 

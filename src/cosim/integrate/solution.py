@@ -118,6 +118,7 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
         margins=watches_singularity,
         compiled=problem.compiled,
     )
+    seen.table.setflags(write=False)  # a result need not copy it
     if seen.first_not_finite < n:
         n, name = seen.first_not_finite, _not_finite(dae, solved, seen, prepared.places)
         reason = reason or f"{name} is not finite at {grid[n]:g} s"

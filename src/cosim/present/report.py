@@ -3,10 +3,13 @@
 import hashlib
 import html
 import platform
+import re
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,9 @@ import casadi_models
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.printed import Printed
 from casadi_models.units import UNITS, convert
+from cosim.drawing.diagram import diagram
 from cosim.drawing.picture import draw_pose
+from cosim.drawing.pose import start_pose
 from cosim.errors import MissingTool
 from cosim.model.reduction import size
 from cosim.model.values import plain_values
@@ -59,7 +64,11 @@ def report(contents: ReportContents) -> str:
     title = c.scene.title or c.dae.description or c.run.model
     parts = [f"<h1>{html.escape(title)}</h1>", _validity(c.run), *_system(c), *_bodies(c)]
     parts += [*_numbers_section(c), *_printed(c), *_figures(c), *_trust(c), *_origin_section(c)]
-    body = "\n".join(parts)
+    titles = re.findall(r"<h2>(.*?)</h2>", "\n".join(parts))
+    links = " | ".join(f'<a href="#{i}">{name}</a>' for i, name in enumerate(titles))
+    numbers = count()
+    body = re.sub("<h2>", lambda _: f'<h2 id="{next(numbers)}">', "\n".join(parts))
+    body = body.replace("</h1>", f"</h1>\n<nav>{links}</nav>", 1)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{html.escape(title)}</title><style>{_CSS}</style></head>\n<body>\n{body}\n</body></html>\n"
@@ -86,8 +95,9 @@ def _system(c: ReportContents) -> Iterable[str]:
     if c.dae.algebraics:
         facts["algebraic unknowns"] = ", ".join(v.name for v in c.dae.algebraics)
     yield _facts_table(facts)
-    if sketch := _sketch(c.dae):
-        yield f"<pre>{html.escape(sketch)}</pre>"
+    if pose := start_pose(c.dae):
+        content = b64encode(diagram(pose)).decode()
+        yield f'<img alt="frames and positive directions" src="data:image/png;base64,{content}"/>'
     if c.dae.limits:
         yield "<p>The model is valid while</p><ul>"
         yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)
@@ -96,13 +106,6 @@ def _system(c: ReportContents) -> Iterable[str]:
         yield "<p>Reduced to the outputs of the scene:</p><ul>"
         yield from (f"<li>{html.escape(line)}</li>" for line in c.dae.report)
         yield "</ul>"
-
-
-def _sketch(dae: Dae) -> str:
-    """Return the docstring of a catalogue model: its sketch, assumptions and source."""
-    if dae.full_name not in casadi_models.CATALOG:
-        return ""
-    return (import_module(f"casadi_models.{dae.name}").__doc__ or "").strip()
 
 
 def _bodies(c: ReportContents) -> Iterable[str]:

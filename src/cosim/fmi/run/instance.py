@@ -284,6 +284,12 @@ def may_be_set(variable: Any) -> bool:
 
 
 @lru_cache(8)
+def unit_of(variable: Any) -> str | None:
+    """Return the unit of a variable or of its type; None if it has none."""
+    declared = variable.declaredType
+    return variable.unit or (declared.unit if declared else None)
+
+
 def by_name(description: Any) -> Mapping[str, Any]:
     """Return the variables by name, and by their other names."""
     variables = {variable.name: variable for variable in description.modelVariables}

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set
+from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set, unit_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
 from cosim.model.times import reject_backward, time_grid
@@ -255,10 +255,9 @@ def _check_series(
 @lru_cache(1024)
 def column_of(variable: Any) -> Column:
     """Return a variable of fmpy's as a column of a result."""
-    declared = variable.declaredType
     return Column(
         variable.name,
-        variable.unit or (declared.unit if declared else None) or "1",
+        unit_of(variable) or "1",
         variable.displayUnit,
         float(variable.nominal or 1.0),
         variable.description or "",

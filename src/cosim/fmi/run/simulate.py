@@ -7,8 +7,9 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import UsageError
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
+from cosim.model.request import choice
 from cosim.trajectory import Trajectory
 
 
@@ -64,9 +65,8 @@ def simulate_fmu(
         20.0
     """
     began = perf_counter()
-    if master not in tuple(Master):
-        raise UnknownName.among("cosim", "master", str(master), tuple(Master))
-    compiled = master == Master.C
+    master = choice(Master, "master", master)
+    compiled = master is Master.C
     if compiled and inputs is not None and inputs != {}:
         raise UsageError(
             f"{path}: master '{master}' takes no series of inputs; use '{Master.FMPY}'"
@@ -85,7 +85,7 @@ def simulate_fmu(
             inputs=inputs,
             outputs=outputs,
         )
-        run = fmu.run(request, Master(master))
+        run = fmu.run(request, master)
     gaps = request.inputs.gaps(request.start, request.stop) if request.inputs else ""
     note = "; ".join(filter(None, (run.stats.get("note"), gaps)))
     stats = {**run.stats, "wall_time": perf_counter() - began}

@@ -114,37 +114,24 @@ def _facts(
         "title": first.title,
         "bodies": first.bodies,
         "solids": [
-            {
-                "name": s.name,
-                "body": s.body,
-                "kind": s.kind,
-                "color": s.color,
-                "numbers": len(s.size),
-            }
+            _plain(s, "name", "body", "kind", "color") | {"numbers": len(s.size)}
             for s in first.solids
         ],
         "flat": not any(any(s.size) for s in first.solids),
         "loads": [
-            {
-                "name": load.name,
-                "meaning": load.meaning,
-                "unit": load.display_unit,
-                "factor": _factor(load.unit, load.display_unit),
-                "color": load.color,
-                "per_unit": scale.per_unit[load.unit],
-            }
+            _plain(load, "name", "meaning", "color")
+            | {"unit": load.display_unit, "factor": _factor(load.unit, load.display_unit)}
+            | {"per_unit": scale.per_unit[load.unit]}
             for load in first.loads
         ],
-        "paths": [{"name": path.name, "color": path.color} for path in first.paths],
-        "world": {"up": world.up, "axes": world.axes, "ground": world.ground},
+        "paths": [_plain(path, "name", "color") for path in first.paths],
+        "world": _plain(world, "up", "axes", "ground"),
         "camera": {
             "eye": camera.eye.tolist(),
             "center": scale.center.tolist(),
             "field": float(np.degrees(2 * HALF_ANGLE)),
         },
-        "size": scale.size,
-        "pose": scale.pose,
-        "cell": scale.cell,
+        **_plain(scale, "size", "pose", "cell"),
         "floor": float((scale.corners @ up).min()),
         "colors": CURVES,
         "invalid_color": INVALID_BODY,
@@ -152,6 +139,11 @@ def _facts(
         "chosen": chosen,
         "columns": [column_facts(column) for column in columns],
     }
+
+
+def _plain(value: object, *names: str) -> dict[str, Any]:
+    """Return attributes by name."""
+    return {name: getattr(value, name) for name in names}
 
 
 def column_facts(column: Column) -> dict[str, Any]:

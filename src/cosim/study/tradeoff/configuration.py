@@ -9,7 +9,7 @@ from cosim.backend import Backend
 from cosim.errors import ParameterError, UnknownName
 from cosim.integrate.preparation import controllable
 from cosim.integrate.solvers import SOLVERS, requested_solver
-from cosim.model.request import DriftControl, RunRequest
+from cosim.model.request import DriftControl, RunRequest, choice
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
 from cosim.model.values import number
@@ -120,7 +120,7 @@ class Selection:
             for name in names:
                 if name not in known:
                     raise UnknownName.among("cosim tradeoff", kind, name, known)
-        backends = tuple(dict.fromkeys(Backend.named(backend) for backend in self.backends))
+        backends = tuple(dict.fromkeys(choice(Backend, "backend", name) for name in self.backends))
         object.__setattr__(self, "backends", backends)
         for tolerance in self.tolerances:
             if Tolerance(tolerance).relative == 0:
