@@ -31,7 +31,7 @@ def test_report_holds_every_part(page):
         assert f'<h2 id="{i}">{part}' in page
         assert f'<a href="#{i}">{part}' in page
     text = without_playback(page)
-    for fact in ("Unit 7, Example 1", "phi, omega", "477.46483",
+    for fact in ("Unit 7, Example 1", "seven welded slender bars", "phi, omega", "477.46483",
                  "6.4994176", "fmu-me", "crank_shaft/multipliers", "SHA-256",
                  "cosim report crank_shaft.toml"):  # fmt: skip
         assert fact in text

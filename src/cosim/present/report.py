@@ -98,6 +98,9 @@ def _system(c: ReportContents) -> Iterable[str]:
     if pose := start_pose(c.dae):
         content = b64encode(diagram(pose)).decode()
         yield f'<img alt="frames and positive directions" src="data:image/png;base64,{content}"/>'
+    if c.dae.full_name in casadi_models.CATALOG:
+        paragraphs = (import_module(f"casadi_models.{c.dae.name}").__doc__ or "").split("\n\n")
+        yield from (f"<p>{html.escape(text)}</p>" for text in paragraphs if text[:1].strip())
     if c.dae.limits:
         yield "<p>The model is valid while</p><ul>"
         yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)

@@ -1,6 +1,5 @@
 """What makes a page compute: a model's FMU as WebAssembly, and what its sliders set."""
 
-from collections.abc import Iterator
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -78,25 +77,21 @@ def _picture(drawing: Drawing) -> tuple[int, SX]:
 
 
 def _variables(description: bytes) -> dict[str, dict[str, Any]]:
-    """Return the numbers of an FMU by name; those with a `value` can be set before a run."""
-    return {facts["name"]: facts for facts in _read(ElementTree.fromstring(description))}
-
-
-def _read(root: ElementTree.Element) -> Iterator[dict[str, Any]]:
-    for variable in root.iter("ScalarVariable"):
-        real = variable.find("Real")
-        if real is None:
+    """Return what a page knows of an FMU's variables; those with a `value` can be set."""
+    found = {}
+    for variable in ElementTree.fromstring(description).iter("ScalarVariable"):
+        if (real := variable.find("Real")) is None:
             continue
-        unit, causality = real.get("unit", "1"), variable.get("causality", "local")
-        column = Column(variable.attrib["name"], unit, real.get("displayUnit"),
-                        meaning=variable.get("description", ""))  # fmt: skip
-        facts = column_facts(column) | {"reference": int(variable.attrib["valueReference"])}
-        settable = causality in ("input", "parameter") or variable.get("initial") == "exact"
-        if settable and causality in _SLIDERS and variable.get("variability") != "constant":
+        name, causality = variable.attrib["name"], variable.get("causality", "local")
+        unit, meaning = real.get("unit", "1"), variable.get("description", "")
+        facts = column_facts(Column(name, unit, real.get("displayUnit"), meaning=meaning))
+        found[name] = facts | {"reference": int(variable.attrib["valueReference"])}
+        if causality in ("input", "parameter") or variable.get("initial") == "exact":
             value = float(real.get("start", 0))
             low, high = _range(value, real)
-            facts |= {"kind": _SLIDERS[causality], "value": value, "low": low, "high": high}
-        yield facts
+            kind = _SLIDERS[causality]
+            found[name] |= {"kind": kind, "value": value, "low": low, "high": high}
+    return found
 
 
 def _range(value: float, real: ElementTree.Element) -> tuple[float, float]:
