@@ -169,8 +169,8 @@ def test_example_is_short(path):
     assert len(path.read_text().splitlines()) <= 40
 
 
-# tests/clients, tests/integrate, tests/model/foreign
-JUDGED_ELSEWHERE = {"rider", "optimal_control", "rolling_disc"}
+# own files in tests/examples, tests/clients, tests/integrate, tests/model/foreign
+JUDGED_ELSEWHERE = {"arm", "fit_bar", "rider", "optimal_control", "rolling_disc"}
 
 
 def test_every_example_has_a_judge():
