@@ -21,7 +21,7 @@ _NOTHING = 1e-9  # parts of eigenvalues below this share of the largest count as
 
 
 def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
-    """Draw eigenvalues over a parameter: real parts solid, imaginary parts dashed, no zeros."""
+    """Draw eigenvalues over a parameter: real parts solid, imaginary dashed; shade where stable."""
     figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     axis = figure.subplots()
     size = float(abs(sweep.eigenvalues).max()) or 1.0
@@ -34,6 +34,9 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
         if imaginary.max() > _NOTHING * size:
             axis.plot(sweep.values, imaginary, "--", color=color, linewidth=0.8)
     axis.axhline(0.0, color="black", linewidth=0.6)
+    stable = (sweep.eigenvalues.real < _NOTHING * size).all(axis=1)
+    across = axis.get_xaxis_transform()
+    axis.fill_between(sweep.values, 0, 1, where=stable, transform=across, color="0.92", zorder=0)
     for crossing in sweep.crossings:
         axis.axvline(crossing.value, color="0.5", linewidth=0.8)
         kind = "oscillates" if crossing.frequency else "real"
@@ -50,7 +53,7 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
     unit = f" [{sweep.unit}]" if sweep.unit else ""
     axis.set_xlabel(f"{sweep.name}{unit}")
     axis.set_ylabel("eigenvalue [1/s]: real part, imaginary part dashed")
-    axis.set_title(sweep.points[0].model, fontsize=10)
+    axis.set_title(f"{sweep.points[0].model}; gray: stable", fontsize=10)
     return figure
 
 
