@@ -1,223 +1,27 @@
 /* Co-simulation of parts whose outputs drive inputs of other parts.
  *
- * At a communication point the interface is settled: inputs equal the outputs that drive them, also
- * through loops of direct feedthrough, and so do their rates. Within a macro step each input is a
- * cubic through values and rates at both ends; the parts are rolled back and step again until the
- * interface at the end agrees with what they were given. What the cubic before the step predicts
- * for its end differs from that by four powers of the step: that is the estimate of the error.
+ * At a communication point the interface is settled, see interface.h. Within a macro step each
+ * input is a cubic through values and rates at both ends; the parts are rolled back and step again
+ * until the interface at the end agrees with what they were given. What the cubic before the step
+ * predicts for its end differs from that by four powers of the step: that is the estimate of the
+ * error.
  *
- * Source  Kuebler, Schiehlen, Multibody Syst. Dyn. 4, 2000 (loops); Arnold, Clauss, Schierz, Arch.
- *         Mech. Eng. 60, 2013, 75-94 (error of macro steps).
+ * Source  Arnold, Clauss, Schierz, Arch. Mech. Eng. 60, 2013, 75-94 (error of macro steps).
  */
 #ifndef COUPLING_H
 #define COUPLING_H
 
-#include "fixed_point.h"
+#include "interface.h"
 #include "interrupt.h"
-#include "part.h"
-#include "run.h"
 
-enum { JACOBI, GAUSS_SEIDEL, EXTRAPOLATED, ITERATED }; /* as `Method` in cosim/coupling */
-enum { LOOP_UNSOLVED = NOT_A_NUMBER + 1 };             /* how a run ended, after those of run.h */
-enum { MOST_ITERATIONS = 40, MOST_SOLUTIONS = 30, PAST = 3, MOST_FORCED = 1000 };
+enum { MOST_ITERATIONS = 40, MOST_FORCED = 1000 };
 
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
 static const double AGREED = 1e-2, AGREED_IN_GIVEN_STEPS = 1e-4;
-static const double ROUNDED = 1e-13; /* relative difference of interfaces that agree */
 static const double SAFE = 0.8, SHORTER = 0.2, LONGER = 2.0; /* of macro steps */
 static const double SHORTEST = 1e-9;                         /* macro step, of the span */
 static const double LONGEST = 0.1;
-
-typedef struct {
-    Part *parts;
-    long long n_parts, inputs, outputs; /* connected ones of all parts, part after part */
-    const long long *source;            /* of each input: the output that drives it */
-    const double *factor, *offset;      /* input = factor output + offset */
-    const long long *feeds;             /* (outputs, inputs): whether it is felt at once */
-    double *u;                          /* inputs at the start: a guess, then their values */
-    double *scale;                      /* sizes of the inputs */
-    const long long *grows;             /* whether a scale is the largest value so far */
-    const double *times;                /* of outputs */
-    long long points;
-    double start, stop;
-    double macro_step; /* 0: chosen by the error */
-    double tolerance;  /* of the inputs, in their scales */
-    long long method;
-    /* answers */
-    long long how, rows, macro_steps, rejected, iterations, unsettled, part, input, status;
-    const char *function;
-    double time, mismatch; /* of inputs and outputs at output times, the largest */
-} System;
-
-/* The interface at a communication point: inputs and their rates. */
-typedef struct {
-    double t, *u, *r;
-} Interface;
-
-typedef struct {
-    System *system;
-    Fmu fmu;
-    int feedthrough, all_roll_back;
-    Interface now, next, past[PAST]; /* the newest of the past first */
-    long long known;                 /* points of the past */
-    double mismatch;                 /* of outputs and inputs, at output times within the step */
-    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
-    FixedPoint iteration;
-    double *memory;
-} Coupling;
-
-/* -- the interface at a communication point --------------------------------------------------- */
-
-static inline int give_up(Coupling *self, long long part) {
-    self->system->part = part;
-    return 1;
-}
-
-static inline int set_inputs(Coupling *self, const double *u) {
-    const System *system = self->system;
-    for (long long p = 0; p < system->n_parts; u += system->parts[p++].inputs)
-        if (part_set(&self->fmu, system->parts + p, u)) return give_up(self, p);
-    return 0;
-}
-
-static inline int get_outputs(Coupling *self) {
-    const System *system = self->system;
-    double *y = self->y;
-    for (long long p = 0; p < system->n_parts; y += system->parts[p++].outputs)
-        if (part_get(&self->fmu, system->parts + p, y)) return give_up(self, p);
-    return 0;
-}
-
-/* An input as the outputs want it. */
-static inline double driven(const Coupling *self, long long k) {
-    const System *system = self->system;
-    return system->factor[k] * self->y[system->source[k]] + system->offset[k];
-}
-
-/* Derivatives of driven inputs by inputs at a communication point, (inputs, inputs). */
-static inline int find_gain(Coupling *self, const double *u) {
-    const System *system = self->system;
-    const long long m = system->inputs;
-    long long input = 0, output = 0;
-    memset(self->gain, 0, (size_t)(m * m) * sizeof *self->gain);
-    for (long long p = 0; p < system->n_parts; ++p) {
-        const Part *part = system->parts + p;
-        for (long long i = 0; i < part->inputs; ++i, ++input) {
-            int felt = 0;
-            for (long long k = 0; k < part->outputs; ++k)
-                felt |= system->feeds[(output + k) * m + input] != 0;
-            if (!felt) continue;
-            if (part->directional) {
-                if (part_column(&self->fmu, part, i, self->column)) return give_up(self, p);
-            } else {
-                const double step = 1e-6 * system->scale[input];
-                memcpy(self->part_u, u + input - i, (size_t)part->inputs * sizeof *u);
-                self->part_u[i] += step;
-                if (part_set(&self->fmu, part, self->part_u) ||
-                    part_get(&self->fmu, part, self->column) ||
-                    part_set(&self->fmu, part, u + input - i))
-                    return give_up(self, p);
-                for (long long k = 0; k < part->outputs; ++k)
-                    self->column[k] = (self->column[k] - self->y[output + k]) / step;
-            }
-            for (long long k = 0; k < m; ++k)
-                if (system->source[k] >= output && system->source[k] < output + part->outputs)
-                    self->gain[k * m + input] =
-                        system->factor[k] * self->column[system->source[k] - output];
-        }
-        output += part->outputs;
-    }
-    return 0;
-}
-
-/* Solve (1 - gain) x = b; b becomes x. */
-static inline int through_loops(Coupling *self, double *b) {
-    const long long m = self->system->inputs;
-    for (long long i = 0; i < m * m; ++i) self->matrix[i] = -self->gain[i];
-    for (long long i = 0; i < m; ++i) self->matrix[i * m + i] += 1;
-    return solve_dense(m, self->matrix, b);
-}
-
-static inline double size_of(const System *system, long long i, double u) {
-    return system->scale[i] + fabs(u);
-}
-
-/* Inputs that equal the outputs that drive them; `u` is a guess. Returns how the run goes on. */
-static inline int settle_values(Coupling *self, double *u) {
-    System *system = self->system;
-    const long long m = system->inputs;
-    double last = INFINITY;
-    if (!self->feedthrough) { /* no output feels an input at once */
-        if (get_outputs(self)) return CALL_FAILED;
-        for (long long k = 0; k < m; ++k)
-            if (!isfinite(u[k] = driven(self, k))) return NOT_A_NUMBER;
-        return set_inputs(self, u) ? CALL_FAILED : DONE;
-    }
-    for (int n = 0; n < MOST_SOLUTIONS; ++n) {
-        double worst = 0;
-        if (set_inputs(self, u) || get_outputs(self)) return CALL_FAILED;
-        for (long long k = 0; k < m; ++k) {
-            self->change[k] = driven(self, k) - u[k];
-            const double off = fabs(self->change[k]) / size_of(system, k, u[k]);
-            if (!(off <= worst)) {
-                worst = off;
-                system->input = k;
-            }
-        }
-        if (!isfinite(worst)) return NOT_A_NUMBER;
-        if (worst <= ROUNDED || (worst >= last / 2 && last < 1e-10)) return DONE;
-        if (n % 4 == 0 && find_gain(self, u)) return CALL_FAILED;
-        if (through_loops(self, self->change)) return LOOP_UNSOLVED;
-        for (long long k = 0; k < m; ++k) u[k] += self->change[k];
-        last = worst;
-    }
-    return LOOP_UNSOLVED;
-}
-
-/* Derivative at the newest point of the polynomial through it and those of the past. */
-static inline double rate_of_values(const Coupling *self, const Interface *at, long long k) {
-    const long long n = self->known;
-    double sum = 0;
-    for (long long i = 0; i < n; ++i) { /* of the Lagrange polynomial of each past point */
-        const double since = at->t - self->past[i].t;
-        double weight = 1 / since;
-        for (long long j = 0; j < n; ++j)
-            if (j != i) weight *= (at->t - self->past[j].t) / (self->past[i].t - self->past[j].t);
-        sum += weight * (at->u[k] - self->past[i].u[k]);
-    }
-    return sum;
-}
-
-/* Rates of the inputs of a settled interface. */
-static inline int settle_rates(Coupling *self, Interface *at) {
-    System *system = self->system;
-    if (self->feedthrough && find_gain(self, at->u)) return CALL_FAILED;
-    double *rates = self->y;
-    memset(self->change, 0, (size_t)system->inputs * sizeof *self->change);
-    for (long long p = 0; p < system->n_parts; ++p) {
-        const Part *part = system->parts + p;
-        if (part->rates &&
-            ((part->order && part_set_derivatives(&self->fmu, part, 1, self->change)) ||
-             part_rates(&self->fmu, part, rates)))
-            return give_up(self, p), CALL_FAILED;
-        for (long long i = 0; !part->rates && i < part->outputs; ++i) rates[i] = NAN;
-        rates += part->outputs;
-    }
-    for (long long k = 0; k < system->inputs; ++k) {
-        const double rate = system->factor[k] * self->y[system->source[k]];
-        at->r[k] = isnan(rate) ? rate_of_values(self, at, k) : rate;
-    }
-    return self->feedthrough && through_loops(self, at->r) ? LOOP_UNSOLVED : DONE;
-}
-
-static inline int settle(Coupling *self, Interface *at) {
-    const int how = settle_values(self, at->u);
-    if (how != DONE) return how;
-    return self->system->method >= EXTRAPOLATED ? settle_rates(self, at) : DONE;
-}
-
-/* -- macro steps ------------------------------------------------------------------------------ */
 
 /* A cubic by its derivatives at the time `since` after the first of two points. */
 static inline void cubic_at(const Interface *a, const Interface *b, long long k, double since,
@@ -232,10 +36,9 @@ static inline void cubic_at(const Interface *a, const Interface *b, long long k,
 }
 
 /* Give a part its inputs for a step of a length, as well as it takes them. */
-static inline int drive(Coupling *self, long long p, long long first, double since, double length) {
-    const Part *part = self->system->parts + p;
+static inline int drive(Coupling *self, const Part *part, double since, double length) {
     double *u = self->part_u, *by_order = self->given;
-    const long long n = part->inputs;
+    const long long n = part->inputs, first = part->first_input;
     for (long long i = 0; i < n; ++i) {
         double d[4] = {self->next.u[first + i]};
         if (self->system->method >= EXTRAPOLATED)
@@ -255,14 +58,11 @@ static inline int drive(Coupling *self, long long p, long long first, double sin
 }
 
 /* Note by how much the outputs of a part differ from the cubics that they drive, within a step. */
-static inline int compare_with_cubics(Coupling *self, long long p, double since) {
+static inline int compare_with_cubics(Coupling *self, const Part *part, double since) {
     const System *system = self->system;
-    const Part *part = system->parts + p;
-    long long first = 0;
-    for (long long other = 0; other < p; ++other) first += system->parts[other].outputs;
-    if (part_get(&self->fmu, part, self->y + first)) return 1;
+    if (part_get(&self->fmu, part, self->y + part->first_output)) return 1;
     for (long long k = 0; k < system->inputs; ++k) {
-        const long long output = system->source[k] - first;
+        const long long output = system->source[k] - part->first_output;
         if (output < 0 || output >= part->outputs) continue;
         double d[4];
         cubic_at(&self->now, &self->next, k, since, d);
@@ -278,9 +78,8 @@ static inline int is_before(const System *system, long long row, double t) {
 }
 
 /* Step a part to the end of the macro step; if it records, by way of the output times within. */
-static inline int step_part(Coupling *self, long long p, long long first, int recording) {
+static inline int step_part(Coupling *self, Part *part, int recording) {
     const System *system = self->system;
-    Part *part = system->parts + p;
     const double begin = self->now.t, end = self->next.t;
     double t = begin;
     long long row = system->rows;
@@ -288,45 +87,39 @@ static inline int step_part(Coupling *self, long long p, long long first, int re
         const int last = !(recording && is_before(system, row, end));
         const double to = last ? end : system->times[row];
         if (to > t) {
-            if (drive(self, p, first, t - begin, to - t)) return PART_FAILED;
+            if (drive(self, part, t - begin, to - t)) return PART_FAILED;
             const int how = part_step(&self->fmu, part, t, to - t);
             if (how != STEPPED) return how;
         }
         t = to;
         if (last) return STEPPED;
         if (part_record(&self->fmu, part, row)) return PART_FAILED;
-        if (system->method >= EXTRAPOLATED && compare_with_cubics(self, p, t - begin))
+        if (system->method >= EXTRAPOLATED && compare_with_cubics(self, part, t - begin))
             return PART_FAILED;
     }
 }
 
-/* Inputs of a part that other parts, which have stepped already, drive: their values there. */
-static inline int take_new_outputs(Coupling *self, long long stepped, long long first,
-                                   long long count) {
+/* Inputs of a part that the parts before it drive, which have stepped already: their values there.
+ */
+static inline int take_new_outputs(Coupling *self, long long p) {
     const System *system = self->system;
-    double *y = self->y;
-    long long outputs = 0;
-    for (long long p = 0; p < stepped; ++p) {
-        if (part_get(&self->fmu, system->parts + p, y + outputs)) return 1;
-        outputs += system->parts[p].outputs;
-    }
-    for (long long k = first; k < first + count; ++k)
-        if (system->source[k] < outputs) self->next.u[k] = driven(self, k);
+    const Part *part = system->parts + p;
+    if (get_outputs(self, p)) return 1;
+    for (long long k = part->first_input; k < part->first_input + part->inputs; ++k)
+        if (system->source[k] < part->first_output) self->next.u[k] = driven(self, k);
     return 0;
 }
 
 /* Step all parts; from the second pass on those that roll back. */
 static inline int step_parts(Coupling *self, int pass, int recording) {
     System *system = self->system;
-    long long first = 0;
-    for (long long p = 0; p < system->n_parts; first += system->parts[p++].inputs) {
+    for (long long p = 0; p < system->n_parts; ++p) {
         Part *part = system->parts + p;
         system->part = p;
         if (pass > 0 && !part->rolls_back) continue;
         if (pass > 0 && part_restore(&self->fmu, part)) return PART_FAILED;
-        if (system->method == GAUSS_SEIDEL && take_new_outputs(self, p, first, part->inputs))
-            return PART_FAILED;
-        const int how = step_part(self, p, first, recording || !part->rolls_back);
+        if (system->method == GAUSS_SEIDEL && take_new_outputs(self, p)) return PART_FAILED;
+        const int how = step_part(self, part, recording || !part->rolls_back);
         if (how != STEPPED) return how;
     }
     return STEPPED;
@@ -614,6 +407,11 @@ static inline int settle_start(Coupling *self) {
 static inline void answer_of(System *system, int (*task)(Coupling *)) {
     Coupling self = {.system = system, .fmu = {NULL, NULL, OK}};
     system->part = system->input = -1;
+    for (long long p = 1; p < system->n_parts; ++p) {
+        const Part *before = system->parts + p - 1;
+        system->parts[p].first_input = before->first_input + before->inputs;
+        system->parts[p].first_output = before->first_output + before->outputs;
+    }
     system->how = make_room(&self) ? CALL_FAILED : task(&self);
     system->function = self.fmu.function;
     system->status = self.fmu.status;

@@ -9,7 +9,8 @@ enum { MOST_ORDER = 3 }; /* of derivatives of inputs */
 typedef struct {
     const Functions *call;
     const Recording *recording;
-    long long inputs, outputs; /* connected ones */
+    long long inputs, outputs;           /* connected ones */
+    long long first_input, first_output; /* where they begin among those of all parts */
     const uint32_t *input_references, *output_references;
     long long order;      /* of derivatives of inputs that it takes, 0 to MOST_ORDER */
     long long rates;      /* whether it gives derivatives of outputs */

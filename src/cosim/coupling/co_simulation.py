@@ -73,8 +73,7 @@ class _Part(ctypes.Structure):
     _fields_ = (
         ("call", ctypes.POINTER(Functions)),
         ("recording", ctypes.POINTER(Recording)),
-        ("inputs", _LONG),
-        ("outputs", _LONG),
+        *((name, _LONG) for name in ("inputs", "outputs", "first_input", "first_output")),
         ("input_references", _POINTER),
         ("output_references", _POINTER),
         *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional")),

@@ -1,0 +1,207 @@
+/* The interface of a coupled system at a communication point: inputs equal the outputs that drive
+ * them, also through loops of direct feedthrough, and so do their rates.
+ *
+ * Source  Kuebler, Schiehlen, Multibody Syst. Dyn. 4, 2000 (loops).
+ */
+#ifndef INTERFACE_H
+#define INTERFACE_H
+
+#include "fixed_point.h"
+#include "part.h"
+#include "run.h"
+
+enum { JACOBI, GAUSS_SEIDEL, EXTRAPOLATED, ITERATED }; /* as `Method` in cosim/coupling */
+enum { LOOP_UNSOLVED = NOT_A_NUMBER + 1 };             /* how a run ended, after those of run.h */
+enum { MOST_SOLUTIONS = 30, PAST = 3 };
+
+static const double ROUNDED = 1e-13; /* relative difference of interfaces that agree */
+
+typedef struct {
+    Part *parts;
+    long long n_parts, inputs, outputs; /* connected ones of all parts, part after part */
+    const long long *source;            /* of each input: the output that drives it */
+    const double *factor, *offset;      /* input = factor output + offset */
+    const long long *feeds;             /* (outputs, inputs): whether it is felt at once */
+    double *u;                          /* inputs at the start: a guess, then their values */
+    double *scale;                      /* sizes of the inputs */
+    const long long *grows;             /* whether a scale is the largest value so far */
+    const double *times;                /* of outputs */
+    long long points;
+    double start, stop;
+    double macro_step; /* 0: chosen by the error */
+    double tolerance;  /* of the inputs, in their scales */
+    long long method;
+    /* answers */
+    long long how, rows, macro_steps, rejected, iterations, unsettled, part, input, status;
+    const char *function;
+    double time, mismatch; /* of inputs and outputs at output times, the largest */
+} System;
+
+/* The interface at a communication point: inputs and their rates. */
+typedef struct {
+    double t, *u, *r;
+} Interface;
+
+typedef struct {
+    System *system;
+    Fmu fmu;
+    int feedthrough, all_roll_back;
+    Interface now, next, past[PAST]; /* the newest of the past first */
+    long long known;                 /* points of the past */
+    double mismatch;                 /* of outputs and inputs, at output times within the step */
+    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
+    FixedPoint iteration;
+    double *memory;
+} Coupling;
+
+static inline int give_up(Coupling *self, long long part) {
+    self->system->part = part;
+    return 1;
+}
+
+static inline int set_inputs(Coupling *self, const double *u) {
+    const System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        if (part_set(&self->fmu, part, u + part->first_input)) return give_up(self, p);
+    }
+    return 0;
+}
+
+/* Outputs of the first parts. */
+static inline int get_outputs(Coupling *self, long long parts) {
+    for (long long p = 0; p < parts; ++p) {
+        const Part *part = self->system->parts + p;
+        if (part_get(&self->fmu, part, self->y + part->first_output)) return give_up(self, p);
+    }
+    return 0;
+}
+
+/* An input as the outputs want it. */
+static inline double driven(const Coupling *self, long long k) {
+    const System *system = self->system;
+    return system->factor[k] * self->y[system->source[k]] + system->offset[k];
+}
+
+/* Derivatives of driven inputs by inputs at a communication point, (inputs, inputs). */
+static inline int find_gain(Coupling *self, const double *u) {
+    const System *system = self->system;
+    const long long m = system->inputs;
+    memset(self->gain, 0, (size_t)(m * m) * sizeof *self->gain);
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        const long long output = part->first_output;
+        for (long long i = 0; i < part->inputs; ++i) {
+            const long long input = part->first_input + i;
+            int felt = 0;
+            for (long long k = 0; k < part->outputs; ++k)
+                felt |= system->feeds[(output + k) * m + input] != 0;
+            if (!felt) continue;
+            if (part->directional) {
+                if (part_column(&self->fmu, part, i, self->column)) return give_up(self, p);
+            } else {
+                const double step = 1e-6 * system->scale[input];
+                memcpy(self->part_u, u + input - i, (size_t)part->inputs * sizeof *u);
+                self->part_u[i] += step;
+                if (part_set(&self->fmu, part, self->part_u) ||
+                    part_get(&self->fmu, part, self->column) ||
+                    part_set(&self->fmu, part, u + input - i))
+                    return give_up(self, p);
+                for (long long k = 0; k < part->outputs; ++k)
+                    self->column[k] = (self->column[k] - self->y[output + k]) / step;
+            }
+            for (long long k = 0; k < m; ++k)
+                if (system->source[k] >= output && system->source[k] < output + part->outputs)
+                    self->gain[k * m + input] =
+                        system->factor[k] * self->column[system->source[k] - output];
+        }
+    }
+    return 0;
+}
+
+/* Solve (1 - gain) x = b; b becomes x. */
+static inline int through_loops(Coupling *self, double *b) {
+    const long long m = self->system->inputs;
+    for (long long i = 0; i < m * m; ++i) self->matrix[i] = -self->gain[i];
+    for (long long i = 0; i < m; ++i) self->matrix[i * m + i] += 1;
+    return solve_dense(m, self->matrix, b);
+}
+
+static inline double size_of(const System *system, long long i, double u) {
+    return system->scale[i] + fabs(u);
+}
+
+/* Inputs that equal the outputs that drive them; `u` is a guess. Returns how the run goes on. */
+static inline int settle_values(Coupling *self, double *u) {
+    System *system = self->system;
+    const long long m = system->inputs;
+    double last = INFINITY;
+    if (!self->feedthrough) { /* no output feels an input at once */
+        if (get_outputs(self, system->n_parts)) return CALL_FAILED;
+        for (long long k = 0; k < m; ++k)
+            if (!isfinite(u[k] = driven(self, k))) return NOT_A_NUMBER;
+        return set_inputs(self, u) ? CALL_FAILED : DONE;
+    }
+    for (int n = 0; n < MOST_SOLUTIONS; ++n) {
+        double worst = 0;
+        if (set_inputs(self, u) || get_outputs(self, system->n_parts)) return CALL_FAILED;
+        for (long long k = 0; k < m; ++k) {
+            self->change[k] = driven(self, k) - u[k];
+            const double off = fabs(self->change[k]) / size_of(system, k, u[k]);
+            if (!(off <= worst)) {
+                worst = off;
+                system->input = k;
+            }
+        }
+        if (!isfinite(worst)) return NOT_A_NUMBER;
+        if (worst <= ROUNDED || (worst >= last / 2 && last < 1e-10)) return DONE;
+        if (n % 4 == 0 && find_gain(self, u)) return CALL_FAILED;
+        if (through_loops(self, self->change)) return LOOP_UNSOLVED;
+        for (long long k = 0; k < m; ++k) u[k] += self->change[k];
+        last = worst;
+    }
+    return LOOP_UNSOLVED;
+}
+
+/* Derivative at the newest point of the polynomial through it and those of the past. */
+static inline double rate_of_values(const Coupling *self, const Interface *at, long long k) {
+    const long long n = self->known;
+    double sum = 0;
+    for (long long i = 0; i < n; ++i) { /* of the Lagrange polynomial of each past point */
+        const double since = at->t - self->past[i].t;
+        double weight = 1 / since;
+        for (long long j = 0; j < n; ++j)
+            if (j != i) weight *= (at->t - self->past[j].t) / (self->past[i].t - self->past[j].t);
+        sum += weight * (at->u[k] - self->past[i].u[k]);
+    }
+    return sum;
+}
+
+/* Rates of the inputs of a settled interface. */
+static inline int settle_rates(Coupling *self, Interface *at) {
+    System *system = self->system;
+    if (self->feedthrough && find_gain(self, at->u)) return CALL_FAILED;
+    memset(self->change, 0, (size_t)system->inputs * sizeof *self->change);
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        double *rates = self->y + part->first_output;
+        if (part->rates &&
+            ((part->order && part_set_derivatives(&self->fmu, part, 1, self->change)) ||
+             part_rates(&self->fmu, part, rates)))
+            return give_up(self, p), CALL_FAILED;
+        for (long long i = 0; !part->rates && i < part->outputs; ++i) rates[i] = NAN;
+    }
+    for (long long k = 0; k < system->inputs; ++k) {
+        const double rate = system->factor[k] * self->y[system->source[k]];
+        at->r[k] = isnan(rate) ? rate_of_values(self, at, k) : rate;
+    }
+    return self->feedthrough && through_loops(self, at->r) ? LOOP_UNSOLVED : DONE;
+}
+
+static inline int settle(Coupling *self, Interface *at) {
+    const int how = settle_values(self, at->u);
+    if (how != DONE) return how;
+    return self->system->method >= EXTRAPOLATED ? settle_rates(self, at) : DONE;
+}
+
+#endif
