@@ -6,6 +6,7 @@ import cosim
 from cosim import backend as backends
 from cosim.backend import Backend
 from cosim.errors import UnknownName, UsageError
+from cosim.model.request import choice
 
 
 def test_backends_are_four_words():
@@ -21,7 +22,7 @@ def test_backends_are_four_words():
 @pytest.mark.parametrize("name", ["fmi", "fmu-mee", None, 3, ["native"], "casadi"])
 def test_other_backends_are_rejected(name):
     with pytest.raises(UnknownName, match="backend"):
-        Backend.named(name)
+        choice(Backend, "backend", name)
 
 
 def test_interpreted_backend_compiles_nothing():
