@@ -1,47 +1,19 @@
 """The solver of a page, in node: its numbers are those of the native FMU."""
 
-import json
-import shutil
-import subprocess
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from helpers.live_pages import NODE, computed
 
 import casadi_models
 import cosim
-from cosim.present.playback.animate import animate
-
-NODE = shutil.which("node")
-RUN = """
-import fs from "fs";
-import vm from "vm";
-const [page, script, settings] = process.argv.slice(2);
-const text = fs.readFileSync(page, "utf8");
-const data = JSON.parse(/<script id="data" type="application.json">([^]*?)<.script>/.exec(text)[1]);
-vm.runInThisContext(fs.readFileSync(script, "utf8") + "; globalThis.Solver = Solver;");
-const solver = await Solver.of(data.live);
-const run = solver.run(new Map(Object.entries(JSON.parse(settings))));
-const names = data.columns.map((column) => column.name);
-const values = run.curves.values.map((column) => Array.from(column));
-console.log(JSON.stringify({ time: Array.from(run.time), names, values, reasons: run.reasons }));
-"""
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(NODE is None, reason="no node here: apt-get install nodejs"),
+    pytest.mark.skipif(find_spec("ziglang") is None, reason="no ziglang here"),
 ]
-
-
-def computed(dae, settings, folder):
-    """Return what a page computes."""
-    pytest.importorskip("ziglang")
-    page, program = folder / "x.html", folder / "run.mjs"
-    animate(dae, page)
-    program.write_text(RUN, encoding="utf-8")
-    script = cosim.present.playback.page.__file__.replace("page.py", "page/live.js")
-    command = [NODE, program, page, script, json.dumps(settings)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
 
 
 @pytest.mark.parametrize("name", [n for n in casadi_models.CATALOG if "/" in n])

@@ -44,6 +44,9 @@ class CommandLine(Parser):
         if words and words[0] in ALIASES:
             options_first = len(words) > 1 and words[1].startswith("-")
             words[:1] = ALIASES[words[0]][:1] if options_first else ALIASES[words[0]]
+        fitting = [verb for verb in VERBS if words and verb.startswith(words[0])]
+        if len(fitting) == 1:
+            words[0] = fitting[0]
         return super().parse_known_args(words, namespace)
 
 

@@ -126,11 +126,12 @@ def with_largest_step(request: RunRequest) -> RunRequest:
 
 def is_driven(request: RunRequest) -> bool:
     """Return whether the equations contain time explicitly, or a series drives them."""
-    return request.inputs is not None or _contains_time(request.dae)
+    return request.inputs is not None or contains_time(request.dae)
 
 
 @cached_per_thread(64)
-def _contains_time(dae: Dae) -> bool:
+def contains_time(dae: Dae) -> bool:
+    """Return whether the equations contain time explicitly."""
     return bool(ca.depends_on(ca.vertcat(dae.ode, dae.alg), dae.t))
 
 

@@ -89,8 +89,7 @@ def _variables(description: bytes) -> dict[str, dict[str, Any]]:
         if causality in ("input", "parameter") or variable.get("initial") == "exact":
             value = float(real.get("start", 0))
             low, high = _range(value, real)
-            kind = _SLIDERS[causality]
-            found[name] |= {"kind": kind, "value": value, "low": low, "high": high}
+            found[name] |= {"kind": _SLIDERS[causality], "value": value, "low": low, "high": high}
     return found
 
 
