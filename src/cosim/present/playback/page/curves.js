@@ -52,7 +52,7 @@ class Curves {
     const color = style.getPropertyValue("--ink"), faint = style.getPropertyValue("--faint");
     const axis = { stroke: color, grid: { stroke: faint, width: 1 }, ticks: { stroke: faint } };
     const lines = this.results.flatMap((run, i) => columns.map((k, position) => ({
-      label: this.data.columns[k].name + (i ? ` (${run.title})` : ""),
+      label: this.data.columns[k].name + (i ? ` (${this.different(run)})` : ""),
       stroke: colors[position % colors.length],
       dash: i ? [4 + 2 * i, 4] : undefined,
       width: i ? 1 : 1.8,
@@ -71,6 +71,12 @@ class Curves {
     const mark = plot.over.appendChild(document.createElement("div"));
     mark.className = "moment";
     return { plot, columns, mark };
+  }
+
+  /* The words of a run's title that the first one's lacks. */
+  different(run) {
+    const first = this.results[0].title.split(", ");
+    return run.title.split(", ").filter((word) => !first.includes(word)).join(", ") || "other run";
   }
 
   fill() {
