@@ -176,3 +176,8 @@ def lag_up() -> Dae:
 def lag_down() -> Dae:
     """Return a lag with a direct feedthrough of -0.4: a loop with `lag_up` has this gain."""
     return lag(-0.4)
+
+
+def lag_far_down() -> Dae:
+    """Return a lag with a direct feedthrough of -2.5."""
+    return lag(-2.5)
