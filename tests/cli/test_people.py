@@ -139,7 +139,7 @@ def test_times_may_have_a_unit(text, value):
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("simulat bicycle", "did you mean simulate?"),
+        ("simlate bicycle", "did you mean simulate?"),
         ("simulate bicycle --stoptime 3", "did you mean --stop-time?"),
         ("simulate bicycle --input t", "--input t: write NAME=FORMULA"),
         ("simulate bicycle --input steer=t", "no input 'steer'; did you mean steer_torque?"),

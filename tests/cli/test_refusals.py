@@ -37,7 +37,7 @@ def refused(capsys, monkeypatch, tmp_path):
     ("line", "expected"),
     [
         ("", "the following arguments are required: VERB; see: cosim --help"),
-        ("simulat bicycle", "invalid choice: 'simulat' .*'simulate'.*; see: cosim --help"),
+        ("simlate bicycle", "invalid choice: 'simlate' .*'simulate'.*; see: cosim --help"),
         ("simulate", "required: MODEL|SCENE.toml|FILE.fmu; see: cosim simulate --help"),
         ("simulate bicycle --frob", "cannot take '--frob'; see: cosim simulate --help"),
         ("simulate bicycle crank_shaft", "cannot take 'crank_shaft'"),
