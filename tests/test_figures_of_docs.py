@@ -1,0 +1,29 @@
+"""Figures of the documentation show what their commands draw today."""
+
+import runpy
+
+import numpy as np
+import pytest
+from helpers.import_graph import ROOT
+from PIL import Image
+
+FIGURES = runpy.run_path(str(ROOT / "benchmarks" / "figures.py"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FIGURES["QUICK"])
+def test_figure_is_what_its_command_draws(name, tmp_path):
+    FIGURES["draw"](name, tmp_path / "x.png")
+    with (
+        Image.open(tmp_path / "x.png") as new,
+        Image.open(FIGURES["FOLDER"] / f"{name}.png") as old,
+    ):
+        assert new.size == old.size
+        both = [np.asarray(image.convert("L"), dtype=float) for image in (new, old)]
+    different = np.abs(both[0] - both[1]) > 64
+    assert different.mean() < 1e-3  # fonts of another machine move single pixels
+
+
+@pytest.mark.parametrize("name", [*FIGURES["LONG"], *FIGURES["SCRIPTS"]])
+def test_figure_of_a_long_command_exists(name):
+    assert (FIGURES["FOLDER"] / f"{name}.png").exists()
