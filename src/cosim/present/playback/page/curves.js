@@ -88,7 +88,7 @@ class Curves {
         return values.map((v) => (Number.isFinite(v) ? v * factor : null));
       }));
       chart.plot.setData([Array.from(time), ...rows]);
-      this.annotate(chart);
+      queueMicrotask(() => this.annotate(chart)); // uPlot finds its scales in one, too
     }
   }
 

@@ -52,13 +52,17 @@ class Solver {
     const time = times.slice(0, reached);
     const column = (k) => Float64Array.from({ length: reached }, (_, i) => rows[i * width + k]);
     const values = Array.from({ length: references.length - first }, (_, k) => column(first + k));
-    const reasons = messages.map((line) => line.replace(/^\w+: /, ""));
+    const rounded = (digits) => String(Number(Number(digits).toPrecision(6)));
+    const plain = (line) => line.replace(/^\w+: /, "").replace(/\d+\.\d{5,}/g, rounded);
+    const reasons = messages.map(plain);
+    const stopped = reached < times.length;
+    if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${time[reached - 1]} s`);
     const since = messages.map((line) => /from time (\S+) on/.exec(line)).find(Boolean);
     return {
       time, rows: rows.subarray(references.length), across: width, down: 1, title: "",
       shapes: reached ? Array.from(rows.subarray(width - shapes, width)) : [],
       curves: { time, values }, events: [], reasons,
-      invalid_from: since ? Number(since[1]) : null, stopped: reached < times.length,
+      invalid_from: since ? Number(since[1]) : null, stopped,
     };
   }
 }

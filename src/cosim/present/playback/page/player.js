@@ -118,11 +118,13 @@ class Player {
     $("facts").textContent = parts.join("\n");
     for (const run of this.results) {
       const invalid = run.invalid_from !== null && this.t >= run.invalid_from;
-      for (const reason of run.reasons.filter(() => invalid || run.stopped)) {
+      run.reasons.forEach((reason, i) => {
+        const last = run.stopped && i === run.reasons.length - 1;
+        if (!invalid && !(last && this.t >= this.end)) return;
         const line = $("facts").appendChild(document.createElement("div"));
         line.className = "alarm";
-        line.textContent = `${run.stopped ? "stopped" : "invalid"}: ${reason}`;
-      }
+        line.textContent = `${last ? "stopped" : "invalid"}: ${reason}`;
+      });
     }
     const event = this.results[0].events.filter(([time]) => time <= this.t).pop();
     if (event && this.t - event[0] < 0.5 * this.speed)
