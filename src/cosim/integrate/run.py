@@ -86,11 +86,7 @@ def run_at(request: RunRequest, span: tuple[float, float], times: Vector) -> Tra
 
 
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
-    """Run once, without a fallback.
-
-    Raises:
-        CosimError, Interrupted: See `run`.
-    """
+    """Run once, without a fallback."""
     began, compiling = perf_counter(), time_compiling()
     dae = prepared.problem.dae
     with doing(dae.full_name):

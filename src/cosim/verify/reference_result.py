@@ -186,9 +186,6 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
 
     The solvers are tried in order until one succeeds. A second solver estimates the error; for
     large models, or where no other solver succeeds, the same solver at ten times the tolerance.
-
-    Raises:
-        CosimError: No solver succeeds; the error is that of the first one.
     """
     implicit = dae.algebraics or solver_for(dae, None) == ROSENBROCK  # as inside the FMU
     methods: list[_Method] = [("rosenbrock" if implicit else "erk", False)]

@@ -257,7 +257,7 @@ def test_a_stopped_sweep_continues_with_the_missing_blocks(growth, tmp_path, blo
         time.sleep(0.02)
     children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(blow)
-    assert len(children) >= 2
+    assert children
     assert not psutil.wait_procs(children, timeout=60)[1]
     printed = process.communicate(timeout=60)[1].decode()
     if blow == signal.SIGINT:

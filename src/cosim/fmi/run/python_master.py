@@ -98,11 +98,7 @@ class _Recorder:
 
 
 def _ended(time: float, request: FmuRequest, recorder: _Recorder) -> dict[str, Any]:
-    """Record where an FMU ends its run, and return what is to be said of that.
-
-    Raises:
-        FmuError: It must not.
-    """
+    """Record where an FMU ends its run, and return what is to be said of that."""
     if not request.may_end:
         raise _stopped_early(time, request)
     recorder.record(time)

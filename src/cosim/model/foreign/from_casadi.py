@@ -48,9 +48,6 @@ def _consistent_start(
 
     `casadi.dae_reduce_index` returns the original constraints as `I`; a solution keeps them at zero
     if they are zero at its start. Some states are therefore calculated from the others.
-
-    Raises:
-        InitialConditionError: The given starts contradict the constraints.
     """
     names, x = [*starts], np.array([*starts.values()], dtype=float)
     slope = constraints.factory("slope", constraints.name_in(), ["jac:I:x"])

@@ -68,11 +68,9 @@ def live_part(dae: Dae, run: Trajectory) -> dict[str, Any]:
 def _picture(drawing: Drawing) -> tuple[int, SX]:
     """Return how many numbers describe the shapes, and all numbers of a row for scene.js."""
     shapes = [ca.vertcat(ca.vec(s.size), s.at, s.along) for s in drawing.shapes]
-    moving = [
-        *(ca.vertcat(a.at, a.vector) for a in drawing.arrows),
-        *(t.at for t in drawing.traces),
-    ]
-    picture = ca.densify(ca.vertcat(motion(drawing), *moving, *shapes))
+    arrows = [ca.vertcat(a.at, a.vector) for a in drawing.arrows]
+    points = [trace.at for trace in drawing.traces]
+    picture = ca.densify(ca.vertcat(motion(drawing), *arrows, *points, *shapes))
     return sum(shape.numel() for shape in shapes), picture
 
 

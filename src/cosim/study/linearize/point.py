@@ -153,9 +153,6 @@ def _equilibrium(dae: Dae, x: Vector, values: Values) -> tuple[Vector, str]:
 
     If several states can move, the step of least norm is taken. Invariants stay zero. Cyclic
     states retain their values, and their rates need not vanish.
-
-    Raises:
-        InitialConditionError: There is no equilibrium near x.
     """
     cyclic, driven = cyclic_states(dae), [bool(row.any()) for row in _influence(dae)]
     free = [i for i in range(len(x)) if i not in cyclic]

@@ -1,8 +1,10 @@
 """The blocks of a sweep over the workers of a `dask.distributed` cluster."""
 
+import logging
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from threading import Event, Thread
 from typing import Any
 from uuid import uuid4
 
@@ -18,6 +20,7 @@ distributed: Any = optional_module("distributed", "sweep")
 
 _PATIENCE = 120  # s, for the first worker
 _WORKER = "distributed.cli.dask_worker"
+_MOST_PROCESSES = 10_000  # of a worker, one after the other
 
 
 class SweepPlugin(distributed.WorkerPlugin):  # type: ignore[misc] # dask is an extra
@@ -57,22 +60,40 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
     with ExitStack() as stack:
         # a block is tried on two workers, then each of its runs alone on two
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 1}))
-        cluster = stack.enter_context(
-            distributed.LocalCluster(
-                n_workers=0,
-                dashboard_address=None,
-                silence_logs="CRITICAL",
-                scheduler_kwargs={"dashboard_address": ":0"},  # any free port of its web server
-            )
-        )
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # also after the end
+        ports: Any = {"dashboard_address": None, "scheduler_kwargs": {"dashboard_address": ":0"}}
+        local = distributed.LocalCluster(n_workers=0, silence_logs=False, **ports)
+        cluster = stack.enter_context(local)
         client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-        # dask's own processes would run the user's script again, which needs a guard in it
-        words = [cluster.scheduler_address, "--nworkers", str(workers), "--nthreads", "1",
-                 "--no-dashboard", "--death-timeout", "60"]  # fmt: skip
-        quiet = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
-        child = Child(_WORKER, words, environment=quiet)
-        stack.callback(child.end)
+        stack.enter_context(_working(client, cluster.scheduler_address, workers))
         yield client
+
+
+@contextmanager
+def _working(client: Any, scheduler: str, workers: int) -> Iterator[None]:
+    """Run a process for each worker, and another one in its place when a run ends it."""
+    # dask's own processes would run the user's script again, which needs a guard in it
+    words = [scheduler, "--no-nanny", "--nthreads", "1", "--no-dashboard", "--death-timeout", "60"]
+    quiet = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
+    done = Event()
+
+    def work() -> None:
+        for _ in range(_MOST_PROCESSES):
+            with Child(_WORKER, words, environment=quiet) as child:
+                while child.wait(0.1) is None:
+                    if done.wait(0.1):
+                        return
+        client.close()  # ends the sweep
+
+    threads = [Thread(target=work, daemon=True) for _ in range(workers)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        for thread in threads:
+            thread.join()
 
 
 def over_cluster(
