@@ -68,7 +68,8 @@ def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
         yield limit
     elif hasattr(signal, "setitimer"):
         before = signal.signal(signal.SIGALRM, limit.interrupt)
-        timer = signal.setitimer(signal.ITIMER_REAL, seconds)
+        # again after 2 s: a callback of native code may have swallowed the exception
+        timer = signal.setitimer(signal.ITIMER_REAL, seconds, 2.0)
         try:
             yield limit
         finally:
