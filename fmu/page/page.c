@@ -83,14 +83,14 @@ size_t page_run(const Settings *given, size_t values, const unsigned *references
                 const double *times, size_t width, double *rows) {
     const fmi2CallbackFunctions host = {keep, calloc, free, NULL, NULL};
     messages[0] = '\0';
-    fmi2Component fmu = fmi2Instantiate("page", fmi2CoSimulation, MODEL_GUID, "", &host, fmi2False,
-                                        fmi2True);
+    fmi2Component fmu =
+        fmi2Instantiate("page", fmi2CoSimulation, MODEL_GUID, "", &host, fmi2False, fmi2True);
     size_t i = 0;
     if (fmu && !starts(fmu, given, times, n))
         for (; i < n; ++i) {
             double *row = rows + i * width;
-            if (i > 0 && fmi2DoStep(fmu, times[i - 1], times[i] - times[i - 1], fmi2True) >
-                             fmi2Warning)
+            if (i > 0 &&
+                fmi2DoStep(fmu, times[i - 1], times[i] - times[i - 1], fmi2True) > fmi2Warning)
                 break;
             if (fmi2GetReal(fmu, references, values, row) > fmi2Warning ||
                 draw(row, values, times[i]))
