@@ -11,43 +11,21 @@ Source  Cellier & Kofman, Continuous System Simulation, Springer 2006, chapter 9
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
 
 import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae.events import Event
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.relations import RELATIONS, LawsWithModes, Relation, applied
 from casadi_models.dae.variables import Variable
 
-COMPARISONS = ("<", "<=")
-_COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay equal
-_OF_ONE = (ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL)
-_OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
-_RELATIONS = {*_COMPARISONS, *_OF_ONE, *_OF_TWO}
 _LOGIC: dict[int, Callable[..., SX]] = {  # as polynomials of truth values between 0 and 1
     ca.OP_AND: lambda a, b: a * b,
     ca.OP_OR: lambda a, b: a + b - a * b,
     ca.OP_NOT: lambda a: 1 - a,
     ca.OP_IF_ELSE_ZERO: lambda a, b: a * b,
 }
-
-
-@dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
-class Relation:
-    """What switches, and where.
-
-    Attributes:
-        argument: Its sign, or its floor, is the mode; of the frozen equations' symbols.
-        floor: Whether the mode is the floor of the argument, not its sign.
-        at_zero: Mode while the argument stays 0.
-        operation: The operation of the equations, for messages.
-    """
-
-    argument: SX
-    floor: bool
-    at_zero: int
-    operation: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,12 +290,12 @@ def hybrid(dae: Dae) -> Hybrid | None:
     """
     function = ca.Function("laws", dae.arguments, [dae.ode, dae.alg])
     used = {function.instruction_id(k) for k in range(function.n_instructions())}
-    if used.isdisjoint(_RELATIONS) and not dae.events:
+    if used.isdisjoint(RELATIONS) and not dae.events:
         return None
     conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))
-    walk = _Walk([dae.ode, dae.alg, conditions], [dae.outputs], dae)
-    ode, alg, conditions, outputs = walk.results
-    relations = walk.relations
+    laws = LawsWithModes([dae.ode, dae.alg, conditions], [dae.outputs], dae)
+    ode, alg, conditions, outputs = laws.results
+    relations = laws.relations
     if not relations and not dae.events:
         return None
     count = len(dae.inputs)
@@ -327,7 +305,7 @@ def hybrid(dae: Dae) -> Hybrid | None:
     )
     smooth = replace(
         dae,
-        u=ca.densify(ca.vertcat(dae.u, *walk.modes)),
+        u=ca.densify(ca.vertcat(dae.u, *laws.modes)),
         inputs=(*dae.inputs, *more),
         ode=ode,
         alg=alg,
@@ -352,159 +330,6 @@ def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:
         moving = ca.vertcat(dae.x, dae.z, dae.u[:first], *others)
         found.append(not ca.depends_on(relation.argument, moving))
     return found
-
-
-class _Walk:
-    """The laws of a model, rebuilt operation by operation with modes for relations."""
-
-    def __init__(self, laws: Sequence[SX], others: Sequence[SX], dae: Dae) -> None:
-        self.relations: list[Relation] = []
-        self.modes: list[SX] = []
-        smooth = ca.vertcat(SX(0, 1), *dae.smooth)
-        columns = [*laws, *others, smooth]
-        symbols = [*dae.arguments]
-        self._function = ca.Function("laws", symbols, columns, {"cse": True})
-        self._symbols = [ca.vertsplit(column) for column in symbols]
-        self._read(len(laws), len(columns) - 1)
-        sizes = [column.numel() for column in columns[:-1]]
-        self.results = self._rebuilt(sizes)
-
-    def _read(self, laws: int, smooth: int) -> None:
-        """Read the instructions: operands, whether they change, and which are in the laws."""
-        function = self._function
-        # by place of the work vector: the instruction that wrote there, and which of its results
-        place: dict[int, tuple[int, int]] = {}
-        self._codes, self._operands = list[int](), list[list[tuple[int, int]]]()
-        changes, wanted, literal = list[bool](), set[int](), set[int]()
-        self._targets: dict[tuple[int, int], tuple[int, int]] = {}
-        for k in range(function.n_instructions()):
-            code, given = function.instruction_id(k), function.instruction_input(k)
-            operands = [] if code in (ca.OP_INPUT, ca.OP_CONST) else [place[i] for i in given]
-            self._codes.append(code)
-            self._operands.append(operands)
-            if code == ca.OP_OUTPUT:
-                output, row = function.instruction_output(k)
-                self._targets[output, row] = operands[0]
-                if output < laws:
-                    wanted.add(operands[0][0])
-                if output == smooth:
-                    literal.add(operands[0][0])
-                changes.append(False)
-                continue
-            for part, i in enumerate(function.instruction_output(k)):
-                place[i] = (k, part)
-            parameter = code == ca.OP_INPUT and given[0] == 4
-            changes.append(
-                not parameter if code == ca.OP_INPUT else any(changes[i] for i, _ in operands)
-            )
-        for k in range(len(self._codes) - 1, -1, -1):  # what a law depends on is in it
-            if k in wanted:
-                wanted.update(i for i, _ in self._operands[k])
-            if k in literal:
-                literal.update(i for i, _ in self._operands[k])
-        self._events = {
-            k
-            for k in wanted - literal
-            if changes[k] and self._codes[k] in _RELATIONS
-        }  # fmt: skip
-
-    def _rebuilt(self, sizes: Sequence[int]) -> list[SX]:
-        function, values = self._function, list[list[SX]]()
-        for k, (code, operands) in enumerate(zip(self._codes, self._operands, strict=True)):
-            terms = [values[i][part] for i, part in operands]
-            if code == ca.OP_INPUT:
-                column, row = function.instruction_input(k)
-                values.append([self._symbols[column][row]])
-            elif code == ca.OP_CONST:
-                values.append([SX(function.instruction_constant(k))])
-            elif code == ca.OP_OUTPUT:
-                values.append([])
-            elif code == ca.OP_CALL:
-                values.append(self._called(terms, len(function.instruction_output(k))))
-            elif k in self._events:
-                values.append([self._switched(code, terms)])
-            else:
-                values.append([_applied(code, terms)])
-        rows = [[self._targets[output, row] for row in range(n)] for output, n in enumerate(sizes)]
-        return [
-            ca.densify(ca.vertcat(SX(0, 1), *(values[k][part] for k, part in places)))
-            for places in rows
-        ]
-
-    def _called(self, terms: Sequence[SX], results: int) -> list[SX]:
-        """Return the results of a function that the laws call.
-
-        Raises:
-            ValueError: Several functions have these sizes, and CasADi does not tell which it is.
-        """
-        fitting = [
-            f
-            for f in self._function.find_functions(0)
-            if f.nnz_in() == len(terms) and f.nnz_out() == results
-        ]
-        if len(fitting) != 1:
-            raise ValueError("equations that call several functions of equal sizes have no events")
-        (called,) = fitting
-        ends = accumulate((called.nnz_in(i) for i in range(called.n_in())), initial=0)
-        column = ca.vertcat(*terms)
-        given = [
-            SX(called.sparsity_in(i), column[begin:end])
-            for i, (begin, end) in enumerate(pairwise(ends))
-        ]
-        return [row for result in called.call(given) for row in _nonzeros(result)]
-
-    def _switched(self, code: int, terms: Sequence[SX]) -> SX:
-        """Return a relation with a mode, or several, in its place."""
-        if code in _COMPARISONS:
-            a, b = terms
-            name = COMPARISONS[code == ca.OP_LE]
-            return self._sign(b - a, name, _COMPARISONS[code]) > 0
-        if len(terms) == 1:
-            (a,) = terms
-            match code:
-                case ca.OP_SIGN:
-                    return self._sign(a, "sign")
-                case ca.OP_FABS:
-                    return self._sign(a, "fabs") * a
-                case ca.OP_FLOOR:
-                    return self._floor(a, "floor")
-            return -self._floor(-a, "ceil")
-        a, b = terms
-        match code:
-            case ca.OP_FMIN:
-                return ca.if_else(self._sign(b - a, "fmin") > 0, a, b)
-            case ca.OP_FMAX:
-                return ca.if_else(self._sign(b - a, "fmax") > 0, b, a)
-            case ca.OP_COPYSIGN:
-                return self._sign(a, "copysign") * a * self._sign(b, "copysign")
-            case ca.OP_REMAINDER:
-                return a - b * self._floor(a / b + 0.5, "remainder")
-        side = self._sign(a / b, "fmod")
-        return a - b * side * self._floor(side * a / b, "fmod")
-
-    def _sign(self, argument: SX, operation: str, at_zero: int = 1) -> SX:
-        return self._mode(Relation(argument, False, at_zero, operation))
-
-    def _floor(self, argument: SX, operation: str) -> SX:
-        return self._mode(Relation(argument, True, 1, operation))
-
-    def _mode(self, relation: Relation) -> SX:
-        for known, mode in zip(self.relations, self.modes, strict=True):
-            same = known.floor == relation.floor and known.at_zero == relation.at_zero
-            if same and ca.is_equal(known.argument, relation.argument, 3):
-                return mode
-        self.relations.append(relation)
-        self.modes.append(SX.sym(f"mode_{len(self.relations)}"))
-        return self.modes[-1]
-
-
-def _nonzeros(matrix: SX) -> list[SX]:
-    """Return the nonzeros of a sparse matrix, column by column."""
-    return ca.vertsplit(matrix.nz[:]) if matrix.nnz() else []
-
-
-def _applied(code: int, terms: Sequence[SX]) -> SX:
-    return SX.unary(code, *terms) if len(terms) == 1 else SX.binary(code, *terms)
 
 
 def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae:
@@ -540,6 +365,6 @@ def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae
             elif of_mode and code in _LOGIC:
                 work[to[0]] = _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
             else:
-                work[to[0]] = _applied(code, terms), False
+                work[to[0]] = applied(code, terms), False
     ode, alg, outputs = (ca.densify(ca.vertcat(SX(0, 1), *column)) for column in results)
     return replace(dae, ode=ode, alg=alg, outputs=outputs)

@@ -8,8 +8,9 @@ import numpy as np
 from casadi import MX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.hybrid import COMPARISONS, Hybrid
+from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.hybrid import hybrid as frozen
+from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
 from cosim.codegen.functions import CALL
 from cosim.codegen.initialization import algebraic_function

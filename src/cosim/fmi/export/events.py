@@ -6,7 +6,8 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae, Start, Variable
-from casadi_models.dae.hybrid import COMPARISONS, Hybrid, hybrid
+from casadi_models.dae.hybrid import Hybrid, hybrid
+from casadi_models.dae.relations import COMPARISONS
 from cosim.errors import UsageError
 
 
