@@ -2,7 +2,6 @@
 
    A row of the result holds the values of the chosen variables at an output time, and behind them
    what the picture needs: the function `drawn(values, time)` of the first of these values. */
-#include <stdarg.h>
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
@@ -26,17 +25,13 @@ typedef struct {
 
 static char messages[MOST_TEXT];
 
-/* What the run has told, a line each. */
+/* The messages of the last run, a line each. */
 EXPORTED(page_messages) const char *page_messages(void) {
     return messages;
 }
 
 EXPORTED(page_room) void *page_room(size_t bytes) {
     return malloc(bytes);
-}
-
-EXPORTED(page_free) void page_free(void *room) {
-    free(room);
 }
 
 /* The runtime hands over complete text, without what `printf` would replace. */

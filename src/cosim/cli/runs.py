@@ -153,7 +153,7 @@ def runs_of(
             runs.append(read_result(source, args.shown_model))
             scenes.append(None)
             continue
-        for one in _single(args, source):
+        for one in single(args, source):
             scene = scene_or_none(one)
             if everything and scene is not None:
                 scene = Scene(scene.name, replace(scene.request, outputs=None), scene.title)
@@ -179,7 +179,7 @@ def read_result(path: str, model: str | None) -> Trajectory:
     return Trajectory.read_csv(path, like=like)
 
 
-def _single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace]:
+def single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace]:
     """Yield a command line of one source for every value of the lists of `-p`."""
     choices = []
     for item in args.values:

@@ -64,10 +64,10 @@ def report(contents: ReportContents) -> str:
     title = c.scene.title or c.dae.description or c.run.model
     parts = [f"<h1>{html.escape(title)}</h1>", _validity(c.run), *_system(c), *_bodies(c)]
     parts += [*_numbers_section(c), *_printed(c), *_figures(c), *_trust(c), *_origin_section(c)]
-    titles = re.findall(r"<h2>(.*?)</h2>", "\n".join(parts))
+    body, numbers = "\n".join(parts), count()
+    titles = re.findall(r"<h2>(.*?)</h2>", body)
     links = " | ".join(f'<a href="#{i}">{name}</a>' for i, name in enumerate(titles))
-    numbers = count()
-    body = re.sub("<h2>", lambda _: f'<h2 id="{next(numbers)}">', "\n".join(parts))
+    body = re.sub("<h2>", lambda _: f'<h2 id="{next(numbers)}">', body)
     body = body.replace("</h1>", f"</h1>\n<nav>{links}</nav>", 1)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'

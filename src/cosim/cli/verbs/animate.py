@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from casadi_models.dae import Dae
 from cosim.cli.arguments import names_in, start_numbers, times_in
-from cosim.cli.runs import runs_of, size_of
+from cosim.cli.runs import runs_of, scene_or_none, single, size_of
 from cosim.errors import UsageError
 from cosim.model.catalogue import load
 from cosim.present.playback.animate import animate, animation_format, guessed_model
-from cosim.scene.scene import Scene
+from cosim.trajectory import Trajectory
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,14 +28,10 @@ def run(args: argparse.Namespace) -> int:
                 "those of -p",
                 file=sys.stderr,
             )
-    runs, scenes, code = runs_of(args, everything=args.outputs is None)
     model = args.shown_model
-    if any(run.drawing is None for run in runs):  # parameters of the run of an FMU, or of a result
-        values = start_numbers(args, None if model is None else load(model))
-        known = [{**(run.numbers or {}), **values} for run in runs]
-        runs = [replace(run, numbers=own) for run, own in zip(runs, known, strict=True)]
+    runs, code = (_live_model(args, tables), 0) if args.live else _runs(args)
     path = animate(
-        _live_model(scenes) if args.live else runs,
+        runs,
         args.output_file,
         model=model,
         at=at,
@@ -51,12 +47,25 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _live_model(scenes: Sequence[Scene | None]) -> Dae:
+def _runs(args: argparse.Namespace) -> tuple[list[Trajectory], int]:
+    """Return the runs with the values that draw them, and their exit code."""
+    runs, _, code = runs_of(args, everything=args.outputs is None)
+    if any(run.drawing is None for run in runs):  # of an FMU, or of a result
+        model = args.shown_model
+        values = start_numbers(args, None if model is None else load(model))
+        known = [{**(run.numbers or {}), **values} for run in runs]
+        runs = [replace(run, numbers=own) for run, own in zip(runs, known, strict=True)]
+    return runs, code
+
+
+def _live_model(args: argparse.Namespace, tables: Sequence[str]) -> Dae:
     """Return the model of a page that computes."""
-    scene = scenes[0]
-    if len(scenes) > 1 or scene is None:
+    variants = [one for source in args.sources for one in single(args, source)]
+    several = tables or args.compare or len(variants) > 1
+    scene = None if several else scene_or_none(variants[0])
+    if scene is None:
         raise UsageError("--live needs a single model or scene")
-    request = scene.request.reduced()
+    request = scene.request.reduced() if args.outputs else replace(scene.request, outputs=None)
     if request.inputs is not None:
         names = ", ".join(request.inputs.names)
         raise UsageError(f"--live: {names} follows a table; give a number or a formula instead")

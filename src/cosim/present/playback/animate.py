@@ -123,7 +123,6 @@ def animate(
         'crank.png'
     """
     live = runs if isinstance(runs, Dae) else None
-    shown = _shown(runs)
     kind = AnimationFormat.HTML if target is None else animation_format(target)
     look: dict[str, Any] = {"view": choice(View, "view", view), "follow": follow}
     if not speed > 0:
@@ -132,6 +131,7 @@ def animate(
         raise UsageError(f"animate: at= needs a still picture; name a .png file, not .{kind}")
     if live is not None and kind is not AnimationFormat.HTML:
         raise UsageError(f"animate: only a page computes; name an .html file, not .{kind}")
+    shown = _shown(runs)
     times = None
     if kind.still:
         times = [float(time) for time in (shown[0].time[:1] if at is None else at)]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_models.units import UNITS
+from casadi_models.units import convert
 from cosim.colors import CURVES, INVALID_BODY
 from cosim.drawing.camera import HALF_ANGLE, Scale, View, camera_for, scale_of
 from cosim.drawing.pose import Poses
@@ -59,7 +59,9 @@ def page(
     own = files("cosim.present.playback") / "page"
     scripts = [three, plots, *((own / name).read_text(encoding="utf-8") for name in _SCRIPTS)]
     facts = _facts(played, runs, scale_of(played, follow), view)
-    facts |= {"speed": speed, "follow": _followed(played[0], follow), "live": live}
+    leader = played[0].world.follow if follow is None else follow
+    facts |= {"follow": played[0].bodies.index(leader) if leader else -1}
+    facts |= {"speed": speed, "live": live}
     names = [column.name for column in runs[0].columns]
     if live:
         facts["title"] = runs[0].model
@@ -120,7 +122,7 @@ def _facts(
         "flat": not any(any(s.size) for s in first.solids),
         "loads": [
             _plain(load, "name", "meaning", "color")
-            | {"unit": load.display_unit, "factor": _factor(load.unit, load.display_unit)}
+            | {"unit": load.display_unit, "factor": convert(1.0, load.unit, load.display_unit)}
             | {"per_unit": scale.per_unit[load.unit]}
             for load in first.loads
         ],
@@ -148,22 +150,10 @@ def _plain(value: object, *names: str) -> dict[str, Any]:
 
 def column_facts(column: Column) -> dict[str, Any]:
     """Return what a page knows of a variable."""
-    factor = _factor(column.unit, column.display_unit or column.unit)
-    return {
-        "name": column.name,
-        "meaning": column.meaning,
+    return _plain(column, "name", "meaning") | {
         "unit": column.shown_unit,
-        "factor": factor,
+        "factor": float(column.shown(np.ones(1))[0]),
     }
-
-
-def _factor(unit: str, display_unit: str) -> float:
-    return UNITS[unit].factor / UNITS[display_unit].factor
-
-
-def _followed(first: Poses, follow: str | None) -> int:
-    name = first.world.follow if follow is None else follow
-    return first.bodies.index(name) if name else -1
 
 
 def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]:
