@@ -4,15 +4,11 @@ import os
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
 import pytest
-from helpers.small_models import decay
+from helpers.fmu_files import misbehaving
 
 import cosim
-from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import FmuOptions, source_files, zipped
-from cosim.fmi.platforms import targets
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -35,15 +31,7 @@ def steady(unit):
     ],
 )
 def test_foreign_part_ends_the_run_with_one_message(kind, limit, message, tmp_path):
-    files = source_files(decay(), FmuOptions(identifier="bad"))
-    code = files["sources/stepping.c"].decode()
-    place = "    drop_spent_motion(self);\n    const State before"
-    assert place in code
-    code = code.replace(place, f"    if (from > 0.4) {BEHAVIOR[kind]}\n{place}")
-    files["sources/stepping.c"] = f"#include <stdlib.h>\n{code}".encode()
-    sources = {Path(name).name: c for name, c in files.items() if name.startswith("sources/")}
-    bad = tmp_path / "bad.fmu"
-    bad.write_bytes(zipped(files | binaries(sources, "bad", targets(["native"], 2))))
+    bad = misbehaving(tmp_path / "bad.fmu", f"    if (from > 0.4) {BEHAVIOR[kind]}\n")
     system = cosim.couple({"bad": bad, "good": steady("m/s")}, {"bad.force": "good.x"})
     ssp = system.write_ssp(tmp_path / "bad.ssp")
     call = [sys.executable, "-m", "cosim", "simulate", str(ssp), "--stop-time", "1", "--timeout",

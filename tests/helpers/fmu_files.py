@@ -5,9 +5,28 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from helpers.small_models import decay
+
 from cosim.fmi.archive import DESCRIPTION
+from cosim.fmi.export.build import binaries
+from cosim.fmi.export.package import FmuOptions, source_files, zipped
+from cosim.fmi.platforms import targets
 
 Edit = Callable[[ET.Element], object]
+BEFORE_A_STEP = "    drop_spent_motion(self);\n    const State before"
+
+
+def misbehaving(target: Path, behavior: str) -> Path:
+    """Write an FMU that does something else, C statements, before each step of co-simulation."""
+    files = source_files(decay(), FmuOptions(identifier=target.stem))
+    code = files["sources/stepping.c"].decode()
+    assert BEFORE_A_STEP in code
+    code = code.replace(BEFORE_A_STEP, f"{behavior}{BEFORE_A_STEP}")
+    files["sources/stepping.c"] = f"#include <stdio.h>\n#include <stdlib.h>\n{code}".encode()
+    sources = {Path(name).name: c for name, c in files.items() if name.startswith("sources/")}
+    content = files | binaries(sources, target.stem, targets(["native"], 2))
+    target.write_bytes(zipped(content))
+    return target
 
 
 def rewritten(

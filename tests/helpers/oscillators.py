@@ -34,6 +34,16 @@ def _solution(time: Vector, push: float = 0.0) -> tuple[Vector, Vector]:
     return x, v
 
 
+def resting_spring() -> Dae:
+    """Declare a damped spring at rest, over 500 output intervals; input: `force` over mass."""
+    model = Model("resting_spring", stop_time=100.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    force = model.input("force", "m/s2", 0.0, "force over mass")
+    model.derivative(x, v)
+    model.derivative(v, force - x - 0.5 * v)
+    return model.freeze()
+
+
 def oscillator(*, algebraic: bool = False) -> Known:
     """Declare a driven oscillator, its acceleration an algebraic unknown where `algebraic`."""
     model = Model("oscillator", "algebraic" if algebraic else "explicit", stop_time=5.0)

@@ -7,6 +7,7 @@ times the steps.
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.oscillators import resting_spring
 
 from casadi_models.dae import Model
 from cosim.api import simulate
@@ -113,16 +114,6 @@ def test_failure_in_a_short_run_names_the_time_in_seconds():
     model.derivative(x, 2e9 * x * x)
     with pytest.raises(SolverError, match=r"At t = 5e-10 and h ="):
         simulate(model.freeze(), solver="cvodes", output_interval=1e-10)
-
-
-def resting_spring():
-    """Declare a damped spring at rest, which a bump from 50 to 55 s moves (500 intervals)."""
-    model = Model("resting_spring", stop_time=100.0)
-    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
-    force = model.input("force", "m/s2", 0.0, "force over mass")
-    model.derivative(x, v)
-    model.derivative(v, force - x - 0.5 * v)
-    return model.freeze()
 
 
 def bump(t):

@@ -11,13 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.fmu_files import misbehaving
 from helpers.small_models import decay
 
 import cosim
 from cosim.errors import FmuError, ParameterError, UnknownName
-from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import FmuOptions, source_files, zipped
-from cosim.fmi.platforms import targets
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.host.child import MOST_OUTPUT
 
@@ -37,16 +35,7 @@ BEHAVIOR = """
 @pytest.fixture(scope="module")
 def bad(tmp_path_factory) -> Path:
     """An FMU that misbehaves at some step sizes."""
-    files = source_files(decay(), FmuOptions(identifier="bad"))
-    code = files["sources/stepping.c"].decode()
-    place = "    drop_spent_motion(self);\n    const State before"
-    assert place in code
-    code = code.replace(place, f"{BEHAVIOR}{place}")
-    files["sources/stepping.c"] = f"#include <stdio.h>\n#include <stdlib.h>\n{code}".encode()
-    sources = {Path(name).name: c for name, c in files.items() if name.startswith("sources/")}
-    path = tmp_path_factory.mktemp("bad") / "bad.fmu"
-    path.write_bytes(zipped(files | binaries(sources, "bad", targets(["native"], 2))))
-    return path
+    return misbehaving(tmp_path_factory.mktemp("bad") / "bad.fmu", BEHAVIOR)
 
 
 def command(*words, **more):

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.known_errors import OTHER, error
-from helpers.oscillators import oscillator
+from helpers.oscillators import oscillator, resting_spring
 from helpers.small_models import table
 
 import cosim
@@ -289,15 +289,6 @@ def pushed(t, length):
     return np.exp(-(((t - 50.0003 - length / 2) / (length / 3)) ** 16))
 
 
-def at_rest():
-    model = Model("at_rest", stop_time=100.0)
-    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
-    push = model.input("push", "m/s2", 0.0, "force over mass")
-    model.derivative(x, v)
-    model.derivative(v, push - x - 0.5 * v)
-    return model.freeze()
-
-
 @pytest.fixture
 def no_pulse_is_looked_for(monkeypatch):
     """Let solvers step over thin pulses of time: the check must notice by itself."""
@@ -306,7 +297,7 @@ def no_pulse_is_looked_for(monkeypatch):
 
 @pytest.mark.parametrize("length", [0.004, 0.0005])
 def test_push_is_found_and_the_estimate_holds(length):
-    run = simulate(at_rest(), inputs={"push": lambda t: pushed(t, length)}, accuracy=1e-6)
+    run = simulate(resting_spring(), inputs={"force": lambda t: pushed(t, length)}, accuracy=1e-6)
     assert_swings(run, length)
     assert 0 < run.stats["error_estimate"] < 1e-6
 
@@ -325,11 +316,11 @@ def assert_swings(run, length):
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
 @pytest.mark.parametrize("goal", [{"accuracy": 1e-4}, {"budget": 1.0}])
 def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
-    inputs = {"push": lambda t: pushed(t, 0.001)}
+    inputs = {"force": lambda t: pushed(t, 0.001)}
     with pytest.raises(
         SolverError, match=r"agree exactly, but may have missed .* from 50.000\d+ s on"
     ):
-        simulate(at_rest(), inputs=inputs, **goal)
+        simulate(resting_spring(), inputs=inputs, **goal)
 
 
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
@@ -339,7 +330,9 @@ def test_check_sees_a_push_that_the_checked_run_missed():
     Which run is checked depends on the times that were measured; none may be wrong.
     """
     with suppress(SolverError):  # which says how far apart the two runs are
-        run = simulate(at_rest(), inputs={"push": lambda t: pushed(t, 0.004)}, accuracy=1e-4)
+        run = simulate(
+            resting_spring(), inputs={"force": lambda t: pushed(t, 0.004)}, accuracy=1e-4
+        )
         assert_swings(run, 0.004)
 
 
@@ -354,7 +347,7 @@ def test_exact_agreement_is_rejected_where_equations_contain_time():
 
 
 def test_exact_agreement_is_confirmed_where_nothing_changes():
-    still = cosim.InputSeries(("push",), [0.0, 100.0], [[0.0], [0.0]])
-    run = simulate(at_rest(), inputs=still, accuracy=1e-4)
+    still = cosim.InputSeries(("force",), [0.0, 100.0], [[0.0], [0.0]])
+    run = simulate(resting_spring(), inputs=still, accuracy=1e-4)
     assert run.stats["error_estimate"] == 0
     assert isinstance(run.stats, RunStats)

@@ -283,13 +283,13 @@ def may_be_set(variable: Any) -> bool:
     return variable.causality == "input" or variable.initial in ("exact", None)
 
 
-@lru_cache(8)
 def unit_of(variable: Any) -> str | None:
     """Return the unit of a variable or of its type; None if it has none."""
     declared = variable.declaredType
     return variable.unit or (declared.unit if declared else None)
 
 
+@lru_cache(8)
 def by_name(description: Any) -> Mapping[str, Any]:
     """Return the variables by name, and by their other names."""
     variables = {variable.name: variable for variable in description.modelVariables}
