@@ -326,7 +326,7 @@ def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:
     first = dae.u.numel() - len(relations)
     found = list[bool]()
     for relation in relations:
-        others = [dae.u[first + i] for i, alone in enumerate(found) if not alone]
+        others = [dae.u[first + i] for i in range(len(relations)) if found[i : i + 1] != [True]]
         moving = ca.vertcat(dae.x, dae.z, dae.u[:first], *others)
         found.append(not ca.depends_on(relation.argument, moving))
     return found

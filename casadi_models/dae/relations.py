@@ -3,7 +3,7 @@
 The mode of a sign is 1 or -1, that of a floor an integer; see `casadi_models.dae.hybrid`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
@@ -17,6 +17,15 @@ _COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay
 _OF_ONE = (ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL)
 _OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
 RELATIONS = {*_COMPARISONS, *_OF_ONE, *_OF_TWO}
+# Operations that are defined on one side of a boundary, and may be continuous there
+_BOUNDED = {
+    ca.OP_SQRT: "sqrt",
+    ca.OP_POW: "power",
+    ca.OP_CONSTPOW: "power",
+    ca.OP_ASIN: "asin",
+    ca.OP_ACOS: "acos",
+}
+_AT_BOUNDARY = 1e-12  # beyond it, where only rounding has moved an operand
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -42,6 +51,7 @@ class LawsWithModes:
     def __init__(self, laws: Sequence[SX], others: Sequence[SX], dae: Dae) -> None:
         self.relations: list[Relation] = []
         self.modes: list[SX] = []
+        self._domains: list[tuple[Relation, SX]] = []
         smooth = ca.vertcat(SX(0, 1), *dae.smooth)
         columns = [*laws, *others, smooth]
         symbols = [*dae.arguments]
@@ -50,6 +60,9 @@ class LawsWithModes:
         self._read(len(laws), len(columns) - 1)
         sizes = [column.numel() for column in columns[:-1]]
         self.results = self._rebuilt(sizes)
+        for relation, mode in self._domains:  # they follow from the other modes
+            self.relations.append(relation)
+            self.modes.append(mode)
 
     def _read(self, laws: int, smooth: int) -> None:
         """Read the instructions: operands, whether they change, and which are in the laws."""
@@ -89,6 +102,25 @@ class LawsWithModes:
             for k in wanted - literal
             if changes[k] and self._codes[k] in RELATIONS
         }  # fmt: skip
+        self._bounded = self._near_events(wanted - literal, changes)
+
+    def _near_events(self, laws: Collection[int], changes: Sequence[bool]) -> set[int]:
+        """Return the bounded operations of the laws that modes guard, or depend on modes."""
+        switched, guarded = set[int](), set[int]()
+        for k, operands in enumerate(self._operands):
+            if k in self._events or any(i in switched for i, _ in operands):
+                switched.add(k)
+        for k in range(len(self._codes) - 1, -1, -1):
+            operands = self._operands[k]
+            if self._codes[k] == ca.OP_IF_ELSE_ZERO and operands[0][0] in switched:
+                guarded.add(operands[1][0])
+            elif k in guarded:
+                guarded.update(i for i, _ in operands)
+        return {
+            k
+            for k in laws & (switched | guarded)
+            if self._codes[k] in _BOUNDED and any(changes[i] for i, _ in self._operands[k])
+        }
 
     def _rebuilt(self, sizes: Sequence[int]) -> list[SX]:
         function, values = self._function, list[list[SX]]()
@@ -105,6 +137,8 @@ class LawsWithModes:
                 values.append(self._called(terms, len(function.instruction_output(k))))
             elif k in self._events:
                 values.append([self._switched(code, terms)])
+            elif k in self._bounded:
+                values.append([self._continued(code, terms)])
             else:
                 values.append([applied(code, terms)])
         rows = [[self._targets[output, row] for row in range(n)] for output, n in enumerate(sizes)]
@@ -164,20 +198,47 @@ class LawsWithModes:
         side = self._sign(a / b, "fmod")
         return a - b * side * self._floor(side * a / b, "fmod")
 
+    def _continued(self, code: int, terms: Sequence[SX]) -> SX:
+        """Return an operation that has its value at the boundary also a little beyond it.
+
+        A step that passes an event needs values there. The boundary is a relation of its own:
+        where the operand stays beyond it after all modes have followed, the result is NaN.
+        """
+        base, edge = terms[0], SX(0)
+        if code == ca.OP_POW and terms[1].is_constant() and float(terms[1]).is_integer():
+            return applied(code, terms)
+        argument = base
+        if code in (ca.OP_ASIN, ca.OP_ACOS):
+            argument = 1 - base * base
+            edge = applied(code, [ca.sign(base)])
+        within = argument > 0
+        # without a branch of infinite slope, which CasADi's derivatives would multiply by 0
+        inner = ca.if_else(within, base, 0.5)
+        found = ca.if_else(within, applied(code, [inner, *terms[1:]]), edge)
+        outside = applied(code, terms) if code == ca.OP_POW else SX.nan()
+        relation = Relation(argument + _AT_BOUNDARY, False, 1, _BOUNDED[code])
+        mode = self._mode(relation, self._domains)
+        return ca.if_else(mode > 0, found, outside)
+
     def _sign(self, argument: SX, operation: str, at_zero: int = 1) -> SX:
         return self._mode(Relation(argument, False, at_zero, operation))
 
     def _floor(self, argument: SX, operation: str) -> SX:
         return self._mode(Relation(argument, True, 1, operation))
 
-    def _mode(self, relation: Relation) -> SX:
-        for known, mode in zip(self.relations, self.modes, strict=True):
+    def _mode(self, relation: Relation, domains: list[tuple[Relation, SX]] | None = None) -> SX:
+        same_kind = zip(self.relations, self.modes, strict=True) if domains is None else domains
+        for known, mode in same_kind:
             same = known.floor == relation.floor and known.at_zero == relation.at_zero
             if same and ca.is_equal(known.argument, relation.argument, 3):
                 return mode
-        self.relations.append(relation)
-        self.modes.append(SX.sym(f"mode_{len(self.relations)}"))
-        return self.modes[-1]
+        mode = SX.sym(f"mode_{len(self.relations) + len(self._domains) + 1}")
+        if domains is None:
+            self.relations.append(relation)
+            self.modes.append(mode)
+        else:
+            domains.append((relation, mode))
+        return mode
 
 
 def _nonzeros(matrix: SX) -> list[SX]:

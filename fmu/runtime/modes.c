@@ -13,6 +13,7 @@
 #include "equations.h"
 #include "input_motion.h"
 #include "logging.h"
+#include "time_events.h"
 
 #if HAS_EVENTS
 
@@ -192,6 +193,20 @@ static void guess_modes(Instance *self) {
     }
 }
 
+/* The mode of an argument that is not 0. One of time alone may be due a little later, or have
+   jumped with another mode. */
+static double by_value(const Instance *self, const Seen *seen, int i, double value) {
+    const RelationInfo *relation = &relations[i];
+    if (relation->of_time && self->state.switching.next != NOT_PLANNED) {
+        const double t = event_time(self), rate = seen->rates[i];
+        value += rate * (t - self->state.values[TIME]);
+        const double boundary = relation->floor ? round(value) : 0;
+        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate))
+            return self->state.values[FIRST_MODE + i];
+    }
+    return relation->floor ? floor(value) : value > 0 ? 1 : -1;
+}
+
 /* The mode that value and rates require; `zero` tells whether the argument is 0. */
 static double required(const Instance *self, const Seen *seen, int i, bool *zero) {
     const Switching *s = &self->state.switching;
@@ -201,8 +216,7 @@ static double required(const Instance *self, const Seen *seen, int i, bool *zero
     const double boundary = relation->floor ? round(value) : 0;
     if (!isfinite(value)) return mode;
     if (!*zero && value != boundary) {
-        if (relation->of_time && s->next != NOT_PLANNED) return mode; /* it is due later */
-        return relation->floor ? floor(value) : value > 0 ? 1 : -1;
+        return by_value(self, seen, i, value);
     }
     *zero = true;
     const double tiny = relation->of_time ? 0 : s->slack;
@@ -264,6 +278,14 @@ static Status change_one(Instance *self, const Seen *seen, bool zero[], const bo
     return OK;
 }
 
+/* Whether an argument that became 0 came to rest beyond it, where its value decides. */
+static bool rests_beyond(const Instance *self, const Seen *seen, int i) {
+    const Switching *s = &self->state.switching;
+    if (relations[i].floor || s->slides[i] > 0) return false;
+    const double past = self->state.values[FIRST_MODE + i] * (seen->arguments[i] - s->offsets[i]);
+    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= ROUNDING && past < -ROUNDING;
+}
+
 /* Find modes that are consistent with what follows.
 
    `zero`: relations whose arguments are 0, whatever rounding makes of them; more may be found.
@@ -275,6 +297,8 @@ Status settle_modes(Instance *self, bool zero[], const bool decided[], Status se
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
         Status status = watch_relations(self, &seen);
         note_slack(self);
+        for (int i = 0; i < N_MODES && trial == 0 && status == OK; i++)
+            if (zero[i] && rests_beyond(self, &seen, i)) zero[i] = false;
         bool changed = status == OK && release(self, zero);
         if (status == OK && !changed) status = change_one(self, &seen, zero, decided, &changed);
         if (status != OK)

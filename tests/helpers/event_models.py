@@ -32,6 +32,38 @@ def pulse(width: float) -> Dae:
     return model.freeze()
 
 
+def square_wave() -> Dae:
+    """Return the integral of 1 in the first 0.1 s of every 0.655 s and of -0.2 later: 0.002 s."""
+    model = Model("square_wave", stop_time=2.0)
+    x = model.state("x", "s", 0.0, "integral")
+    model.derivative(x, ca.if_else(ca.fmod(model.t, 0.655) < 0.1, 1, -0.2))
+    return model.freeze()
+
+
+def falling() -> Dae:
+    """Return a single state that goes from 1 through 0 at 2/3 s, more slowly then, to -2/3."""
+    model = Model("falling", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "a state")
+    model.derivative(x, -1 - 0.5 * ca.sign(x))
+    return model.freeze()
+
+
+def draining(form: str) -> Dae:
+    """Return x' = -1 - sqrt(x) from 1 to x = 0 at 2 (1 - ln 2) s, and x' = -1 from there."""
+    model = Model("draining", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "a state")
+    forms = {
+        "fmax": lambda: ca.sqrt(ca.fmax(x, 0)),
+        "if_else": lambda: ca.if_else(x > 0, ca.sqrt(x), 0),
+        "power": lambda: (0.5 * (x + ca.fabs(x))) ** 0.5,
+    }
+    model.derivative(x, -1 - forms[form]())
+    return model.freeze()
+
+
+DRAINED = -2 + 2 * (1 - ca.log(2))  # at 2 s
+
+
 def rectified() -> Dae:
     """Return the integral of fmax(0, sin t), 4 after two periods."""
     model = Model("rectified", stop_time=4 * ca.pi, output_interval=ca.pi / 50)

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import event_models
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -177,6 +178,22 @@ def test_maximum_switches_where_the_arguments_meet(solver):
     model.derivative(x, ca.fmax(0, ca.sin(model.t)))
     error = 1e-7 if solver in ("cvodes", "cvodes_adams", "idas") else 1e-9
     assert simulate(model.freeze(), solver).final["x"] == pytest.approx(4, abs=error)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("form", ["fmax", "if_else", "power"])
+def test_branch_ends_where_its_law_is_not_defined(form, solver):
+    run = simulate(event_models.draining(form), solver)
+    bound = 2e-5 if solver in FIXED else 1e-7  # the slope is infinite there; measured 7e-6, 2e-9
+    assert run.final["x"] == pytest.approx(event_models.DRAINED, abs=bound)
+
+
+def test_law_that_is_left_without_a_value_is_an_error():
+    model = Model("beyond", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "a state")
+    model.derivative(x, -1 - ca.sqrt(ca.fabs(x) - 0.5))
+    with pytest.raises(SolverError, match=r"beyond: \w+ stopped after 0.34 s"):
+        simulate(model.freeze())
 
 
 def test_square_wave_faster_than_the_output_interval():

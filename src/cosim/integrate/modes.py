@@ -174,9 +174,12 @@ def settled(system: Hybrid, at: Instant, p: Vector, decided: frozenset[int]) -> 
     Raises:
         SolverError: No modes are consistent.
     """
-    for _ in range(MOST_ROUNDS):
+    for trial in range(MOST_ROUNDS):
         row = at.watched(system, p)
         at = replace(at, z=row.unknowns[0, : len(at.z)])
+        if not trial:
+            resting = {i for i in at.zero if _rests_beyond(system, at, row, i)}
+            at = replace(at, zero=at.zero - resting)
         modes, slides = at.modes.copy(), set(at.sliding)
         for place, i in enumerate(sorted(at.sliding)):
             modes[i] = row.solved[0, place]
@@ -196,6 +199,14 @@ def settled(system: Hybrid, at: Instant, p: Vector, decided: frozenset[int]) -> 
         f"{system.dae.full_name}: no consistent modes at {at.t:.12g} s after {MOST_ROUNDS} trials "
         f"({', '.join(system.described(i) for i in sorted(at.zero))})"
     )
+
+
+def _rests_beyond(system: Hybrid, at: Instant, row: Watched, i: int) -> bool:
+    """Tell whether an argument that became 0 came to rest beyond it, where its value decides."""
+    if system.relations[i].floor or i in at.sliding:
+        return False
+    fastest = max(abs(row.rates[0, i]), abs(row.seconds[0, i]))
+    return bool(fastest <= _ROUNDING and at.modes[i] * row.arguments[0, i] < -_ROUNDING)
 
 
 def _changed(system: Hybrid, at: Instant, row: Watched, i: int, p: Vector) -> Instant:
