@@ -14,7 +14,6 @@
 
 #if HAS_EVENTS
 
-static const double SAME = 1e-9;   /* relative distance of times that importers take as one */
 static const double CLOSE = 1e-10; /* relative distance of events of which ... */
 enum { MOST_CLOSE = 10 };          /* ... so many in succession are no motion, as are ... */
 static const double NO_WAY = 100;  /* ... those between which arguments move so many roundings */
@@ -77,14 +76,6 @@ Status begin_events(Instance *self) {
 
 /* -- one instant ----------------------------------------------------------------------------- */
 
-/* The present time; importers may come a little early to a time event. */
-static double event_time(const Instance *self) {
-    const double now = self->state.values[TIME], next = self->state.switching.next;
-    const bool early = self->state.interface == INTERFACE_ME && next != NOT_PLANNED && next > now &&
-                       next - now <= SAME * fmax(fabs(now), fabs(next));
-    return early ? next : now;
-}
-
 /* Which arguments are 0, and which relations no longer slide. `way`: how far they have moved since
    the last event, in roundings. */
 static Status find_switched(Instance *self, int crossing, bool zero[], bool decided[],
@@ -108,7 +99,7 @@ static Status find_switched(Instance *self, int crossing, bool zero[], bool deci
         } else {
             const double speed = fabs(rates[i]) * span, gap = inside[i] - s->slack;
             const bool crossed =
-                gap <= 8 * DBL_EPSILON * speed && gap >= -SAME * speed - 2 * s->slack;
+                gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack;
             zero[i] = i == crossing || crossed;
             if (zero[i]) *way = fmax(*way, fabs(rates[i]) * (t - s->last) / s->slack);
         }

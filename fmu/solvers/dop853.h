@@ -32,12 +32,15 @@ static inline double norm(const Ode *ode, const double *values, const double *x)
     return sqrt(sum / NX);
 }
 
+/* The first trial, of the time: rounding leaves tiny states, whose size says nothing of steps. */
+static const double LEAST_FIRST = 1e-12;
+
 /* A step over which the error of order 8 is about the tolerance, from two derivatives. */
 static inline double first_step(const Ode *ode, double t, double span, const double *x, Slopes k) {
     const double size = norm(ode, x, x), rate = norm(ode, k[0], x);
     double h = size > 1e-5 && rate > 1e-5 ? 0.01 * size / rate : 1e-6;
     double y[NX], change[NX];
-    h = fmin(h, span);
+    h = fmin(fmax(h, LEAST_FIRST * fmax(fabs(t), span)), span);
     for (int i = 0; i < NX; ++i) y[i] = x[i] + h * k[0][i];
     if (slope(ode, t + h, y, k[1]) || !is_finite(k[1])) return h;
     for (int i = 0; i < NX; ++i) change[i] = k[1][i] - k[0][i];
