@@ -16,13 +16,13 @@ import casadi as ca
 import fmpy
 import numpy as np
 
+from casadi_models.extreme_cases import Case
 from cosim.errors import SolverError, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
 from cosim.study.extremes.campaign import RUNNER, explore, select_cases
-from cosim.study.extremes.cases import Case
 from cosim.study.extremes.oracles import OUTCOMES
 from cosim.trajectory import Trajectory
 

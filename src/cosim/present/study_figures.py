@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from casadi_models.extreme_cases import Case
 from cosim.colors import CURVES
 from cosim.colors import OUTCOMES as OUTCOME_COLORS
 from cosim.plotting import STYLE, Picture
 from cosim.study.extremes.campaign import CaseFinding
-from cosim.study.extremes.cases import Case
 from cosim.study.extremes.oracles import OUTCOMES
 from cosim.study.linearize.linearize import EigenvalueSweep
 from cosim.study.sensitivity.result import Sensitivity

@@ -7,6 +7,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from casadi_models.extreme_cases import EXPLICIT, Case, Counterpart, catalogue
 from cosim.cli.main import main
 from cosim.errors import UnknownName
 from cosim.integrate.run import run
@@ -22,7 +23,6 @@ from cosim.study.extremes.campaign import (
     family_rows,
     select_cases,
 )
-from cosim.study.extremes.cases import EXPLICIT, Case, Counterpart, catalogue
 from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, assess
 
 CASES = list(catalogue())

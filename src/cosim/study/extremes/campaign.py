@@ -16,10 +16,10 @@ from math import isfinite
 from time import perf_counter
 from typing import Any
 
+from casadi_models.extreme_cases import Case, Counterpart, catalogue
 from cosim.host.child import Child, answer_questions, look_where_the_parent_does
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
-from cosim.study.extremes.cases import Case, Counterpart, catalogue
 from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, assess
 from cosim.text import Table
 

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from casadi_models.dae import Dae
+from casadi_models.extreme_cases import Case, Counterpart
 from cosim.arrays import Vector
 from cosim.errors import CosimError, InitialConditionError, SolverError, UnknownName, UsageError
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run as execute
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
-from cosim.study.extremes.cases import Case, Counterpart
 from cosim.trajectory import Trajectory
 
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")

@@ -11,7 +11,6 @@ from itertools import product
 from math import nan, pi
 
 from casadi_models.units import DEGREE, FOOT_POUND
-from cosim.integrate.solvers import SOLVERS
 
 # Largest relative errors that are accurate at the default tolerance of 1e-8. A fixed step has no
 # tolerance: its bound matches `integrate.validity.STEP_DOUBT`.
@@ -68,9 +67,9 @@ PENDULUM = tuple(
     f"double_pendulum/{form}"
     for form in ("quaternion", "euler_313", "euler_313_axial", "multipliers")
 )
-EXPLICIT = ("cvodes", "erk", "rosenbrock", "dop853", "rk4", "ode8")
+FIXED_STEPS = ("rk4", "ode8")
+EXPLICIT = ("cvodes", "erk", "rosenbrock", "dop853", *FIXED_STEPS)
 IMPLICIT = ("idas", "rosenbrock")
-FIXED_STEPS = [name for name, solver in SOLVERS.items() if not solver.adaptive]
 SINGULAR = ("cvodes", "erk", "dop853", "rk4", "ode8")  # solvers for singular configurations
 FACTORS = (1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
 
