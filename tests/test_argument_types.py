@@ -1,5 +1,7 @@
 """Python calls with arguments of the wrong type: a `CosimError` in one line, never numpy's own."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from helpers.small_models import decay
@@ -207,3 +209,17 @@ def test_platforms_are_a_list(platforms, tmp_path):
         UsageError, lambda: cosim.export_fmu(DAE, tmp_path / "a.fmu", platforms=platforms)
     )
     assert told.endswith("give a list of platforms")
+
+
+@pytest.mark.parametrize("wrong", ["4", 4.5, 0, True], ids=short)
+def test_number_of_threads_is_a_positive_whole_number(wrong):
+    call = partial(cosim.simulate_many, DAE, {"x": [1.0, 2.0]}, threads=wrong)
+    assert "threads" in refusal(UsageError, call)
+
+
+def test_plot_of_nothing_is_rejected():
+    assert "at least one variable" in refusal(UsageError, lambda: RUN.plot(()))
+
+
+def test_message_on_an_endless_name_is_short():
+    assert refusal(UnknownName, lambda: cosim.simulate(DAE, outputs=["y" * 100_000]))

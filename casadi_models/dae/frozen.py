@@ -206,11 +206,11 @@ class Dae:
         return replace(self, alg=ca.densify(alg), closing=replace(self.closing, rate=rate))
 
     def variable(self, name: str) -> Variable:
-        """Return the variable of that name; `KeyError` when there is none."""
+        """Return the variable of that name; `KeyError` if there is none."""
         for candidate in self.variables:
             if candidate.name == name:
                 return candidate
-        raise KeyError(name)
+        raise KeyError(f"{self.full_name} has no variable '{name[:80]}'")
 
     def operations(self, *, with_outputs: bool = False) -> int:
         """Count the scalar operations of dx/dt and the residual, parameters being numbers.

@@ -3,7 +3,7 @@
 The mode of a sign is 1 or -1, that of a floor an integer; see `casadi_models.dae.hybrid`.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
@@ -104,7 +104,7 @@ class LawsWithModes:
         }  # fmt: skip
         self._bounded = self._near_events(wanted - literal, changes)
 
-    def _near_events(self, laws: Collection[int], changes: Sequence[bool]) -> set[int]:
+    def _near_events(self, laws: set[int], changes: Sequence[bool]) -> set[int]:
         """Return the bounded operations of the laws that modes guard, or depend on modes."""
         switched, guarded = set[int](), set[int]()
         for k, operands in enumerate(self._operands):

@@ -178,13 +178,13 @@ Status get_insides(Instance *self, double inside[]) {
     return OK;
 }
 
-/* Modes by the values of arguments alone; what has none compares false. */
-static void guess_modes(Instance *self) {
+/* The first modes by the values of arguments alone; what has none compares false. */
+static void guess_modes(Instance *self, int count) {
     double *modes = self->state.values + FIRST_MODE;
     Seen seen;
     const Point at = present(self);
     const bool defined = see(self, &at, &seen);
-    for (int i = 0; i < N_MODES; i++) {
+    for (int i = 0; i < count; i++) {
         const double value = defined ? seen.arguments[i] : NAN;
         if (!isfinite(value))
             modes[i] = relations[i].at_zero ? -1 : 1;
@@ -327,7 +327,9 @@ Status begin_modes(Instance *self) {
     memset(&state->switching, 0, sizeof state->switching);
     state->switching.next = state->switching.last = NOT_PLANNED;
     for (int i = 0; i < N_MODES; i++) state->values[FIRST_MODE + i] = 1;
-    for (int i = 0; i <= N_MODES; i++) guess_modes(self); /* arguments may hold modes of others */
+    /* arguments may hold the modes of others, most of them of relations before them */
+    for (int i = 1; i <= N_MODES; i++) guess_modes(self, i);
+    guess_modes(self, N_MODES);
     return settle_modes(self, zero, decided, DISCARD);
 }
 

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from casadi_models import CATALOG
-from cosim.text import shortened, visible
+from cosim.text import bounded, shortened, visible
 
 
 class CosimError(Exception):
@@ -24,6 +24,9 @@ class CosimError(Exception):
     """
 
     exit_code = 1
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(bounded(str(message)))
 
 
 class UsageError(CosimError):
@@ -57,7 +60,7 @@ class UnknownName(CosimError):
             if near
             else f"it has {shortened(names, 12) or 'none'}"
         )
-        return cls(f"{owner} has no {kind} '{name}'; {hint}")
+        return cls(f"{owner} has no {kind} '{bounded(str(name), 80)}'; {hint}")
 
     @classmethod
     def of_model(cls, model: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:

@@ -9,6 +9,7 @@ from html import escape
 from typing import Any
 
 LONGEST_SENTENCE = 600  # characters of one message
+LONGEST_MESSAGE = 6000  # of an error, with what a compiler or a library says
 # Control characters, escapes of terminals among them, and those that turn the writing direction
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
@@ -22,6 +23,11 @@ def sentence(text: str) -> str:
     """Return a foreign message as one line of bounded length."""
     line = visible(" ".join(text.split()))
     return line if len(line) <= LONGEST_SENTENCE else f"{line[: LONGEST_SENTENCE - 4]} ..."
+
+
+def bounded(text: str, most: int = LONGEST_MESSAGE) -> str:
+    """Return a text without its middle if that is long."""
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
 def csv_cell(text: str) -> str:

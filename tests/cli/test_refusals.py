@@ -39,6 +39,8 @@ def refused(capsys, monkeypatch, tmp_path):
         ("", "the following arguments are required: VERB; see: cosim --help"),
         ("simlate bicycle", "invalid choice: 'simlate' .*'simulate'.*; see: cosim --help"),
         ("simulate", "required: MODEL|SCENE.toml|FILE.fmu; see: cosim simulate --help"),
+        ("simulate bicycle --stop-time \x1b[31m1", r"invalid float value: '\\x1b\[31m1'"),
+        ("extremes own.py:build", "has no extreme cases"),
         ("simulate bicycle --frob", "cannot take '--frob'; see: cosim simulate --help"),
         ("simulate bicycle crank_shaft", "cannot take 'crank_shaft'"),
         ("simulate bicycle --stop-time soon", "--stop-time: invalid float value: 'soon'"),

@@ -26,16 +26,17 @@ def test_a_grid_is_a_table_of_runs(capsys):
     assert [row["status"] for row in rows] == ["complete"] * 4
 
 
-def test_a_failed_run_is_a_row_and_code_1(capsys, tmp_path):
+@pytest.mark.parametrize(("strict", "expected"), [([], 0), (["--strict"], 1)])
+def test_a_failed_run_is_a_row_and_an_error_if_requested(strict, expected, capsys, tmp_path):
     table = tmp_path / "samples.csv"
     table.write_text("omega,diameter\n1,0.01\n2,-1\n")
     code = main(
         ["sweep", "crank_shaft", "--samples", str(table), "-p", "alpha=0", "--times", "1",
-         "--outputs", "phi", "--workers", "0"]
+         "--outputs", "phi", "--workers", "0", *strict]
     )  # fmt: skip
     printed = capsys.readouterr()
     rows = rows_of(printed.out)
-    assert code == 1
+    assert code == expected
     assert [row["status"] for row in rows] == ["complete", "refused"]
     assert float(rows[0]["phi_final"]) == pytest.approx(1)
     assert "diameter = -1 m is out of its range" in rows[1]["reason"]

@@ -21,11 +21,15 @@ class _RandomModel:
         ]
         self.gain = self.model.parameter("k", "1", self._number(0.5, 2), "gain")
 
-    def frozen(self) -> Dae:
+    def frozen(self, algebraic: bool) -> Dae:
         for i, x in enumerate(self.states):
             rate = -0.5 * x + self._smooth()
             if i == 0 or self.random.random() < 0.5:
                 rate += self._term()
+            if algebraic:
+                z = self.model.algebraic(f"z{i}", "1", 0.0, "the rate of a state")
+                self.model.equation((z - rate) * (1 + 0.1 * x**2))
+                rate = z
             self.model.derivative(x, rate)
         return self.model.freeze()
 
@@ -88,9 +92,14 @@ class _RandomModel:
         return self.random.choice(terms)()
 
 
-def random_model(seed: int) -> Dae:
-    """Return a model of 2 to 4 states with relations of states and time in its equations."""
-    return _RandomModel(seed).frozen()
+def random_model(seed: int, *, algebraic: bool = False) -> Dae:
+    """Return a model of 2 to 4 states with relations of states and time in its equations.
+
+    Args:
+        seed: Of the random numbers.
+        algebraic: Whether the rates are algebraic unknowns.
+    """
+    return _RandomModel(seed).frozen(algebraic)
 
 
 def solution(dae: Dae, step: float = 2e-5) -> np.ndarray:

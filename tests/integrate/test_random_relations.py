@@ -16,10 +16,11 @@ BLOCK = 20
 MOST_REJECTED = 3  # of a block; sliding on the edge of a floor is not solved
 
 
-def is_right(seed, solver, **options):
+def is_right(seed, solver, *, algebraic=False, **options):
     """Compare a run with the reference; False if the model is rejected."""
     dae = random_model(seed)
     fine, coarse = solution(dae), solution(dae, 4e-5)
+    dae = random_model(seed, algebraic=algebraic)
     try:
         run = cosim.simulate(dae, solver=solver, output_interval=0.02, **options)
     except SolverError:
@@ -41,4 +42,10 @@ def test_random_models_are_right_or_rejected(first):
 def test_random_models_on_compiled_solvers(solver):
     step = {"step_size": 0.001} if solver in ("rk4", "ode8") else {}
     right = [is_right(seed, solver, **step) for seed in range(300, 306)]
+    assert right.count(False) <= 1
+
+
+@pytest.mark.parametrize("solver", ["idas", "rosenbrock", "dop853"])
+def test_random_models_whose_rates_are_algebraic_unknowns(solver):
+    right = [is_right(seed, solver, algebraic=True) for seed in range(10)]
     assert right.count(False) <= 1

@@ -338,3 +338,23 @@ def test_another_constant_of_a_formula_compiles_nothing(bicycle, monkeypatch):
 def test_wrong_constants_of_a_formula_are_rejected(bicycle, inputs, error, text):
     with pytest.raises(error, match=text):
         cosim.simulate(bicycle, inputs=inputs, stop_time=0.1)
+
+
+@pytest.mark.parametrize("gap", [2e-16, 1e-9, 1e-3])
+def test_close_samples_cost_no_steps_elsewhere(gap, bicycle):
+    """A pair of samples that are close is passed like a jump, which it nearly is."""
+    values = [[0.0], [0.1], [0.2], [0.0]]
+    close = InputSeries(("steer_torque",), [0.0, 1.0, 1.0 + gap, 2.0], values)
+    jump = InputSeries(("steer_torque",), [0.0, 1.0, 1.0, 2.0], values)
+    run, other = (
+        cosim.simulate(bicycle, solver="cvodes", stop_time=2, inputs=inputs)
+        for inputs in (close, jump)
+    )
+    assert run.stats["steps"] < 1.2 * other.stats["steps"]
+    assert run.final["phi"] == pytest.approx(other.final["phi"], rel=1e-4 + 50 * gap)
+
+
+def test_two_times_that_differ_by_rounding_are_a_jump():
+    series = InputSeries(("u",), [0.0, 1.0, 1.0 + 2e-16, 2.0], [[0], [1], [2], [3]])
+    assert series.jumps.tolist() == [1.0]
+    assert len(series.around(1.5).time) == 2

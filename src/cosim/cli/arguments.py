@@ -17,7 +17,7 @@ from cosim.model.request import RunRequest, choice
 from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
 from cosim.scene.scene import Scene
-from cosim.scene.scene_file import read_scene
+from cosim.scene.scene_file import read_scene, shipped_scenes
 from cosim.scene.variants import with_solver
 
 TIMES = ("start_time", "stop_time", "output_interval")
@@ -117,7 +117,9 @@ def names_in(text: str) -> tuple[str, ...]:
 
 
 def named_scene(name: str) -> Scene:
-    """Return the scene of a file `NAME.toml`, or a model as a scene without settings."""
+    """Return a scene by its file or shipped name, or a model as a scene without settings."""
+    if name in {file.stem for file in shipped_scenes()}:
+        name = f"{name}.toml"
     return read_scene(name) if name.endswith(".toml") else Scene(name, RunRequest(load(name)))
 
 

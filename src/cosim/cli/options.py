@@ -32,8 +32,11 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with 2 and name the help to read."""
+        from cosim.text import bounded, visible
+
         if (wrong := _CHOICE.search(message)) and self._subparsers is not None:
             message += did_you_mean(wrong[1], self.verbs())
+        message = bounded(visible(message))
         self.exit(2, f"{self.prog}: {message}; see: {self.prog} --help\n")
 
     def verbs(self) -> dict[str, Parser]:

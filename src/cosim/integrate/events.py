@@ -97,14 +97,14 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         SolverError: An event has no consistent result.
     """
     system = hybrid(problem.dae)
-    jumps = problem.inputs is not None and problem.inputs.jumps.size
+    breaks = problem.inputs is not None and problem.inputs.breaks.size
     smooth = problem.dae if system is None else system.dae
     span = float(problem.grid[0]), float(problem.grid[-1])
     longest = solver.step(problem) if isinstance(solver, FixedStep) else span[1] - span[0]
     if isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
         longest = min(longest, solver.max_step)
     pulses = pulse_times(smooth, start.values.p, *span, longest)
-    if system is not None or jumps or len(pulses):
+    if system is not None or breaks or len(pulses):
         no_events = Hybrid(problem.dae, (), (), ())
         return _Course(problem, system or no_events, solver, start, pulses).run()
     found = scaled_call(problem, solver, start)
@@ -188,9 +188,11 @@ class _Course:
         at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))
         self.at = at
         if system.relations:
-            for _ in modes:  # arguments may hold modes of other relations
+            # arguments may hold the modes of others, most of them of relations before them
+            for count in [*range(1, len(modes) + 1), len(modes)]:
                 arguments = at.watched(system, start.values.p).arguments[0]
-                at = replace(at, modes=literal_modes(system, arguments))
+                modes[:count] = literal_modes(system, arguments)[:count]
+                at = replace(at, modes=modes.copy())
             self.at = settled(system, at, start.values.p, frozenset())
         conditions = self._conditions_at(self.at)
         for event, holds in zip(system.events, conditions, strict=True):
@@ -429,7 +431,7 @@ class _Course:
     def _next_jump(self, t: float) -> float:
         if self.series is None:
             return np.inf
-        later = self.series.jumps[self.series.jumps > t]
+        later = self.series.breaks[self.series.breaks > t]
         return float(later[0]) if later.size else np.inf
 
     def _with_inputs(self, at: Instant) -> Instant:

@@ -18,6 +18,7 @@ from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.files import read_text
 
 _SAME_TIME = 1e-12  # of a time
+_SHORT = 0.1  # of the middle length of the intervals between samples
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
@@ -66,9 +67,29 @@ class InputSeries:
                 f"input series: time {found[0]}: {found[1]}; give times that increase, one twice "
                 "for a jump"
             )
+        self._join_at_jumps(time)
         for what, array in (("time", time), ("values", values)):
             array.setflags(write=False)
             object.__setattr__(self, what, array)
+
+    @staticmethod
+    def _join_at_jumps(time: Vector) -> None:
+        """Make two times that differ by rounding equal."""
+        gaps = np.diff(time, prepend=-np.inf, append=np.inf)
+        for k in np.flatnonzero(gaps <= 4 * np.spacing(np.abs(np.append(time, 0)))).tolist():
+            if gaps[k - 1] > 0 and gaps[k + 1] > 0:  # no time stands three times
+                time[k] = time[k - 1]
+
+    @cached_property
+    def breaks(self) -> Vector:
+        """Times at which solvers start afresh, s: jumps, and both ends of short intervals.
+
+        Elsewhere no step is longer than the shortest interval between samples.
+        """
+        gaps = np.diff(self.time)
+        usual = np.median(gaps[gaps > 0]) if gaps.any() else np.inf
+        short = np.flatnonzero(gaps < _SHORT * usual)
+        return np.unique(self.time[np.concatenate((short, short + 1))])
 
     @cached_property
     def jumps(self) -> Vector:
@@ -110,23 +131,23 @@ class InputSeries:
         return found
 
     def around(self, time: float) -> "InputSeries":
-        """Return the part between two jumps in which a time lies; outside, it rests.
+        """Return the part between two breaks in which a time lies; outside, it rests.
 
         Args:
-            time: s; at a jump, the part after it is meant.
+            time: s; at a break, the part after it is meant.
         """
-        return self._parts[int(np.searchsorted(self.jumps, time, side="right"))]
+        return self._parts[int(np.searchsorted(self.breaks, time, side="right"))]
 
     @cached_property
     def _parts(self) -> "tuple[InputSeries, ...]":
-        if not self.jumps.size:
+        if not self.breaks.size:
             return (self,)
-        begins = np.flatnonzero(np.diff(self.time) == 0) + 1
+        begins = [0, *np.searchsorted(self.time, self.breaks, "right") - 1]
+        ends = [*np.searchsorted(self.time, self.breaks, "left") + 1, len(self.time)]
         found = list[InputSeries]()
-        for time, values in zip(
-            np.split(self.time, begins), np.split(self.values, begins), strict=True
-        ):
-            if len(time) == 1:  # a jump at the first or the last sample
+        for begin, end in zip(begins, ends, strict=True):
+            time, values = self.time[begin:end], self.values[begin:end]
+            if len(time) == 1:  # a break at the first or the last sample
                 time, values = np.array([time[0], time[0] + 1]), np.repeat(values, 2, axis=0)
             found.append(replace(self, time=time, values=values))
         return tuple(found)

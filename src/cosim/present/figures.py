@@ -25,6 +25,8 @@ _WIDTH = 6.4  # inches
 
 def draw_panels(run: Trajectory) -> Figure:
     """Draw the variables of a run over time in their display units, a panel each."""
+    if not run.names:
+        raise UsageError(f"{run.model}: there is nothing to plot; name at least one variable")
     across = min(3, len(run.names))
     down = ceil(len(run.names) / across)
     width = 4.2 * across

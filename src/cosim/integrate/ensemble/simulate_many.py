@@ -65,6 +65,8 @@ def simulate_many(
         (2, 101)
     """
     began = perf_counter()
+    if threads is not None and (type(threads) is not int or threads < 1):
+        raise UsageError.of_type("simulate_many: threads", threads, "a positive whole number")
     request = with_largest_step(requested(dae, **keywords))
     if request.policy.stop_when is not None:
         raise UsageError(f"{request.dae.full_name}: stop_when is for single runs; leave it out")

@@ -17,6 +17,7 @@ from time import perf_counter
 from typing import Any
 
 from casadi_models.extreme_cases import Case, Counterpart, catalogue
+from cosim.errors import UsageError
 from cosim.host.child import Child, answer_questions, look_where_the_parent_does
 from cosim.model.catalogue import formulations
 from cosim.model.values import number
@@ -57,7 +58,14 @@ def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case
 
     Raises:
         UnknownName: The catalogue has no such model.
+        UsageError: A model is not of the catalogue.
     """
+    for model in models:
+        if ".py:" in model:
+            raise UsageError(
+                f"{model} has no extreme cases; they are known for the models of the catalogue. "
+                "Vary its values with cosim sweep"
+            )
     names = {name for model in models for name in formulations(model)}
     return [
         case
