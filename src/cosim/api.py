@@ -30,6 +30,7 @@ class RareKeywords(TypedDict, total=False):
     drift_control: str | None
     output_times: ArrayLike | None
     stop_when: str | None
+    record_events: bool
 
 
 def simulate(
@@ -92,8 +93,9 @@ def simulate(
             configurations; as the model is built when None.
             `output_times`: output times, s, (n,), in place of `stop_time` and `output_interval`.
             `stop_when`: a condition, e.g. "abs(phi) > 45deg", that ends the run where it becomes
-            true; `stats.stop` reports it. It is evaluated at the output times, then located to the
-            accuracy of the solver by repeating the run with closer output times.
+            true, which is an event; `stats.stop` reports it.
+            `record_events`: whether rows just before and after each event are added to the result,
+            both at its time.
 
     Returns:
         Every state, algebraic unknown and output of `dae`, each of shape (n,), with its unit. Its

@@ -45,7 +45,7 @@ class Event:
     Attributes:
         time: s.
         name: Name of the event, or the operation of the equations that switched.
-        before, after: States and discrete variables just before and after it, SI.
+        before, after: States and recorded variables just before and after it, SI.
     """
 
     time: float
@@ -192,6 +192,29 @@ class Trajectory:
         values = self.values[:, chosen]
         values.setflags(write=False)
         return replace(self, columns=columns, values=values)
+
+    def with_events(self) -> Trajectory:
+        """Return the run with rows just before and just after each event, at the same time."""
+        names = self.names
+        known = [e for e in self.events if all(name in e.before for name in names)]
+        places, times, rows = list[int](), list[float](), list[list[float]]()
+        for event, following in zip(known, [*known[1:], None], strict=True):
+            place = int(np.searchsorted(self.time, event.time))
+            last = following is None or following.time > event.time
+            on_grid = place < len(self) and self.time[place] == event.time
+            sides = [event.before, *([event.after] if last and not on_grid else [])]
+            if following is not None and not last and following.before == event.before:
+                continue  # another event at the same instant
+            places += [place] * len(sides)
+            times += [event.time] * len(sides)
+            rows += [[side[name] for name in names] for side in sides]
+        if not places:
+            return self
+        return replace(
+            self,
+            time=np.insert(self.time, places, times),
+            values=np.insert(self.values, places, np.array(rows), axis=0),
+        )
 
     @property
     def final(self) -> dict[str, float]:

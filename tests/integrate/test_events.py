@@ -73,6 +73,26 @@ def test_impacts_of_a_ball_happen_at_their_closed_form(solver):
     assert first.after["v"] == pytest.approx(-0.7 * first.before["v"], rel=1e-14)
 
 
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_events_are_recorded_with_both_sides(solver):
+    model, h, v = ball()
+    model.output("energy", "J", v**2 / 2 + G * h, "energy of 1 kg")
+    dae = model.freeze()
+    run = simulate(dae, solver, stop_time=1.5)
+    recorded = simulate(dae, solver, stop_time=1.5, record_events=True)
+    assert len(run.events) == 2
+    assert len(recorded) == len(run) + 4
+    for event in run.events:
+        rows = np.flatnonzero(recorded.time == event.time)
+        np.testing.assert_array_equal(np.diff(rows), 1)
+        before, after = recorded["energy"][rows]
+        assert after == pytest.approx(0.49 * before, rel=1e-9)
+        assert [event.before["energy"], event.after["energy"]] == [before, after]
+    assert len(recorded.at([0.1, 1.4])) == 2  # another run, without rows of events
+    lines = run.plot("v").axes[0].lines[0]
+    assert len(lines.get_xdata()) == len(recorded)  # a jump is drawn as a jump
+
+
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
 def test_impacts_without_end_are_reported(solver):
     with pytest.raises(SolverError, match=r"'impact' happens ever faster before 2\.558.* \(Zeno\)"):

@@ -22,7 +22,7 @@ from cosim.scene.variants import with_solver
 
 TIMES = ("start_time", "stop_time", "output_interval")
 _NUMBERS = ("step_size", *LIMITS)
-_POLICY = ("on_invalid", "drift_control", "stop_when")
+_POLICY = ("on_invalid", "drift_control", "stop_when", "record_events")
 
 
 def scene_from(args: argparse.Namespace) -> Scene:

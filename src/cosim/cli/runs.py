@@ -34,7 +34,7 @@ from cosim.trajectory import Trajectory
 
 _OF_MODELS = (
     *("backend", "solver", "absolute_tolerance", "step_size", "on_invalid", "drift_control"),
-    *("max_step", "stop_when", "accuracy", "budget"),
+    *("max_step", "stop_when", "record_events", "accuracy", "budget"),
 )
 _OF_FMUS = ("interface_type", "master")
 _OF_SYSTEMS = ("method", "macro_step")

@@ -51,12 +51,14 @@ class EventRecord(NamedTuple):
         time: s.
         name: Name of the event.
         before, after: States just before and after it, (nx,).
+        instant: Position of its instant in `Motion.instants`.
     """
 
     time: float
     name: str
     before: Vector
     after: Vector
+    instant: int
 
 
 @dataclass
@@ -72,6 +74,7 @@ class Motion:
         solve_time: Time of the solver, s.
         events: Events in their order.
         stop: Message of the event that ended the run.
+        instants: What was just before and after each instant with an event.
     """
 
     dae: Dae
@@ -84,6 +87,7 @@ class Motion:
     solve_time: float | None = None
     events: list[EventRecord] = field(default_factory=list)
     stop: str = ""
+    instants: list[tuple[Instant, Instant]] = field(default_factory=list)
 
 
 def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
@@ -178,6 +182,7 @@ class _Course:
         self.next = 0  # row of the grid to be written
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
+        self.instants = list[tuple[Instant, Instant]]()
         self.close = 0  # events in succession that are close to each other
         watches = not system.relations or (problem.compiled and solver.watches)
         self.window = len(self.grid) if watches else _FIRST_WINDOW
@@ -204,7 +209,9 @@ class _Course:
         if system.events:
             sampled = np.array([event.sampled for event in system.events], dtype=bool)
             before = np.where(sampled, self._samples_before(conditions), conditions)
+            begin = self.at
             self._happen(before, "")
+            self.instants.append((begin, self.at))
         self._write(self.at.t)
 
     def run(self) -> Motion:
@@ -236,6 +243,7 @@ class _Course:
             sum(reached.solve_time for reached in self.reached),
             self.events,
             self.stop,
+            self.instants,
         )
 
     def _advance(self) -> str:
@@ -299,7 +307,7 @@ class _Course:
             self.at = replace(at, z=algebraic_values(self.dae, at.t, at.x, values))
             self._write(at.t)
             return
-        x, dt = at.x, 0.0
+        begin, x, dt = at, at.x, 0.0
         if self.dae.derived:
             # where a mode at its edge ends sliding, rates are continuous, and so are derivatives
             at, dt = self._moved(at, zero - self.at.sliding)
@@ -313,6 +321,7 @@ class _Course:
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
+        self.instants.append((begin, self.at))
         self._reject_zeno(was)
         self._write(self.at.t)
 
@@ -352,7 +361,8 @@ class _Course:
                 f"{self.at.t:.12g} s, more than {MOST_ROUNDS} times"
             )
         for name in happened or ([cause] if cause else []):
-            self.events.append(EventRecord(self.at.t, name, start, self.at.x))
+            place = len(self.instants)
+            self.events.append(EventRecord(self.at.t, name, start, self.at.x, place))
 
     def _assigned(self, which: Sequence[int], dt: float) -> Instant:
         """Return the instant after the assignments of some events, all of them at once.

@@ -41,6 +41,7 @@ class SharedKeywords(TypedDict, total=False):
     on_invalid: str | None
     drift_control: str | None
     stop_when: str | None
+    record_events: bool
 
 
 class Keywords(SharedKeywords, total=False):
@@ -52,7 +53,7 @@ class Keywords(SharedKeywords, total=False):
 _SOLVER = ("solver", "step_size", *LIMITS)
 _GOAL = ("accuracy", "budget")
 _TIMES = ("start_time", "stop_time", "output_interval", "output_times")
-_POLICY = ("compiled", "on_invalid", "drift_control", "stop_when")
+_POLICY = ("compiled", "on_invalid", "drift_control", "stop_when", "record_events")
 _ELSEWHERE = {  # names of other tools
     "relative_tolerance": "rtol reltol rel_tol tol tolerance",
     "absolute_tolerance": "atol abstol abs_tol",
@@ -109,8 +110,11 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
         _solver(request, given),
         replace(request.policy, **policy),
     )
-    if isinstance(found.solver, Goal) and found.policy.stop_when is not None:
-        raise UsageError(f"{dae.full_name}: stop_when needs a solver; leave accuracy or budget out")
+    for name in ("stop_when", "record_events"):
+        if isinstance(found.solver, Goal) and getattr(found.policy, name):
+            raise UsageError(
+                f"{dae.full_name}: {name} needs a solver; leave accuracy or budget out"
+            )
     if isinstance(found.solver, Goal) and found.policy.drift_control is not None:
         raise _overruled(next(name for name in _GOAL if name in given), "drift_control")
     return found

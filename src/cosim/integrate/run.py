@@ -67,6 +67,8 @@ def run(request: RunRequest) -> Trajectory:
         assert isinstance(found.stats, RunStats)
         note = "; ".join(filter(None, (*notes, found.stats.note)))
         found = replace(found, stats=replace(found.stats, note=note))
+    if request.policy.record_events:
+        found = found.with_events()
     if prepared.solver.adaptive:
         span = float(found.time[0]), float(found.time[-1])
         found = replace(found, again=partial(run_at, request, span))
@@ -81,8 +83,9 @@ def run_at(request: RunRequest, span: tuple[float, float], times: Vector) -> Tra
         span: Begin and end of the run, s.
         times: Output times, s, (m,).
     """
-    start = request.times.start
-    return run(replace(request, times=Times.at(np.unique(times), start, stop=span[1])))
+    own = Times.at(np.unique(times), request.times.start, stop=span[1])
+    policy = replace(request.policy, record_events=False)
+    return run(replace(request, times=own, policy=policy))
 
 
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
@@ -118,14 +121,18 @@ def _trajectory(
         status,
         drawing=drawing,
         numbers=dict(numbers),
-        events=tuple(_event(dae, record) for record in solution.events),
+        events=tuple(_event(prepared, record, solution.sides) for record in solution.events),
     )
 
 
-def _event(dae: Dae, record: EventRecord) -> Event:
-    names = [variable.name for variable in dae.states]
+def _event(prepared: Prepared, record: EventRecord, sides: Vector | None) -> Event:
+    assert sides is not None
+    states = [variable.name for variable in prepared.problem.dae.states]
+    recorded = [column.name for column in prepared.columns]
     before, after = (
-        dict(zip(names, row.tolist(), strict=True)) for row in (record.before, record.after)
+        dict(zip(recorded, side.tolist(), strict=True))
+        | dict(zip(states, row.tolist(), strict=True))
+        for side, row in zip(sides[record.instant], (record.before, record.after), strict=True)
     )
     return Event(record.time, record.name, before, after)
 

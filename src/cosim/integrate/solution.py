@@ -62,6 +62,7 @@ class Solution:
     reached: float | None
     events: tuple[EventRecord, ...] = ()
     stop: str = ""
+    sides: Vector | None = None
 
 
 def solve(prepared: Prepared, numbers: Values) -> Solution:
@@ -158,7 +159,18 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
         float(grid[n - 1]) if n else None,
         tuple(motion.events),
         motion.stop,
+        _sides(prepared, motion, p) if motion.events else None,
     )
+
+
+def _sides(prepared: Prepared, motion: Motion, p: Vector) -> Vector:
+    """Return the recorded variables before and after each instant with an event, (m, 2, n)."""
+    every = [side for pair in motion.instants for side in pair]
+    x, z = (np.array(rows).T for rows in ([side.x for side in every], [side.z for side in every]))
+    u = np.array([np.concatenate((side.u, side.modes)) for side in every]).T
+    solved = Solved(np.array([side.t for side in every]), x, z, u, p)
+    seen = observe(motion.dae, solved, prepared.places, limits=False, margins=False, compiled=False)
+    return seen.table.reshape(len(motion.instants), 2, -1)
 
 
 def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:

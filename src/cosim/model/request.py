@@ -56,6 +56,7 @@ class Policy:
         drift_control: How drift from constraints is limited; as the model is built when None.
         compiled: Whether the equations are compiled; small models are when None.
         stop_when: A condition that ends the run when it becomes true.
+        record_events: Whether a run has rows just before and after each event.
 
     Raises:
         UnknownName: A choice does not exist.
@@ -69,6 +70,7 @@ class Policy:
     drift_control: DriftControl | None = None
     compiled: bool | None = None
     stop_when: str | None = None
+    record_events: bool = False
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

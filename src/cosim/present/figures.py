@@ -27,6 +27,7 @@ def draw_panels(run: Trajectory) -> Figure:
     """Draw the variables of a run over time in their display units, a panel each."""
     if not run.names:
         raise UsageError(f"{run.model}: there is nothing to plot; name at least one variable")
+    run = run.with_events()
     across = min(3, len(run.names))
     down = ceil(len(run.names) / across)
     width = 4.2 * across
@@ -129,7 +130,7 @@ def run_labels(runs: Sequence[Trajectory]) -> list[str]:
 
 
 def _overlaid_figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str]) -> Figure:
-    count = len(spec.panels)
+    runs, count = [run.with_events() for run in runs], len(spec.panels)
     height = 1.0 + (4.4 if spec.equal else 2.6 if count == 1 else 1.9) * count
     figure = Picture(figsize=(_WIDTH, height), layout="constrained")
     rows = [*figure.subplots(count, 1, squeeze=False, sharex=spec.x == "time").ravel()]
@@ -213,6 +214,8 @@ def draw_figures(
         raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
     if other is not None:
         reject_other_times(run, other)
+    else:
+        run = run.with_events()
     with matplotlib.rc_context(STYLE):
         return [_figure(spec, run, other) for spec in specs]
 

@@ -60,8 +60,8 @@ def reject_native_features(request: RunRequest) -> None:
             f"{name}: accuracy and budget are for native simulation; an FMU gets its accuracy when "
             "it is exported: cosim export --accuracy"
         )
-    if policy.stop_when is not None or request.times.own:
+    if policy.stop_when is not None or policy.record_events or request.times.own:
         raise UsageError(
-            f"{name}: stop_when and output_times are for native simulation; leave them out, or use "
-            "the backend native"
+            f"{name}: stop_when, record_events and output_times are for native simulation; leave "
+            "them out, or use the backend native"
         )
