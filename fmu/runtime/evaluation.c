@@ -2,7 +2,6 @@
 #include "evaluation.h"
 
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "equations.h"
@@ -27,10 +26,11 @@ static void name_calculated(char text[], size_t size) {
     text[0] = '\0';
     for (int i = FIRST_STATE; i < FIRST_DERIVATIVE; i++) {
         if (variables[i].start_kind != CALCULATED) continue;
-        const char *format = used ? ", %s" : "%s";
-        const int more = snprintf(text + used, size - used, format, variables[i].name);
-        if (more < 0 || (size_t)more >= size - used) return;
-        used += (size_t)more;
+        const char *parts[] = {used ? ", " : "", variables[i].name};
+        const size_t lengths[] = {strlen(parts[0]), strlen(parts[1])};
+        if (used + lengths[0] + lengths[1] >= size) return;
+        for (int k = 0; k < 2; used += lengths[k++]) memcpy(text + used, parts[k], lengths[k]);
+        text[used] = '\0';
     }
 }
 
@@ -145,8 +145,12 @@ static Status renew(Instance *self, unsigned result) {
     case DERIVATIVES: return compute_derivatives(self);
     case OUTPUTS: return compute_outputs(self);
     default:
+#if NO_DERIVATIVES
+        return OK;
+#else
         self->res[1] = self->jacobian + NX * (NX + NU);
         return compute(self, model_jacobian, self->jacobian, "Jacobian");
+#endif
     }
 }
 

@@ -6,6 +6,13 @@
 #include "fmi3_status.h"
 #include "sensitivity.h"
 
+#if NO_DERIVATIVES
+static Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                      const uint32_t knowns[], size_t n_knowns, const double seed[],
+                      double sensitivity[]) {
+    return directional(self, unknowns, n_unknowns, knowns, n_knowns, seed, sensitivity);
+}
+#else
 /* Collect a weight of the start values on what they follow from. The start rules are small: one run
    forward for each of these is enough. */
 static Status collect_from_starts(Instance *self, double weight[]) {
@@ -50,6 +57,7 @@ static Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknow
     if (status == OK && starting(self)) status = collect_from_starts(self, result);
     return status == OK ? gather(self, knowns, n_knowns, result, sensitivity) : status;
 }
+#endif
 
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                     size_t nUnknowns, const fmi3ValueReference knowns[],

@@ -3,19 +3,21 @@
 
 #include <ctype.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "equations.h"
 #include "logging.h"
+#include "memory.h"
 
 #define MAGIC UINT64_C(0x636f73696d464d55)
 
 static WorkSize *const work_sizes[] = {
-    model_start_work,      model_start_directional_work,
-    model_algebraic_work,  model_ode_work,
-    model_outputs_work,    model_directional_work,
+    model_start_work,       model_algebraic_work,
+    model_ode_work,         model_outputs_work,
+#if !NO_DERIVATIVES
+    model_directional_work, model_start_directional_work,
     model_jacobian_work,
+#endif
 #if HAS_ADJOINT
     model_adjoint_work,
 #endif
@@ -23,11 +25,11 @@ static WorkSize *const work_sizes[] = {
     model_step_work,
 #endif
 #if HAS_RANK
-    model_rank_work,       model_rank_rate_work,
+    model_rank_work,        model_rank_rate_work,
     model_project_work,
 #endif
 #if HAS_EVENTS
-    model_relations_work,  model_timed_work,
+    model_relations_work,   model_timed_work,
     model_conditions_work,
 #endif
 };
@@ -86,7 +88,7 @@ Instance *create(const Host *host, const char *function, const char *name, const
     const size_t size = sizeof(Instance) + jacobian * sizeof(double) +
                         room.arg * sizeof *draft.arg + room.res * sizeof *draft.res +
                         room.iw * sizeof *draft.iw + room.w * sizeof *draft.w + name_size;
-    Instance *self = calloc(1, size);
+    Instance *self = take_memory(size);
     if (!self) {
         log_text(&draft, ERROR, "no memory for an instance of %zu bytes", size);
         return NULL;
@@ -109,7 +111,7 @@ Instance *create(const Host *host, const char *function, const char *name, const
 void destroy(Instance *self) {
     if (!self || self->magic != MAGIC) return;
     *(volatile uint64_t *)&self->magic = 0; /* a plain one, nobody reads: it would be left out */
-    free(self);
+    give_memory(self);
 }
 
 /* Put everything but logging back to where a new instance has it. */

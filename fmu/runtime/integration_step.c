@@ -1,4 +1,7 @@
-/* Co-simulation by a generated solver, which starts anew in every communication step. */
+/* Co-simulation by a generated solver, which starts anew in every communication step.
+
+   With FIXED_STEPS, a communication step has equal steps, no longer than LARGEST_STEP, and the work
+   is the same in each of them; only an event divides one. */
 #include "integration.h"
 
 #include <float.h>
@@ -141,32 +144,56 @@ bool integrate_to(Instance *self, double end) {
     return false;
 }
 #else
+enum { FAILED, LOST, DONE };
+
+/* A step up to a time; LOST: the constraints lose rank in it. Only a step that is DONE changes
+   anything. */
+static int watched_step(Instance *self, double end) {
+    if (refresh(self, ALGEBRAICS) != OK) return LOST; /* the guess must be a solution */
+#if HAS_RANK
+    if (self->state.watch.looks == 0) begin_watching(self);
+    const State before = self->state;
+#endif
+    if (!advance(self, end)) return FAILED;
+#if HAS_RANK
+    if (look_back(self, DISCARD) != OK) {
+        self->state = before;
+        return LOST;
+    }
+#endif
+    return DONE;
+}
+
+#if FIXED_STEPS
+bool integrate_to(Instance *self, double end) {
+    const double *time = &self->state.values[TIME], begin = *time, span = end - begin;
+    const double count = fmax(1, ceil(span / LARGEST_STEP * (1 - 1e-12)));
+    for (double k = 1; *time < end; k++) {
+        const double next = k < count ? begin + span * k / count : end;
+        if (watched_step(self, fmin(next, end)) != DONE) return false;
+        if (*time < end && !pass_midway(self, &end)) return false;
+    }
+    return true;
+}
+#else
 bool integrate_to(Instance *self, double end) {
     const double *time = &self->state.values[TIME];
     double length = end - *time;
     int failed = 0;
     for (int attempt = 0; attempt < MOST_ATTEMPTS && *time < end && failed < MOST_FAILED;
          attempt++) {
-        if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
         const double rest = end - *time;
         const bool last = length >= rest;
-#if HAS_RANK
-        if (self->state.watch.looks == 0) begin_watching(self);
-        const State before = self->state;
-#endif
-        if (advance(self, last ? end : *time + length)) {
-#if HAS_RANK
-            if (look_back(self, DISCARD) != OK) {
-                self->state = before;
-                return false;
-            }
-#endif
-            if (*time < end && !pass_midway(self, &end)) return false;
-        } else {
+        const int how = watched_step(self, last ? end : *time + length);
+        if (how == LOST) return false;
+        if (how == FAILED) {
             failed++;
             length = (last ? rest : length) / 4;
+        } else if (*time < end && !pass_midway(self, &end)) {
+            return false;
         }
     }
     return *time >= end;
 }
+#endif
 #endif

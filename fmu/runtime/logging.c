@@ -2,7 +2,9 @@
 #include "logging.h"
 
 #include <stdarg.h>
+#ifndef FMU_STATIC
 #include <stdio.h>
+#endif
 #include <string.h>
 
 enum { TEXT_SIZE = 512 };
@@ -18,13 +20,29 @@ static void disarm(char *text) {
         if (*text == '%' || *text == '#' || (unsigned char)*text < ' ') *text = '?';
 }
 
+#ifdef FMU_STATIC
+/* Without the numbers: formatting takes a library that a controller may not have. */
+static void write_message(char *text, const char *function, const char *format, va_list list) {
+    (void)list;
+    const char *parts[] = {function, ": ", format};
+    size_t used = 0;
+    for (int i = 0; i < 3; i++)
+        for (const char *c = parts[i]; *c && used < TEXT_SIZE - 1; c++) text[used++] = *c;
+    text[used] = '\0';
+}
+#else
+static void write_message(char *text, const char *function, const char *format, va_list list) {
+    const int used = snprintf(text, TEXT_SIZE, "%s: ", function);
+    if (used >= 0 && used < TEXT_SIZE)
+        vsnprintf(text + used, TEXT_SIZE - (size_t)used, format, list);
+}
+#endif
+
 static void log_arguments(const Instance *self, Status status, const char *format, va_list list) {
     const unsigned category = (unsigned)status - WARNING;
     if (!self->host.logger || !(self->categories >> category & 1)) return;
-    char text[TEXT_SIZE];
-    const int used = snprintf(text, sizeof text, "%s: ", self->function);
-    if (used < 0 || used >= TEXT_SIZE) return;
-    vsnprintf(text + used, sizeof text - (size_t)used, format, list);
+    char text[TEXT_SIZE] = "";
+    write_message(text, self->function, format, list);
     disarm(text);
     self->host.log(self, status, categories[category], text);
 }

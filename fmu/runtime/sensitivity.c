@@ -13,6 +13,23 @@
 #include "logging.h"
 #include "modes.h"
 
+#if NO_DERIVATIVES
+static Status no_derivatives(Instance *self) {
+    return refuse(self, ERROR, "the FMU was exported without derivatives");
+}
+
+Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+                   const uint32_t knowns[], size_t n_knowns, const double seed[],
+                   double sensitivity[]) {
+    (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)sensitivity;
+    return no_derivatives(self);
+}
+
+Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]) {
+    (void)unknowns, (void)count, (void)rates;
+    return no_derivatives(self);
+}
+#else
 bool starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }
@@ -169,3 +186,4 @@ Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count,
     status = push_forward(self, along);
     return status == OK ? gather(self, unknowns, count, along, rates) : status;
 }
+#endif

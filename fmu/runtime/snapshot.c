@@ -5,11 +5,11 @@
 #include "snapshot.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "evaluation.h"
 #include "logging.h"
+#include "memory.h"
 
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
@@ -112,7 +112,7 @@ static const char *fault_of(const Instance *self, const Snapshot *snapshot) {
 Status take_snapshot(Instance *self, void **snapshot) {
     if (!snapshot) return reject(self, "there is no room for the FMU state");
     Snapshot *copy = *snapshot;
-    if (!copy) copy = calloc(1, sizeof *copy);
+    if (!copy) copy = take_memory(sizeof *copy);
     if (!copy) return reject(self, "no memory for the FMU state");
     const char *reason = *snapshot ? foreign(self, &copy->header) : NULL;
     if (reason) return reject(self, reason);
@@ -136,7 +136,7 @@ Status release_snapshot(Instance *self, void **snapshot) {
     const char *reason = foreign(self, &copy->header);
     if (reason) return reject(self, reason);
     copy->header.magic = 0;
-    free(copy);
+    give_memory(copy);
     *snapshot = NULL;
     return OK;
 }
@@ -163,12 +163,12 @@ Status deserialize(Instance *self, const void *bytes, size_t size, void **snapsh
     if (!snapshot) return reject(self, "there is no room for the FMU state");
     if (!bytes) return reject(self, "the bytes are missing");
     if (size != sizeof(Snapshot)) return reject(self, "the bytes have another length");
-    Snapshot *copy = calloc(1, sizeof *copy);
+    Snapshot *copy = take_memory(sizeof *copy);
     if (!copy) return reject(self, "no memory for the FMU state");
     memcpy(copy, bytes, sizeof *copy);
     const char *reason = fault_of(self, copy);
     if (reason) {
-        free(copy);
+        give_memory(copy);
         return reject(self, reason);
     }
     *snapshot = copy;

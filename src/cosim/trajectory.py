@@ -10,6 +10,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
@@ -198,7 +199,8 @@ class Trajectory:
         names = self.names
         known = [e for e in self.events if all(name in e.before for name in names)]
         places, times, rows = list[int](), list[float](), list[list[float]]()
-        for event, following in zip(known, [*known[1:], None], strict=True):
+        for event, following in pairwise([*known, None]):
+            assert event is not None
             place = int(np.searchsorted(self.time, event.time))
             last = following is None or following.time > event.time
             on_grid = place < len(self) and self.time[place] == event.time

@@ -82,10 +82,13 @@ def _options(args: argparse.Namespace, name: str) -> FmuKeywords:
         "solver": args.fmu_solver,
         "platforms": names_in(args.platform),
         "adjoint": args.adjoint,
+        "derivatives": args.derivatives,
         "valid": args.valid,
         "names": args.names,
         "about": {name: text for name, text in about.items() if text is not None},
     }
+    if args.fmu_step_size is not None:
+        options["step_size"] = args.fmu_step_size
     if args.tunable is not None:
         options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
     if args.tolerance is not None:

@@ -1,6 +1,7 @@
 """Fixed-step Runge-Kutta methods as CasADi functions: `rk4` and the 8th-order `ode8`."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -55,6 +56,17 @@ class Tableau:
         """Nodes: position of each stage in the step, (stages,)."""
         return tuple(float(sum(row)) for row in self.a)
 
+    def change(self, slope: Callable[[MX, MX], MX], t: MX, x: MX, h: MX) -> MX:
+        """Return the change of x over a step of length h that begins at t.
+
+        Args:
+            slope: Returns dx/dt at a time and a state.
+        """
+        slopes: list[MX] = []
+        for node, row in zip(self.c, self.a, strict=True):
+            slopes.append(slope(t + node * h, x + h * _weighted(row, slopes)))
+        return h * _weighted(self.b, slopes)
+
 
 RK4 = Tableau(
     4,
@@ -88,10 +100,7 @@ def step_function(rhs: ca.Function, tableau: Tableau) -> ca.Function:
     """
     t, h = MX.sym("t"), MX.sym("h")
     x, u, p = (MX.sym(name, rhs.numel_in(i)) for i, name in ((1, "x"), (2, "u"), (3, "p")))
-    slopes: list[MX] = []
-    for node, row in zip(tableau.c, tableau.a, strict=True):
-        slopes.append(rhs(t + node * h, x + h * _weighted(row, slopes), u, p))
-    end = x + h * _weighted(tableau.b, slopes)
+    end = x + tableau.change(lambda time, state: rhs(time, state, u, p), t, x, h)
     return ca.Function("step", [x, t, h, u, p], [end], ["x", "t", "h", "u", "p"], ["x_end"])
 
 

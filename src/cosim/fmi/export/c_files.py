@@ -26,9 +26,11 @@ def model_header(
     solver: str,
     *,
     valid: bool,
+    step_size: float | None,
+    derivatives: bool = True,
     system: Hybrid | None = None,
 ) -> str:
-    """Return `model.h`: sizes and names for compiling the runtime."""
+    """Return `model.h`: sizes and names for compiling the runtime; `step_size`: of fixed steps."""
     span = dae.experiment.stop_time
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
@@ -47,9 +49,11 @@ def model_header(
 #define DEFAULT_TOLERANCE {identity.tolerance!r}
 #define HAS_RANK {int(has_rank(dae))}
 #define LEAST_RANK {1 / SINGULAR_CONDITION!r}
-#define HAS_ADJOINT {int(fmi == 3)}
+#define HAS_ADJOINT {int(fmi == 3 and derivatives)}
+#define NO_DERIVATIVES {int(not derivatives)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
-#define LARGEST_STEP {span / LEAST_STEPS!r}
+#define FIXED_STEPS {int(step_size is not None)}
+#define LARGEST_STEP {span / LEAST_STEPS if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae)}
 {event_sizes(system)}#endif
 """
@@ -99,16 +103,21 @@ _MODEL_NAME = re.compile(r"\bmodel_")  # also the prefix of CasADi's helper func
 
 
 def equations_c(
-    dae: Dae, identifier: str, fmi: int, solver: str, system: Hybrid | None = None
+    dae: Dae,
+    identifier: str,
+    fmi: int,
+    solver: str,
+    system: Hybrid | None = None,
+    *,
+    derivatives: bool = True,
 ) -> str:
     """Return `equations.c`: CasADi's code, its functions visible inside the library only.
 
     Raises:
         UsageError: This version of CasADi generates code in another form.
     """
-    code = re.sub(
-        r"^ \* +$", " *", equations_code(dae, identifier, fmi, solver, system), flags=re.MULTILINE
-    )
+    written = equations_code(dae, identifier, fmi, solver, system, derivatives=derivatives)
+    code = re.sub(r"^ \* +$", " *", written, flags=re.MULTILINE)
     code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(code))
     if not _HEADING.search(code):
         raise UsageError(

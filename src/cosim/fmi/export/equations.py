@@ -15,7 +15,8 @@ from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
 from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
-from cosim.fmi.export.co_simulation import DOP853, most_steps, uses_dop853
+from cosim.codegen.runge_kutta.tableau import Tableau
+from cosim.fmi.export.co_simulation import DOP853, FIXED_STEPS, most_steps, uses_dop853
 from cosim.fmi.export.derivatives import argument_like, sensitivity_functions
 from cosim.fmi.export.events import event_functions
 from cosim.memo import cached_per_thread
@@ -55,7 +56,13 @@ def _distance(dae: Dae) -> ca.Function:
 
 
 def equations_code(
-    dae: Dae, identifier: str, fmi: int, solver: str, system: Hybrid | None = None
+    dae: Dae,
+    identifier: str,
+    fmi: int,
+    solver: str,
+    system: Hybrid | None = None,
+    *,
+    derivatives: bool = True,
 ) -> str:
     """Return the generated C code of everything that the runtime calls."""
     prefix = re.sub("__+", "_", f"{identifier}_equations")  # CasADi takes one _ at a time
@@ -66,14 +73,16 @@ def equations_code(
         _plain_function(dae, "model_ode", dae.ode),
         _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
         *rank_functions(dae),
-        *sensitivity_functions(dae, adjoint=fmi == 3),
+        *(sensitivity_functions(dae, adjoint=fmi == 3) if derivatives else []),
         *(event_functions(system) if system else []),
     ):
         generator.add(function)
-    if not uses_dop853(dae, solver):
+    if solver in FIXED_STEPS:
+        generator.add(fixed_step(dae, FIXED_STEPS[solver]))
+    elif not uses_dop853(dae, solver):
         add_integrator(generator, solver_step(dae, solver))
     code = str(generator.dump())
-    if not dae.states or solver == DOP853:
+    if not dae.states or solver == DOP853 or solver in FIXED_STEPS:
         return code
     code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
     return differential_errors(code) if dae.algebraics else code
@@ -112,6 +121,29 @@ def solver_step(dae: Dae, plugin: str) -> ca.Function:
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])
+
+
+def fixed_step(dae: Dae, method: Tableau) -> ca.Function:
+    """Return `model_step(x, z, q) -> (x_end, z)` as one step of an explicit Runge-Kutta method.
+
+    See `solver_step` for q. The algebraic unknowns are solved for in every stage.
+    """
+    x, guess = argument_like(dae.x), argument_like(dae.z)
+    q = MX.sym("q", 3 + 4 * dae.u.numel() + dae.p.numel())
+    sizes = (1, 1, 1, *4 * [dae.u.numel()], dae.p.numel())
+    t0, h, _, *u, p = ca.vertsplit(q, [0, *accumulate(sizes)])
+    law = ca.Function("law", dae.arguments, [dae.ode], {"cse": True})
+    solve, z = algebraic_function(dae), guess
+
+    def slope(t: MX, state: MX) -> MX:
+        nonlocal z
+        inputs = _polynomial(u, (t - t0) / h)
+        if dae.algebraics:
+            z = solve(t, state, z, inputs, p)
+        return law(t, state, z, inputs, p)
+
+    end = x + method.change(slope, t0, x, h)
+    return ca.Function("model_step", [x, guess, q], [end, z])
 
 
 def _written_out(dae: Dae, scale: ca.DM) -> dict[str, SX]:

@@ -24,6 +24,8 @@ class Identity:
         identifier, guid, tool, tolerance: C identifier, GUID, exporting tool, relative tolerance.
         sources: Names of the files to compile.
         adjoint: Whether the FMU declares adjoint derivatives (FMI 3.0).
+        derivatives: Whether it has directional derivatives, and output derivatives.
+        step_size: Of a solver with fixed steps, s.
         about: Author, license and generationDateAndTime, if given.
         indicators: Number of event indicators.
         watches_steps: Whether the FMU needs a call after every step in model exchange.
@@ -35,6 +37,8 @@ class Identity:
     sources: tuple[str, ...]
     tolerance: float
     adjoint: bool = False
+    derivatives: bool = True
+    step_size: float | None = None
     about: Mapping[str, str] = field(default_factory=dict)
     indicators: int = 0
     watches_steps: bool = False
@@ -219,6 +223,13 @@ def causality(variable: FmuVariable) -> str:
     return plain.get(variable.role, "output" if variable.observed else "local")
 
 
+_OF_DERIVATIVES = {
+    "providesDirectionalDerivative",
+    "providesDirectionalDerivatives",
+    "maxOutputDerivativeOrder",
+}
+
+
 def _interfaces(identity: Identity, dialect: Dialect) -> list[ET.Element]:
     """Return the elements of model exchange and co-simulation."""
     second = dialect.version == "2.0"
@@ -231,6 +242,11 @@ def _interfaces(identity: Identity, dialect: Dialect) -> list[ET.Element]:
         ET.Element("ModelExchange", common | exchange),
         ET.Element("CoSimulation", common | dict(dialect.co_simulation)),
     ]
+    if identity.step_size is not None and not second:
+        elements[1].set("fixedInternalStepSize", shortest(identity.step_size))
+    for element in () if identity.derivatives else elements:
+        for name in _OF_DERIVATIVES.intersection(element.attrib):
+            del element.attrib[name]
     for element in elements if second else ():
         files = ET.SubElement(element, "SourceFiles")
         for name in identity.sources:

@@ -25,7 +25,7 @@ from cosim.files import reject_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
 from cosim.fmi.export.c_files import equations_c, model_header, variable_table
-from cosim.fmi.export.co_simulation import solver_for, uses_dop853
+from cosim.fmi.export.co_simulation import FIXED_STEPS, solver_for, uses_dop853
 from cosim.fmi.export.dependencies import (
     structural_dependencies,
     tunable_parameters,
@@ -105,8 +105,10 @@ class FmuKeywords(TypedDict, total=False):
     platforms: Sequence[str]
     tolerance: float
     solver: str | None
+    step_size: float | None
     tunable: Sequence[str] | None
     adjoint: bool
+    derivatives: bool
     about: Mapping[str, str] | None
     valid: bool
     names: str
@@ -122,8 +124,10 @@ class FmuOptions:
     platforms: Sequence[str] = (NATIVE,)
     tolerance: float = TOLERANCE
     solver: str | None = None
+    step_size: float | None = None
     tunable: Sequence[str] | None = None
     adjoint: bool = False
+    derivatives: bool = True
     about: Mapping[str, str] | None = None
     valid: bool = False
     names: str = NameStyle.FLAT
@@ -138,9 +142,17 @@ class FmuOptions:
             raise ParameterError(
                 f"export: tolerance = {self.tolerance:g} is not within 1e-13 ... 0.1"
             )
+        if self.step_size is not None:
+            number("export", "step_size", self.step_size, positive=True)
+            if self.solver not in FIXED_STEPS:
+                raise UsageError(
+                    f"export: step_size is for the solvers {' and '.join(FIXED_STEPS)}; name one"
+                )
         for key in self.about or {}:
             if key not in ABOUT:
                 raise UnknownName.among("export", "fact about an FMU", key, ABOUT)
+        if self.adjoint and not self.derivatives:
+            raise UsageError("export: adjoint needs derivatives; leave one of the options out")
         if self.adjoint and self.fmi == 2:
             raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
         if self.names not in tuple(NameStyle):
@@ -164,12 +176,16 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
             "darwin64", "aarch64-linux" (FMI 3.0) or "all".
         tolerance: Relative tolerance that the FMU recommends; 1e-9 by default.
         solver: Solver for co-simulation: "dop853" (explicit, order 8; the default), "rosenbrock"
-            (the default for models that are stiff at their start values) or "erk" (explicit,
-            order 5, for ODEs).
+            (the default for models that are stiff at their start values), "erk" (explicit,
+            order 5, for ODEs), or with fixed steps "rk4" or "ode8".
+        step_size: Longest step of "rk4" and "ode8", s; equal steps divide each communication step.
+            The output interval of the model by default.
         tunable: Names of the parameters that may change during a run, or `["all"]`; by default all
             but inertias and those that start values are calculated from.
         adjoint: Whether the FMU declares adjoint derivatives (FMI 3.0). CasADi up to 3.8.2
             computes wrong Jacobians from them: it writes all directions over the first.
+        derivatives: Whether the FMU has directional derivatives and output derivatives, which are
+            about half of its code.
         about: Further facts in the description: "author", "license", "date" (ISO 8601). Without a
             date, the same model always gives the same bytes.
         valid: Whether there is a Boolean output `valid`, true while every validity condition of
@@ -221,6 +237,8 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         dae = _observing(dae, listed(f"{dae.full_name}: outputs", options.outputs))
     tunable = options.tunable and listed(f"{dae.full_name}: tunable", options.tunable)
     solver = solver_for(dae, options.solver)
+    fixed = options.step_size or dae.experiment.output_interval
+    step_size = fixed if solver in FIXED_STEPS else None
     dae = with_margins(dae) if options.valid else dae
     embedded = embedded_sources(dae)
     tunable = tunable_parameters(dae, tunable)
@@ -235,7 +253,9 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(unused)}
     code = {
         "model.c": variable_table(dae, variables, system).encode(),
-        "equations.c": equations_c(dae, name, fmi, solver, system).encode(),
+        "equations.c": equations_c(
+            dae, name, fmi, solver, system, derivatives=options.derivatives
+        ).encode(),
         **{file: text.encode() for file, text in embedded.items()},
     }
     reject_unlinked(code["equations.c"].decode(), embedded)
@@ -250,6 +270,8 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         sources=tuple(sorted(file for file in (*runtime, *code) if file.endswith(".c"))),
         tolerance=options.tolerance,
         adjoint=options.adjoint,
+        derivatives=options.derivatives,
+        step_size=step_size,
         about={ABOUT[key]: text for key, text in (options.about or {}).items()},
         indicators=(len(dae.limits) if options.valid else 0)
         + (system.of_time.count(False) if system else 0),
@@ -264,11 +286,19 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         dialect=DIALECTS[fmi],
     )
     digest = hashlib.sha256()
-    for part in (describe(identity=unsigned), *code.values(), *runtime.values()):
+    settings = repr(step_size).encode()
+    for part in (describe(identity=unsigned), *code.values(), *runtime.values(), settings):
         digest.update(part)
     identity = replace(unsigned, guid=f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}")
     code["model.h"] = model_header(
-        dae, identity, fmi, solver, valid=options.valid, system=system
+        dae,
+        identity,
+        fmi,
+        solver,
+        valid=options.valid,
+        step_size=step_size,
+        derivatives=options.derivatives,
+        system=system,
     ).encode()
     code["buildDescription.xml"] = build_description(identity)
     drawn = pictures(dae, fmi)
