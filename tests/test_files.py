@@ -1,7 +1,10 @@
 """Writing files: whole or not at all, and a refusal that says why."""
 
 import os
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -124,3 +127,29 @@ def test_checking_a_target_leaves_it_alone(tmp_path):
     (tmp_path / "old.csv").write_bytes(b"old")
     reject_unwritable(tmp_path / "old.csv")
     assert (tmp_path / "old.csv").read_bytes() == b"old"
+
+
+WRITER = """
+import sys, time
+from cosim.files import written_atomically
+with written_atomically(sys.argv[1]) as stream:
+    stream.write(b"half")
+    print("writing", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_nothing_stays_of_a_writer_that_was_killed(number, tmp_path):
+    target = tmp_path / "o.csv"
+    target.write_bytes(b"old")
+    with subprocess.Popen([sys.executable, "-c", WRITER, target], stdout=subprocess.PIPE) as writer:
+        assert writer.stdout.readline() == b"writing\n"
+        assert len(entries(tmp_path)) == 2
+        writer.send_signal(number)
+        assert writer.wait() == -number
+    assert target.read_bytes() == b"old"
+    assert len(entries(tmp_path)) == (1 if number == signal.SIGTERM else 2)
+    write_atomically(target, b"new")  # and removes what is left
+    assert entries(tmp_path) == ["o.csv"]

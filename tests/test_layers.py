@@ -20,7 +20,8 @@ from cosim.presenters import presenter
 TABLE = """
 cosim._fmu | casadi_models | cosim.text
 cosim.errors | cosim.memo | cosim.arrays | cosim.presenters | cosim.colors
-cosim.host | cosim.files | cosim.model.quantities
+cosim.host | cosim.model.quantities
+cosim.files
 cosim.toml_file
 cosim.plotting | cosim.series
 cosim.trajectory

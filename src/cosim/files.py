@@ -5,11 +5,13 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from cosim.errors import ExportError, UsageError
+from cosim.host.signals import ended_by_signals
+from cosim.host.temporary import is_of_dead_process, process_mark
 
 MOST_READ = 2**30  # bytes
 MOST_TEXT = 2**28  # bytes, of what people write
@@ -35,7 +37,7 @@ def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     Yields:
         What is written to; where the block is left by an error, the old content stays.
     """
-    with _explained(target):
+    with _explained(target), ended_by_signals():
         place = _place(target)
         if place.exists() and not place.is_file():
             with place.open("wb") as stream:
@@ -114,7 +116,13 @@ def _place(target: str | os.PathLike[str]) -> Path:
 
 
 def _sibling(place: Path) -> Path:
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name[:40]}.")
+    own = f".{place.name[:40]}."
+    with suppress(OSError), os.scandir(place.parent) as entries:
+        for entry in entries:  # of processes that were killed as they wrote it
+            mark = entry.name.removeprefix(own).rpartition("-")[0]
+            if entry.name.startswith(own) and is_of_dead_process(mark):
+                Path(entry).unlink(missing_ok=True)
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f"{own}{process_mark()}-")
     os.close(handle)
     return Path(name)
 

@@ -14,10 +14,10 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Self
 
 from cosim.host.limits import LIMITS_VARIABLE, Limits
+from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import fmu_folder, remove_leftovers
 from cosim.text import visible
 
@@ -208,41 +208,10 @@ def own_folder() -> Iterator[Path]:
     Raises:
         FmuError: It cannot be made.
     """
-    with _ended_by_signals(), fmu_folder() as folder:
+    with ended_by_signals(), fmu_folder() as folder:
         for name in ("work", "temporary"):
             (folder / name).mkdir()
         yield folder
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Leave this context before SIGTERM or SIGHUP ends the process."""
-    kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
-    usual = threading.current_thread() is threading.main_thread()
-    kinds = [k for k in kinds if usual and signal.getsignal(k) is signal.SIG_DFL]
-
-    def end(number: int, _frame: FrameType | None) -> None:
-        raise _Ended(number)
-
-    for kind in kinds:
-        signal.signal(kind, end)
-    try:
-        yield
-    except _Ended as ended:
-        signal.signal(ended.number, signal.SIG_DFL)
-        os.kill(os.getpid(), ended.number)
-        raise
-    finally:
-        for kind in kinds:
-            signal.signal(kind, signal.SIG_DFL)
-
-
-class _Ended(BaseException):
-    """A signal that ends the process."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
 
 
 def _variables(folder: Path | None) -> dict[str, str]:

@@ -1,6 +1,7 @@
-"""Signals: Ctrl-C while native code runs, and the time limit of a command."""
+"""Signals: Ctrl-C while native code runs, the end of a process, and the time limit of a command."""
 
 import ctypes
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -85,3 +86,34 @@ def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
         finally:
             thread.cancel()
             signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Leave this context before SIGTERM or SIGHUP ends the process."""
+    kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
+    usual = current_thread() is main_thread()
+    kinds = [k for k in kinds if usual and signal.getsignal(k) is signal.SIG_DFL]
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        raise _Ended(number)
+
+    for kind in kinds:
+        signal.signal(kind, end)
+    try:
+        yield
+    except _Ended as ended:
+        signal.signal(ended.number, signal.SIG_DFL)
+        os.kill(os.getpid(), ended.number)
+        raise
+    finally:
+        for kind in kinds:
+            signal.signal(kind, signal.SIG_DFL)
+
+
+class _Ended(BaseException):
+    """A signal that ends the process."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number

@@ -35,7 +35,7 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
     remove_leftovers(place)
     # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
     with tempfile.TemporaryDirectory(
-        prefix=f"{PREFIX}-{_place_of_processes()}-{os.getpid()}-",
+        prefix=f"{PREFIX}-{process_mark()}-",
         dir=place,
         ignore_cleanup_errors=True,
     ) as name:
@@ -87,7 +87,18 @@ def _is_left(entry: "os.DirEntry[str]") -> bool:
         return False
     if time.time() - facts.st_mtime > _OLD:
         return True
-    return where == _place_of_processes() and not is_alive(int(process))
+    return is_of_dead_process(f"{where}-{process}")
+
+
+def process_mark() -> str:
+    """Return a text that identifies this process, for names of temporary files."""
+    return f"{_place_of_processes()}-{os.getpid()}"
+
+
+def is_of_dead_process(mark: str) -> bool:
+    """Tell whether a mark is of a process of this machine that has ended."""
+    where, _, process = mark.partition("-")
+    return process.isdecimal() and where == _place_of_processes() and not is_alive(int(process))
 
 
 def is_alive(process: int) -> bool:
