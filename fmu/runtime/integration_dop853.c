@@ -117,6 +117,11 @@ static double size_before(double loss, double size) {
     return loss <= GAP * size ? loss / GAP : fmin(size, loss / 2);
 }
 
+/* Shorter ones are lost in rounding. */
+static double shortest_step(double t, double length) {
+    return 10 * DBL_EPSILON * fmax(fabs(t), length);
+}
+
 /* Start from the instance's own state. */
 static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
     const double *values = fmu->state.values;
@@ -129,7 +134,9 @@ static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, dou
     if (slope(ode, memory->until, memory->end, k[0]) || !is_finite(k[0])) return false;
     memcpy(memory->slope, k[0], sizeof memory->slope);
     if (memory->next > 0) return true;
-    const double span = fmin(ahead - memory->until, LARGEST_STEP);
+    const double rest = ahead - memory->until;
+    const double span =
+        rest > shortest_step(memory->until, 0) ? fmin(rest, LARGEST_STEP) : LARGEST_STEP;
     memory->next = first_step(ode, memory->until, span, memory->end, k);
     return true;
 }
@@ -193,7 +200,11 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
     double x[NX];
     const double began = self->fmu->state.values[TIME];
     const double t = memory->until, loss = time_to_loss(self, t, memory->end);
-    const double shortest = 10 * DBL_EPSILON * fmax(fabs(t), end - began);
+    const double shortest = shortest_step(t, end - began);
+    if (ahead - t <= shortest) { /* as from a sample to a communication point: nothing moves */
+        memory->until = fmin(ahead, end);
+        return true;
+    }
     memcpy(k[0], memory->slope, sizeof k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
         const double size = size_before(loss, memory->next);

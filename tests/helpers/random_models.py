@@ -33,6 +33,23 @@ class _RandomModel:
             self.model.derivative(x, rate)
         return self.model.freeze()
 
+    def happening(self) -> Dae:
+        """Return a model with impacts, a counter and a sampled value besides the relations."""
+        model, first = self.model, self.states[0]
+        count = model.discrete("n", "1", 0.0, "number of events")
+        sample = model.discrete("a", "1", 0.5, "a sampled value")
+        for i, x in enumerate(self.states):
+            more = self._term() + 0.3 * sample if i == 0 else 0
+            model.derivative(x, -0.5 * x + self._smooth() + more)
+        impact = {first: 0.8 * first - 0.05, count: count + 1}
+        model.when(self._linear() > self._smooth(), impact, name="impact")
+        if self.random.random() < 0.6:
+            change = {sample: 0.3 * self._linear(), count: count + 10}
+            model.when(self._linear() > 0.1 * count, change, name="change")
+        period, offset = self._number(0.08, 0.5), self._number(0, 0.1)
+        model.every(period, {sample: 0.7 * sample + 0.1 * self.states[1]}, offset=offset)
+        return model.freeze()
+
     def _number(self, low, high):
         return round(self.random.uniform(low, high), 2)
 
@@ -100,6 +117,11 @@ def random_model(seed: int, *, algebraic: bool = False) -> Dae:
         algebraic: Whether the rates are algebraic unknowns.
     """
     return _RandomModel(seed).frozen(algebraic)
+
+
+def model_with_events(seed: int) -> Dae:
+    """Return a random model with assignments at events of states and at samples."""
+    return _RandomModel(seed).happening()
 
 
 def solution(dae: Dae, step: float = 2e-5) -> np.ndarray:
