@@ -13,7 +13,6 @@
 #include "equations.h"
 #include "input_motion.h"
 #include "logging.h"
-#include "time_events.h"
 
 #if HAS_EVENTS
 
@@ -191,6 +190,13 @@ static void guess_modes(Instance *self, int count) {
         else
             modes[i] = relations[i].floor ? floor(value) : value >= 0 ? 1 : -1;
     }
+}
+
+double event_time(const Instance *self) {
+    const double now = self->state.values[TIME], next = self->state.switching.next;
+    const bool early = self->state.interface == INTERFACE_ME && next != NOT_PLANNED && next > now &&
+                       next - now <= SAME_TIME * fmax(fabs(now), fabs(next));
+    return early ? next : now;
 }
 
 /* The mode of an argument that is not 0. One of time alone may be due a little later, or have

@@ -49,6 +49,12 @@ bool is_sliding(const Instance *self);
 Status begin_modes(Instance *self);
 Status settle_modes(Instance *self, bool zero[], const bool decided[], Status severity);
 
+/* Relative distance of times that importers take as one. */
+static const double SAME_TIME = 1e-9;
+
+/* The present time; importers may come a little early to a time event. */
+double event_time(const Instance *self);
+
 INSIDE_END
 #else
 static inline Status begin_modes(Instance *self) {

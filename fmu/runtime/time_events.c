@@ -11,13 +11,6 @@
 
 enum { SEARCHED = 4096, SPAN = 50 }; /* places of a search; its length in largest steps */
 
-double event_time(const Instance *self) {
-    const double now = self->state.values[TIME], next = self->state.switching.next;
-    const bool early = self->state.interface == INTERFACE_ME && next != NOT_PLANNED && next > now &&
-                       next - now <= SAME_TIME * fmax(fabs(now), fabs(next));
-    return early ? next : now;
-}
-
 /* Arguments of time alone, and their rates; not a number where they have no value. */
 static void evaluate_at(Instance *self, double t, double arguments[], double rates[]) {
     pass_values(self);

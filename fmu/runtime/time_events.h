@@ -7,12 +7,6 @@
 #if HAS_EVENTS
 INSIDE_BEGIN
 
-/* Relative distance of times that importers take as one. */
-static const double SAME_TIME = 1e-9;
-
-/* The present time; importers may come a little early to a time event. */
-double event_time(const Instance *self);
-
 /* Set `due` and `next`, for times after `now`. */
 void plan_time_events(Instance *self, double now);
 
