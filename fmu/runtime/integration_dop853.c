@@ -203,7 +203,7 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
     const double shortest = shortest_step(t, end - began);
     if (ahead - t <= shortest) { /* as from a sample to a communication point: nothing moves */
         memory->until = fmin(ahead, end);
-        return true;
+        return self->trials-- > 0;
     }
     memcpy(k[0], memory->slope, sizeof k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {

@@ -60,7 +60,7 @@ class UnknownName(CosimError):
             if near
             else f"it has {shortened(names, 12) or 'none'}"
         )
-        return cls(f"{owner} has no {kind} '{bounded(str(name), 80)}'; {hint}")
+        return cls(f"{owner} has no {kind} '{bounded(str(name), 300)}'; {hint}")
 
     @classmethod
     def of_model(cls, model: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:

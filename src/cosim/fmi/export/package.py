@@ -249,7 +249,8 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     if options.names == NameStyle.STRUCTURED:
         variables = structured(variables)
     other_solver = "step" if uses_dop853(dae, solver) else "dop853"
-    unused = (f"fmi{5 - fmi}", f"integration_{other_solver}", *(() if system else _OF_EVENTS))
+    empty = (*(() if system else _OF_EVENTS), *(() if has_rank(dae) else ("rank.c",)))
+    unused = (f"fmi{5 - fmi}", f"integration_{other_solver}", *empty)
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(unused)}
     code = {
         "model.c": variable_table(dae, variables, system).encode(),
