@@ -49,9 +49,8 @@ class LawsWithModes:
     """The laws of a model, rebuilt operation by operation with modes for relations."""
 
     def __init__(self, laws: Sequence[SX], others: Sequence[SX], dae: Dae) -> None:
-        self.relations: list[Relation] = []
-        self.modes: list[SX] = []
-        self._domains: list[tuple[Relation, SX]] = []
+        self._switches = list[tuple[Relation, SX]]()
+        self._domains = list[tuple[Relation, SX]]()
         smooth = ca.vertcat(SX(0, 1), *dae.smooth)
         columns = [*laws, *others, smooth]
         symbols = [*dae.arguments]
@@ -60,9 +59,9 @@ class LawsWithModes:
         self._read(len(laws), len(columns) - 1)
         sizes = [column.numel() for column in columns[:-1]]
         self.results = self._rebuilt(sizes)
-        for relation, mode in self._domains:  # they follow from the other modes
-            self.relations.append(relation)
-            self.modes.append(mode)
+        pairs = [*self._switches, *self._domains]  # domains follow from the other modes
+        self.relations = [relation for relation, _ in pairs]
+        self.modes = [mode for _, mode in pairs]
 
     def _read(self, laws: int, smooth: int) -> None:
         """Read the instructions: operands, whether they change, and which are in the laws."""
@@ -221,23 +220,19 @@ class LawsWithModes:
         return ca.if_else(mode > 0, found, outside)
 
     def _sign(self, argument: SX, operation: str, at_zero: int = 1) -> SX:
-        return self._mode(Relation(argument, False, at_zero, operation))
+        return self._mode(Relation(argument, False, at_zero, operation), self._switches)
 
     def _floor(self, argument: SX, operation: str) -> SX:
-        return self._mode(Relation(argument, True, 1, operation))
+        return self._mode(Relation(argument, True, 1, operation), self._switches)
 
-    def _mode(self, relation: Relation, domains: list[tuple[Relation, SX]] | None = None) -> SX:
-        same_kind = zip(self.relations, self.modes, strict=True) if domains is None else domains
-        for known, mode in same_kind:
+    def _mode(self, relation: Relation, pairs: list[tuple[Relation, SX]]) -> SX:
+        """Return the mode of a relation, which becomes one of the pairs if it is new."""
+        for known, mode in pairs:
             same = known.floor == relation.floor and known.at_zero == relation.at_zero
             if same and ca.is_equal(known.argument, relation.argument, 3):
                 return mode
-        mode = SX.sym(f"mode_{len(self.relations) + len(self._domains) + 1}")
-        if domains is None:
-            self.relations.append(relation)
-            self.modes.append(mode)
-        else:
-            domains.append((relation, mode))
+        mode = SX.sym(f"mode_{len(self._switches) + len(self._domains) + 1}")
+        pairs.append((relation, mode))
         return mode
 
 
