@@ -199,12 +199,12 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
     Slopes k;
     double x[NX];
     const double began = self->fmu->state.values[TIME];
-    const double t = memory->until, loss = time_to_loss(self, t, memory->end);
-    const double shortest = shortest_step(t, end - began);
+    const double t = memory->until, shortest = shortest_step(t, end - began);
     if (ahead - t <= shortest) { /* as from a sample to a communication point: nothing moves */
         memory->until = fmin(ahead, end);
         return self->trials-- > 0;
     }
+    const double loss = time_to_loss(self, t, memory->end);
     memcpy(k[0], memory->slope, sizeof k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
         const double size = size_before(loss, memory->next);

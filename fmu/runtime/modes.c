@@ -221,9 +221,7 @@ static double required(const Instance *self, const Seen *seen, int i, bool *zero
     const double value = seen->arguments[i] - s->offsets[i];
     const double boundary = relation->floor ? round(value) : 0;
     if (!isfinite(value)) return mode;
-    if (!*zero && value != boundary) {
-        return by_value(self, seen, i, value);
-    }
+    if (!*zero && value != boundary) return by_value(self, seen, i, value);
     *zero = true;
     const double tiny = relation->of_time ? 0 : s->slack;
     const double rates[] = {seen->rates[i], seen->seconds[i]};
