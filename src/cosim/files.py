@@ -5,13 +5,13 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from cosim.errors import ExportError, UsageError
 from cosim.host.signals import ended_by_signals
-from cosim.host.temporary import is_of_dead_process, process_mark
+from cosim.host.temporary import leftovers, process_mark
 
 MOST_READ = 2**30  # bytes
 MOST_TEXT = 2**28  # bytes, of what people write
@@ -44,6 +44,9 @@ def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
                 yield stream
             return
         mode = stat.S_IMODE(place.stat().st_mode) if place.exists() else 0o666 & ~_umask()
+        for left in leftovers(place.parent, _prefix(place)):
+            if left.is_file():
+                Path(left).unlink(missing_ok=True)
         temporary = _sibling(place)
         try:
             with temporary.open("wb") as stream:
@@ -115,14 +118,13 @@ def _place(target: str | os.PathLike[str]) -> Path:
     return place
 
 
+def _prefix(place: Path) -> str:
+    return f".{place.name[:40]}."
+
+
 def _sibling(place: Path) -> Path:
-    own = f".{place.name[:40]}."
-    with suppress(OSError), os.scandir(place.parent) as entries:
-        for entry in entries:  # of processes that were killed as they wrote it
-            mark = entry.name.removeprefix(own).rpartition("-")[0]
-            if entry.name.startswith(own) and is_of_dead_process(mark):
-                Path(entry).unlink(missing_ok=True)
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f"{own}{process_mark()}-")
+    prefix = f"{_prefix(place)}{process_mark()}-"
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix)
     os.close(handle)
     return Path(name)
 

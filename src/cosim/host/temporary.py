@@ -66,39 +66,42 @@ def loads_no_library(folder: str | os.PathLike[str]) -> bool:
 
 def remove_leftovers(place: Path) -> int:
     """Remove the temporary folders of dead processes of this user; return their number."""
-    removed = 0
+    folders = [entry for entry in leftovers(place, f"{PREFIX}-") if entry.is_dir()]
+    for entry in folders:
+        shutil.rmtree(entry.path, ignore_errors=True)
+    return len(folders)
+
+
+def leftovers(place: Path, prefix: str) -> list["os.DirEntry[str]"]:
+    """Return what dead processes of this user have left in a folder, links excluded.
+
+    Args:
+        place: The folder.
+        prefix: Begin of the names, which go on with a `process_mark` and a hyphen.
+    """
     with suppress(OSError), os.scandir(place) as entries:
-        for entry in entries:
-            if entry.name.startswith(f"{PREFIX}-") and _is_left(entry):
-                shutil.rmtree(entry.path, ignore_errors=True)
-                removed += 1
-    return removed
+        return [e for e in entries if e.name.startswith(prefix) and _is_left(e, prefix)]
+    return []
 
 
-def _is_left(entry: "os.DirEntry[str]") -> bool:
-    _, where, process, *rest = [*entry.name.split("-", 3), "", "", ""][:4]
-    if not process.isdecimal() or not rest:
+def _is_left(entry: "os.DirEntry[str]", prefix: str) -> bool:
+    where, process, rest = [*entry.name.removeprefix(prefix).split("-", 2), "", ""][:3]
+    if not (process.isdecimal() and rest):
         return False
     try:
         facts = entry.stat(follow_symlinks=False)
     except OSError:
         return False
-    if not stat.S_ISDIR(facts.st_mode) or (os.name != "nt" and facts.st_uid != os.geteuid()):
+    if stat.S_ISLNK(facts.st_mode) or (os.name != "nt" and facts.st_uid != os.geteuid()):
         return False
     if time.time() - facts.st_mtime > _OLD:
         return True
-    return is_of_dead_process(f"{where}-{process}")
+    return where == _place_of_processes() and not is_alive(int(process))
 
 
 def process_mark() -> str:
     """Return a text that identifies this process, for names of temporary files."""
     return f"{_place_of_processes()}-{os.getpid()}"
-
-
-def is_of_dead_process(mark: str) -> bool:
-    """Tell whether a mark is of a process of this machine that has ended."""
-    where, _, process = mark.partition("-")
-    return process.isdecimal() and where == _place_of_processes() and not is_alive(int(process))
 
 
 def is_alive(process: int) -> bool:
