@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from casadi_models import CATALOG
 from casadi_models.dae import Dae
 from cosim.backend import Backend
 from cosim.errors import ParameterError, UnknownName, UsageError
@@ -119,10 +118,14 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def named_scene(name: str) -> Scene:
     """Return a model as a scene without settings, or a scene by its file or shipped name."""
-    models = {entry.partition("/")[0] for entry in CATALOG}
-    if name in {file.stem for file in shipped_scenes()} - models:
-        name = f"{name}.toml"
-    return read_scene(name) if name.endswith(".toml") else Scene(name, RunRequest(load(name)))
+    if name.endswith(".toml"):
+        return read_scene(name)
+    try:
+        return Scene(name, RunRequest(load(name)))
+    except UnknownName:
+        if name not in (file.stem for file in shipped_scenes()):
+            raise
+        return read_scene(f"{name}.toml")
 
 
 def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:
