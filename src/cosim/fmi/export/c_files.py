@@ -11,7 +11,7 @@ from casadi_models.dae.invariants import SINGULAR_CONDITION
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
 from cosim.fmi.export.co_simulation import most_trials, uses_dop853
-from cosim.fmi.export.equations import equations_code, has_rank
+from cosim.fmi.export.equations import has_rank
 from cosim.fmi.export.events import event_sizes, event_tables, literal
 from cosim.fmi.export.model_description import Identity
 from cosim.fmi.export.variables import FmuVariable, Role
@@ -102,22 +102,13 @@ _SYSTEM_HEADER = re.compile(r"^#include <[^>]*>\n", re.MULTILINE)
 _MODEL_NAME = re.compile(r"\bmodel_")  # also the prefix of CasADi's helper functions
 
 
-def equations_c(
-    dae: Dae,
-    identifier: str,
-    fmi: int,
-    solver: str,
-    system: Hybrid | None = None,
-    *,
-    derivatives: bool = True,
-) -> str:
+def equations_c(generated: str, identifier: str) -> str:
     """Return `equations.c`: CasADi's code, its functions visible inside the library only.
 
     Raises:
         UsageError: This version of CasADi generates code in another form.
     """
-    written = equations_code(dae, identifier, fmi, solver, system, derivatives=derivatives)
-    code = re.sub(r"^ \* +$", " *", written, flags=re.MULTILINE)
+    code = re.sub(r"^ \* +$", " *", generated, flags=re.MULTILINE)
     code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(code))
     if not _HEADING.search(code):
         raise UsageError(

@@ -111,7 +111,7 @@ def solver_step(dae: Dae, plugin: str) -> ca.Function:
     by their nominal values, so that one tolerance fits all of them.
     """
     x, z = argument_like(dae.x), argument_like(dae.z)
-    parameters = MX.sym("q", 3 + 4 * dae.u.numel() + dae.p.numel())
+    parameters, _ = _parameters(dae)
     if not dae.states:  # CasADi needs at least one state
         return ca.Function("model_step", [x, z, parameters], [x, z])
     # powers of two, so that scaling does not round
@@ -129,9 +129,7 @@ def fixed_step(dae: Dae, method: Tableau) -> ca.Function:
     See `solver_step` for q. The algebraic unknowns are solved for in every stage.
     """
     x, guess = argument_like(dae.x), argument_like(dae.z)
-    q = MX.sym("q", 3 + 4 * dae.u.numel() + dae.p.numel())
-    sizes = (1, 1, 1, *4 * [dae.u.numel()], dae.p.numel())
-    t0, h, _, *u, p = ca.vertsplit(q, [0, *accumulate(sizes)])
+    q, (t0, h, _, *u, p) = _parameters(dae)
     law = ca.Function("law", dae.arguments, [dae.ode], {"cse": True})
     solve, z = algebraic_function(dae), guess
 
@@ -160,11 +158,16 @@ def _written_out(dae: Dae, scale: ca.DM) -> dict[str, SX]:
 def _called(dae: Dae, scale: ca.DM) -> dict[str, MX]:
     """Return the same problem as a call of the equations, whose Jacobian is a loop."""
     s, scaled, z = MX.sym("s"), MX.sym("scaled", dae.x.numel()), MX.sym("z", dae.z.numel())
-    sizes = (1, 1, 1, *4 * [dae.u.numel()], dae.p.numel())
-    q = MX.sym("q", sum(sizes))
-    t0, h, _, *u, p = ca.vertsplit(q, [0, *accumulate(sizes)])
+    q, (t0, h, _, *u, p) = _parameters(dae)
     ode, alg = driven_equations(dae)(t0 + s * h, scale * scaled, z, _polynomial(u, s), p)
     return {"t": s, "x": scaled, "z": z, "p": q, "ode": h * ode / scale, "alg": alg}
+
+
+def _parameters(dae: Dae) -> tuple[MX, list[MX]]:
+    """Return q of `solver_step` as one symbol, and its parts."""
+    sizes = (1, 1, 1, *4 * [dae.u.numel()], dae.p.numel())
+    q = MX.sym("q", sum(sizes))
+    return q, ca.vertsplit(q, [0, *accumulate(sizes)])
 
 
 def _polynomial(coefficients: Sequence[Any], s: Any) -> Any:

@@ -33,7 +33,7 @@ from cosim.fmi.export.dependencies import (
 )
 from cosim.fmi.export.dialect import DIALECTS
 from cosim.fmi.export.documentation import documentation_page
-from cosim.fmi.export.equations import embedded_sources, has_rank
+from cosim.fmi.export.equations import embedded_sources, equations_code, has_rank
 from cosim.fmi.export.events import fmu_events
 from cosim.fmi.export.model_description import Identity, build_description, model_description
 from cosim.fmi.export.variables import fmu_variables, structured, with_margins
@@ -252,11 +252,10 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     empty = (*(() if system else _OF_EVENTS), *(() if has_rank(dae) else ("rank.c",)))
     unused = (f"fmi{5 - fmi}", f"integration_{other_solver}", *empty)
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(unused)}
+    generated = equations_code(dae, name, fmi, solver, system, derivatives=options.derivatives)
     code = {
         "model.c": variable_table(dae, variables, system).encode(),
-        "equations.c": equations_c(
-            dae, name, fmi, solver, system, derivatives=options.derivatives
-        ).encode(),
+        "equations.c": equations_c(generated, name).encode(),
         **{file: text.encode() for file, text in embedded.items()},
     }
     reject_unlinked(code["equations.c"].decode(), embedded)
