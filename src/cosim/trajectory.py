@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import groupby
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO, overload
@@ -199,16 +199,14 @@ class Trajectory:
         names = self.names
         known = [e for e in self.events if all(name in e.before for name in names)]
         places, times, rows = list[int](), list[float](), list[list[float]]()
-        for event, following in pairwise([*known, None]):
-            assert event is not None
-            place = int(np.searchsorted(self.time, event.time))
-            last = following is None or following.time > event.time
-            on_grid = place < len(self) and self.time[place] == event.time
-            sides = [event.before, *([event.after] if last and not on_grid else [])]
-            if following is not None and not last and following.before == event.before:
-                continue  # another event at the same instant
+        for time, here in groupby(known, lambda event: event.time):
+            events = list(here)
+            sides = [before for before, _ in groupby(event.before for event in events)]
+            place = int(np.searchsorted(self.time, time))
+            if place == len(self) or self.time[place] != time:  # a row there has what is after it
+                sides.append(events[-1].after)
             places += [place] * len(sides)
-            times += [event.time] * len(sides)
+            times += [time] * len(sides)
             rows += [[side[name] for name in names] for side in sides]
         if not places:
             return self
