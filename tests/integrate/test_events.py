@@ -4,7 +4,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import event_models
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import cosim
@@ -235,86 +234,6 @@ def test_bicycle_at_rest_feels_a_torque_that_begins_later():
     for run in runs:
         assert abs(run["phi"]).max() == pytest.approx(0.41143530, abs=1e-7)
         assert [event.time for event in run.events] == [3.0, 4.0]
-
-
-def robertson():
-    model = Model("robertson", stop_time=4e10, output_interval=4e7)
-    y1, y2, y3 = (model.state(f"y{i}", "1", float(i == 1), "share") for i in (1, 2, 3))
-    rate = -0.04 * y1 + 1e4 * y2 * y3
-    model.derivative(y1, rate)
-    model.derivative(y3, 3e7 * y2**2)
-    model.derivative(y2, -rate - 3e7 * y2**2)
-    count = model.discrete("count", "1", 0.0, "number of roots")
-    model.when(y3 > 0.01, {count: count + 1}, name="y3")
-    model.when(y1 < 1e-4, {count: count + 1}, name="y1")
-    return model.freeze()
-
-
-@pytest.mark.parametrize("solver", ["cvodes", "idas", "rosenbrock"])
-def test_roots_of_robertsons_problem(solver):
-    times = np.concatenate(([0.0], np.geomspace(1e-3, 4e10, 300)))
-    run = cosim.simulate(
-        robertson(), solver=solver, output_times=times, relative_tolerance=1e-9,
-        absolute_tolerance=1e-14,
-    )  # fmt: skip
-    found = {event.name: event.time for event in run.events}
-    assert found["y3"] == pytest.approx(0.26401908, rel=1e-6)
-    assert found["y1"] == pytest.approx(2.07954969e7, rel=1e-5)
-    assert run.final["count"] == 2
-
-
-def detest(number):
-    """Return a discontinuous problem of DETEST (Enright & Pryce 1987), F1 to F4."""
-    model = Model(f"F{number}", stop_time=20.0, output_interval=0.1)
-    t = model.t
-    odd = ca.fmod(ca.floor(t), 2)
-    y = model.state("y", "1", {1: 0.0, 2: 110.0, 3: 0.0, 4: 1.0}[number], "y")
-    if number == 2:
-        model.derivative(y, 55 - ca.if_else(odd > 0.5, 0.5, 1.5) * y)
-    elif number == 4:
-        early = -2 / 21 - 120 * (t - 5) / (1 + 4 * (t - 5) ** 2) ** 2
-        model.derivative(y, ca.if_else(t <= 10, early, -2 * y))
-    else:
-        v = model.state("v", "1", 0.0, "v")
-        model.derivative(y, v)
-        if number == 1:
-            force = ca.if_else(odd > 0.5, -1, 1)
-            model.derivative(v, 0.2 * v - (np.pi**2 + 0.01) * y + force)
-        else:
-            force = ca.fabs(ca.sin(np.pi * t))
-            model.derivative(v, 0.01 * v * (1 - y**2) - y - force)
-    return model.freeze()
-
-
-def smooth_pieces(number):
-    """Return y(20) of a DETEST problem, integrated from switch to switch by scipy."""
-
-    def law(t, y, side):
-        if number == 1:
-            return [y[1], 0.2 * y[1] - (np.pi**2 + 0.01) * y[0] + (-1) ** side]
-        if number == 2:
-            return [55 - (0.5 if side % 2 else 1.5) * y[0]]
-        if number == 3:
-            force = (-1) ** side * np.sin(np.pi * t)
-            return [y[1], 0.01 * y[1] * (1 - y[0] ** 2) - y[0] - force]
-        if side < 10:
-            return [-2 / 21 - 120 * (t - 5) / (1 + 4 * (t - 5) ** 2) ** 2]
-        return [-2 * y[0]]
-
-    y = {1: [0.0, 0.0], 2: [110.0], 3: [0.0, 0.0], 4: [1.0]}[number]
-    for side in range(20):
-        found = solve_ivp(law, (side, side + 1), y, "DOP853", args=(side,), rtol=1e-13, atol=1e-15)
-        y = found.y[:, -1]
-    return y[0]
-
-
-@pytest.mark.parametrize("number", [1, 2, 3, 4])
-@pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
-def test_discontinuous_problems_of_detest(number, solver):
-    run = simulate(detest(number), solver)
-    scale = max(1.0, abs(run["y"]).max())
-    error = 1e-7 if solver == "cvodes" else 2e-9
-    assert run.final["y"] == pytest.approx(smooth_pieces(number), abs=error * scale)
 
 
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
