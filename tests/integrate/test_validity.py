@@ -48,6 +48,26 @@ def test_run_stops_at_a_limit_when_asked_and_keeps_what_is_valid():
     np.testing.assert_allclose(partial["height"], exact, rtol=0, atol=1e-8)  # measured 2e-10
 
 
+@pytest.mark.parametrize("on_invalid", ["stop", "ignore"])
+def test_run_that_stops_at_a_limit_has_no_event_after_it(on_invalid):
+    model = Model("clock", stop_time=1.0)
+    x = model.state("x", "s", 0.0, "time that has passed")
+    ticks = model.discrete("ticks", "1", 0, "number of ticks")
+    model.derivative(x, 1.0)
+    model.every(0.1, {ticks: ticks + 1}, offset=0.05, name="tick")
+    model.stop(model.t > 0.8, "it is late")
+    model.limit(0.32 - x, "it is early")
+    if on_invalid == "stop":
+        with pytest.raises(SolverError, match="no longer true that it is early") as caught:
+            cosim.simulate(model.freeze(), on_invalid=on_invalid, record_events=True)
+        run, ticks = caught.value.partial, 3
+        assert run.time[-1] == pytest.approx(0.32)
+    else:
+        run, ticks = cosim.simulate(model.freeze(), on_invalid=on_invalid), 8
+    assert [event.name for event in run.events if event.name == "tick"] == ticks * ["tick"]
+    assert ("stop" in run.stats) == (on_invalid == "ignore")
+
+
 def test_limit_is_dropped_with_the_states_that_it_needs():
     small = cosim.reduce(falling_ball(), ["way"])
     assert small.limits == ()

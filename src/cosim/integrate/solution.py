@@ -140,11 +140,14 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
         near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
         reason = f"{reason}; {near}: {PROJECTION}"
+    events, stop = motion.events, motion.stop
+    if n < motion.states.shape[1]:  # what happened after the last good row is not a result
+        events, stop = [e for e in events if n and e.time <= grid[n - 1]], ""
     last = (motion.states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
     rows: slice | NDArray[np.intp] = slice(0, n)
     if prepared.rows is not None:
         recorded = prepared.rows[prepared.rows < n]
-        rows = np.union1d(recorded, [n - 1]) if motion.stop else recorded
+        rows = np.union1d(recorded, [n - 1]) if stop else recorded
     table = seen.table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
     return Solution(
@@ -157,9 +160,9 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
         tuple(breach.text for breach in found),
         float(grid[found[0].position]) if found else None,
         float(grid[n - 1]) if n else None,
-        tuple(motion.events),
-        motion.stop,
-        _sides(prepared, motion, p) if motion.events else None,
+        tuple(events),
+        stop,
+        _sides(prepared, motion, p) if events else None,
     )
 
 
