@@ -150,7 +150,6 @@ def test_command_takes_a_tolerance_and_leaves_the_reference_out(tmp_path):
         assert b'tolerance="1e-06"' in fmu.read("modelDescription.xml")
         assert MEASURED not in fmu.namelist()
     assert main([*words, "--reference", "nonne"]) == 3
-    assert main([*words, "--reference", "none", "--accuracy", "1e-6"]) == 2
 
 
 def test_second_export_by_command_has_the_same_bytes_and_output(tmp_path, monkeypatch, capfd):

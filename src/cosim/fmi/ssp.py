@@ -22,15 +22,14 @@ TYPE = "application/x-ssp-parameter-set"
 
 
 def parameter_set(
-    name: str, values: Mapping[str, float], units: Mapping[str, str | None], about: str = ""
+    name: str, values: Mapping[str, float], units: Mapping[str, str | None]
 ) -> ET.Element:
     """Return a parameter set.
 
     Args:
         values: Values by variable, in the variables' units.
     """
-    facts = {"version": "1.0", "name": name} | ({"description": about} if about else {})
-    root = ET.Element(f"{{{SSV}}}ParameterSet", facts)
+    root = ET.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=name)
     parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
     used = {v: unit for v in values if (unit := units.get(v)) is not None}
     for variable, value in values.items():

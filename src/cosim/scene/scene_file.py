@@ -130,16 +130,6 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     return Scene(file.path.stem, request, title, figures)
 
 
-def scene_values(dae: Dae) -> dict[str, tuple[str, dict[str, float]]]:
-    """Return titles and values, SI, of the shipped scenes of a model that have some, by name."""
-    found = {}
-    for path in shipped_scenes():
-        file = read_toml(path)
-        if file.data["model"] == dae.full_name and (values := _own_values(file, dae)):
-            found[path.stem] = (_text(file, "title"), values)
-    return found
-
-
 def find_scene(path: str | os.PathLike[str]) -> Path:
     """Return the file of a scene: in the file system, else among the shipped ones.
 

@@ -1,6 +1,6 @@
 """Reference result inside an FMU: a native run, and the FMU's difference from it at export.
 
-The file also carries a picture of the result. `check_file` repeats the comparison.
+`check_file` repeats the comparison.
 """
 
 import csv
@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Unpack
 from warnings import warn
 from xml.etree import ElementTree as ET
@@ -29,7 +28,6 @@ from cosim.files import reject_unwritable, write_atomically
 from cosim.fmi.archive import DESCRIPTION, entry_content, flat_names, opened
 from cosim.fmi.export.co_simulation import ROSENBROCK, solver_for
 from cosim.fmi.export.package import FmuKeywords, export_fmu, zipped
-from cosim.fmi.export.related_files import MEASURED, REFERENCE, Sets, related_files
 from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.run.simulate import simulate_fmu
@@ -44,13 +42,14 @@ from cosim.verify.comparison import Check, Verdict, compare
 from cosim.verify.crosscheck import BOUND
 
 OWN = "reference"
+REFERENCE = "documentation/reference.csv"
+MEASURED = "documentation/reference.json"
 MOST_ROWS = 201
 CONSTANT_NOISE = 1e-10  # range of a constant result, in nominal values: rounding and tolerance
 FINER_OUTPUTS = 10  # communication steps of a check within each output interval of the reference
 LOOSER = 10.0  # factor on the tolerance where the same solver estimates its own error
 AFFORDABLE = 5000  # most operations of equations that a second method integrates interpreted
-_TRY = "try a tighter reference_tolerance of the model, a shorter span, or cosim export --accuracy"
-PALETTE_SIZE = 16  # colors of the picture
+_TRY = "try a tighter reference_tolerance of the model, a shorter span, or a tighter tolerance"
 _Method = tuple[str | None, bool | None]  # a solver, and whether it is compiled
 _PROJECTED: _Method = (None, None)  # passes singular configurations
 
@@ -60,10 +59,9 @@ def export_with_reference(
     target: str | os.PathLike[str],
     *,
     reference: bool = True,
-    sets: Sets = MappingProxyType({}),
     **options: Unpack[FmuKeywords],
 ) -> Path:
-    """Export an FMU with a reference result, the measured difference from it, and a picture.
+    """Export an FMU with a reference result and the measured difference from it.
 
     The FMU is written even if there is no reference result; a warning then says why.
 
@@ -71,8 +69,6 @@ def export_with_reference(
         dae: The model.
         target: The file, replaced when everything has succeeded.
         reference: Whether the FMU gets a reference result.
-        sets: Parameter sets by name, each a line of text and values, SI. A set becomes a file
-            inside the FMU with those of its values that importers may set.
         options: See `export_fmu`.
 
     Raises:
@@ -93,17 +89,13 @@ def export_with_reference(
             added = _reference_files(dae, local, str(target))
         with zipfile.ZipFile(plain) as fmu:
             files = {name: fmu.read(name) for name in fmu.namelist()}
-    if "model.png" in files or "terminalsAndIcons/icon.png" in files:
-        added.pop("model.png", None)  # the mechanism is a better icon than a result
-    files |= added
-    files |= related_files(files, sets)
-    content = zipped(files)
+    content = zipped(files | added)
     remember(content)
     return write_atomically(target, content)
 
 
 def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
-    """Return result, measured differences and picture; the reason where there is no result."""
+    """Return result and measured differences; the reason where there is no result."""
     tolerance = dae.experiment.reference_tolerance
     try:
         run, doubt, by = _reference_run(dae, tolerance)
@@ -139,7 +131,6 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
     return {
         REFERENCE: text.getvalue().encode(),
         MEASURED: (json.dumps(facts, indent=1) + "\n").encode(),
-        "model.png": _picture(run),
     }
 
 
@@ -297,15 +288,3 @@ def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Tra
     )
     stats = {"solver": facts["solver"]}
     return Trajectory(facts["model"], numbers[:, 0].copy(), columns, numbers[:, 1:].copy(), stats)
-
-
-def _picture(run: Trajectory) -> bytes:
-    """Draw the first three variables of a run, as the icon of the model."""
-    from PIL import Image
-
-    from cosim.plotting import picture
-
-    small = io.BytesIO()
-    with Image.open(io.BytesIO(picture(run.plot(run.names[:3]), "png", dpi=50))) as drawn:
-        drawn.convert("RGB").quantize(PALETTE_SIZE).save(small, "png", optimize=True)
-    return small.getvalue()

@@ -10,10 +10,7 @@ from cosim.cli.arguments import names_in, scene_from
 from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import FmuKeywords
-from cosim.model.solver import Goal
 from cosim.scene.scene import Scene
-from cosim.scene.scene_file import scene_values
-from cosim.study.accuracy.fmu import export_accurate
 from cosim.verify.reference_result import export_with_reference
 
 
@@ -51,22 +48,7 @@ def _export_system(args: argparse.Namespace) -> int:
 def _export(args: argparse.Namespace, scene: Scene, dae: Dae) -> Path:
     name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
     target, options = args.output_file or f"{name}.fmu", _options(args, name)
-    solver = scene.request.solver
-    accuracy = solver.accuracy if isinstance(solver, Goal) else None
-    if accuracy is None:
-        sets = scene_values(scene.dae)
-        if scene.request.values:
-            values = dict(scene.request.values)
-            sets[name] = (scene.title or f"values of {scene.name}", values)
-        with_reference = args.reference == "auto"
-        return export_with_reference(dae, target, reference=with_reference, sets=sets, **options)
-
-    if args.tolerance is not None or args.reference == "none":
-        raise UsageError("--accuracy finds the tolerance and needs a reference; leave them out")
-    accurate = export_accurate(dae, target, accuracy, **options)
-    if not args.quiet:
-        print(accurate, file=sys.stderr)
-    return accurate.path
+    return export_with_reference(dae, target, reference=args.reference == "auto", **options)
 
 
 def _options(args: argparse.Namespace, name: str) -> FmuKeywords:

@@ -57,8 +57,8 @@ def reject_native_features(request: RunRequest) -> None:
     name, policy = request.dae.full_name, request.policy
     if isinstance(request.solver, Goal):
         raise UsageError(
-            f"{name}: accuracy and budget are for native simulation; an FMU gets its accuracy when "
-            "it is exported: cosim export --accuracy"
+            f"{name}: accuracy and budget are for native simulation; choose a relative tolerance "
+            "for an FMU"
         )
     if policy.stop_when is not None or policy.record_events or request.times.own:
         raise UsageError(
