@@ -10,7 +10,7 @@ def optional_module(name: str, extra: str) -> Any:
     """Return a module of a package that an extra installs.
 
     Args:
-        name: Its import name, `SALib.sample.sobol`.
+        name: Its import name, `scipy.stats`.
         extra: `data`, `animate`, `sweep` or `sympy`.
 
     Raises:

@@ -346,16 +346,20 @@ def test_wrong_arguments_are_rejected_before_any_run(growth):
         cosim.sweep(growth, {"rate": [1.0]}, resume=True)
 
 
-def test_sobol_indices_of_a_linear_number_are_its_shares(tmp_path):
+def test_sobol_indices_of_a_linear_number_are_its_shares():
     pytest.importorskip("SALib")
-    from cosim.study.sweep.samples import sensitivity_design
+    from SALib.analyze import sobol as analyze
+    from SALib.sample import sobol as sample
 
-    samples = sensitivity_design("sobol", 64, {"phi": (0.0, 1.0), "omega": (0.0, 2.0)})
+    problem = {"num_vars": 2, "names": ["phi", "omega"], "bounds": [[0, 1], [0, 2]]}
+    samples = dict(zip(problem["names"], sample.sample(problem, 64, seed=0).T, strict=True))
     found = cosim.sweep(
-        "crank_shaft", samples=samples, outputs=["phi"], output_times=[1.0], workers=0,
+        "crank_shaft", samples, outputs=["phi"], output_times=[1.0], workers=0,
         relative_tolerance=1e-9,
     )  # fmt: skip
-    indices = found.indices("phi_final")  # phi + omega + 5: variances 1/12 and 4/12
+    indices = analyze.analyze(
+        problem, found["phi_final"], seed=0
+    )  # phi + omega + 5: variances 1/12 and 4/12
     np.testing.assert_allclose(indices["S1"], [0.2, 0.8], atol=0.05)
     np.testing.assert_allclose(indices["ST"], [0.2, 0.8], atol=0.05)
 

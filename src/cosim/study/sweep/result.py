@@ -18,7 +18,7 @@ from cosim.files import write_atomically
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES
 from cosim.study.sweep.reductions import Statistics
-from cosim.study.sweep.samples import Samples, indices
+from cosim.study.sweep.samples import Samples
 from cosim.study.sweep.store import Store
 from cosim.text import csv_text
 from cosim.trajectory import Column, Trajectory
@@ -181,7 +181,3 @@ class SweepResult:
             MissingTool: xarray is not installed.
         """
         return self.data.to_xarray()
-
-    def indices(self, number: str, *, method: str = "sobol") -> dict[str, Vector]:
-        """Return sensitivity indices of a number by name; see `cosim.study.sweep.samples`."""
-        return indices(self.samples, self[number], method)

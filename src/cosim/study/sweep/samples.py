@@ -1,4 +1,4 @@
-"""The samples of a sweep: tables, grids, designs, and Sobol' indices of their results."""
+"""The samples of a sweep: tables, grids and designs."""
 
 import csv
 import hashlib
@@ -31,7 +31,6 @@ class Samples:
     Attributes:
         columns: Name to values, (runs,).
         origin: Their source: the file, or the design with its seed.
-        problem: Names and bounds for SALib, in a design for sensitivity indices.
 
     Raises:
         ParameterError: Columns differ in length, or a value is no number.
@@ -39,7 +38,6 @@ class Samples:
 
     columns: Mapping[str, Vector]
     origin: str = "table"
-    problem: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", as_arrays("samples", self.columns))
@@ -204,68 +202,3 @@ def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
 def digest_of(parts: Iterable[bytes]) -> str:
     """Return a hash of some bytes."""
     return hashlib.sha256(b"\0".join(parts)).hexdigest()
-
-
-METHODS = ("sobol", "morris")
-
-
-def sensitivity_design(
-    method: str, size: int, ranges: Mapping[str, Sequence[float]], *, seed: int = 0
-) -> Samples:
-    """Return the design that indices need.
-
-    Args:
-        method: "sobol" (size * (2 k + 2) runs for k names) or "morris" (size * (k + 1)).
-        size: Base samples, a power of two for "sobol"; trajectories of "morris".
-        ranges: By name (low, high).
-        seed: The same seed, the same design.
-
-    Raises:
-        UnknownName: There is no such method.
-        MissingTool: SALib is not there.
-
-    Example:
-        >>> len(sensitivity_design("morris", 4, {"g": (9.0, 10.0), "m": (1.0, 2.0)}))
-        12
-    """
-    if method not in METHODS:
-        raise UnknownName.among("sweep", "sensitivity method", method, METHODS)
-    names = list(ranges)
-    problem = {
-        "num_vars": len(names),
-        "names": names,
-        "bounds": [[float(low), float(high)] for low, high in ranges.values()],
-    }
-    module = optional_module(f"SALib.sample.{method}", "sweep")
-    table = module.sample(problem, size, seed=seed)
-    columns = dict(zip(names, np.array(table, dtype=float).T, strict=True))
-    return Samples(columns, f"SALib {method}:{size}, seed {seed}", problem)
-
-
-def indices(samples: Samples, number: Vector, method: str) -> dict[str, Vector]:
-    """Return the indices of a number of each run.
-
-    Returns:
-        "sobol": first-order "S1" and total "ST" with half-widths of 95 % "S1_conf", "ST_conf";
-        "morris": "mu_star", "sigma"; one per name, in the order of the samples.
-
-    Raises:
-        UsageError: The samples are no design of that method, or a run has no number.
-    """
-    if method not in METHODS:
-        raise UnknownName.among("sweep", "sensitivity method", method, METHODS)
-    if samples.problem is None or not samples.origin.startswith(f"SALib {method}"):
-        raise UsageError(f"indices: the samples are no {method} design; see sensitivity_design")
-    if not np.isfinite(number).all():
-        missing = int((~np.isfinite(number)).sum())
-        raise UsageError(f"indices: {missing} runs have no number; narrow the ranges")
-    analyze = optional_module(f"SALib.analyze.{method}", "sweep").analyze
-    found: Mapping[str, Any]
-    if method == "sobol":
-        found = analyze(dict(samples.problem), number, seed=0)
-        keys: tuple[str, ...] = ("S1", "S1_conf", "ST", "ST_conf")
-    else:
-        table = np.column_stack([samples.columns[name] for name in samples.problem["names"]])
-        found = analyze(dict(samples.problem), table, number, seed=0)
-        keys = ("mu_star", "sigma")
-    return {key: np.array(found[key], dtype=float) for key in keys}

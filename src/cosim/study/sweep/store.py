@@ -294,7 +294,7 @@ def stored_samples(folder: Path) -> Samples:
     manifest = _stored_manifest(folder)
     arrays = optional_module("zarr", "sweep").open_group(folder, mode="r")
     columns = {name: np.asarray(arrays[place][:]) for name, place in manifest["varied"].items()}
-    return Samples(columns, manifest["samples"], manifest["problem"])
+    return Samples(columns, manifest["samples"])
 
 
 def _stored_manifest(folder: Path) -> dict[str, Any]:

@@ -55,8 +55,7 @@ def sweep(
             With a design: the range (low, high) of each, a distribution of `scipy.stats`, or one
             number; with "grid": the values of each.
         samples: Samples instead of arrays: a CSV file, a pandas table, or a result of `grid`,
-            `design` or `sensitivity_design` of `cosim.study.sweep.samples`. None with `resume`: the
-            stored samples.
+            `design`. None with `resume`: the stored samples.
         design: "grid" for every combination, or KIND:N for N runs: sobol, lhs, halton, random.
         keep: Results: "trajectories", "statistics" (over all runs), and of each run "final", "max",
             "min", "mean", "rms" of all outputs, or "max(phi)" of one, "first(phi, 0.5)" for the
@@ -110,7 +109,6 @@ def sweep(
         "model_digest": opened.digest,
         "samples": chosen.origin,
         "samples_digest": chosen.digest,
-        "problem": None if chosen.problem is None else dict(chosen.problem),
         "outputs": list(names),
         "keep": [*stored.words(), *map(_function_name, stored.functions)],
         "settings": settings,
