@@ -60,7 +60,8 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
     with ExitStack() as stack:
         # a block is tried on two workers, then each of its runs alone on two
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 1}))
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # also after the end
+        for name in ("distributed", "distributed.client"):  # which dask gives levels of their own
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # also after the end
         ports: Any = {"dashboard_address": None, "scheduler_kwargs": {"dashboard_address": ":0"}}
         local = distributed.LocalCluster(n_workers=0, silence_logs=False, **ports)
         cluster = stack.enter_context(local)
