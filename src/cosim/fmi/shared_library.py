@@ -1,27 +1,18 @@
 """Shared libraries as files: processor, what they export and need, and fat ones.
 
-Libraries of other platforms cannot be loaded here, and those of strangers should not be.
-
-References:
-    System V ABI, Object Files; Microsoft, PE Format; Apple, mach-o/loader.h and mach-o/fat.h.
+Libraries of other platforms cannot be loaded here, and those of strangers should not be. LIEF
+reads them.
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-_ELF_PROCESSORS = {0x3E: "x86_64", 0xB7: "aarch64", 0x03: "x86"}
-_PE_PROCESSORS = {0x8664: "x86_64", 0xAA64: "aarch64", 0x14C: "x86"}
-_MACH_PROCESSORS = {0x01000007: "x86_64", 0x0100000C: "aarch64"}
 _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
-_DYNAMIC_SYMBOLS = 11  # SHT_DYNSYM
-_DYNAMIC, _VERSIONS = 6, 0x6FFFFFFE  # SHT_DYNAMIC, SHT_GNU_verneed
-_NEEDED, _RPATH, _RUNPATH = 1, 15, 29  # DT_*
-_SYMBOL_VERSIONS, _GLOBAL = 0x6FFFFFFF, 1  # SHT_GNU_versym, STB_GLOBAL
-_SYMBOL_TABLE = 2  # LC_SYMTAB
-_LOADS = (0x0C, 0x80000018, 0x8000001F)  # LC_LOAD_DYLIB, LC_LOAD_WEAK_DYLIB, LC_REEXPORT_DYLIB
-_MACH_RPATH, _OLD_MINIMUM, _BUILD = 0x8000001C, 0x24, 0x32  # LC_RPATH, LC_VERSION_MIN_MACOSX, ...
-_IMPORTS, _DELAYED = 1, 13  # directories of a PE file
+_PROCESSORS = {"X86_64": "x86_64", "AMD64": "x86_64", "AARCH64": "aarch64", "ARM64": "aarch64"}
+_PROCESSORS |= {"I386": "x86"}  # by the names of ELF, PE and Mach-O
 
 
 @dataclass(frozen=True)
@@ -53,20 +44,23 @@ def read_libraries(content: bytes) -> tuple[Library, ...]:
     Raises:
         ValueError: It is no shared library of a known kind, or damaged.
     """
+    import lief
+
+    lief.logging.disable()
     try:
-        if content[:4] == b"\x7fELF":
-            return (_elf(content),)
-        if content[:2] == b"MZ":
-            return (_pe(content),)
-        if content[:4] == b"\xca\xfe\xba\xbe":
-            (count,) = struct.unpack_from(">I", content, 4)
-            places = [struct.unpack_from(">5I", content, 8 + 20 * i) for i in range(count)]
-            return tuple(_mach(content[start : start + size]) for _, _, start, size, _ in places)
-        if content[:4] == b"\xcf\xfa\xed\xfe":
-            return (_mach(content),)
-    except (struct.error, IndexError, KeyError, StopIteration) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of numbers without a meaning
+            parsed: Any = lief.parse(content)
+            if isinstance(parsed, lief.ELF.Binary) and parsed.last_offset_section <= len(content):
+                return (_elf(parsed, lief.ELF),)
+            if isinstance(parsed, lief.PE.Binary):
+                return (_pe(parsed),)
+            if isinstance(parsed, lief.MachO.Binary):
+                every = lief.MachO.parse(content)  # its parts live as long as it does
+                return tuple(_mach(one, lief.MachO) for one in every or ())
+    except (KeyError, AttributeError, UnicodeError) as error:  # what LIEF leaves as a number
         raise ValueError(f"it is damaged or for an unknown processor ({error!r})") from error
-    raise ValueError("it is no shared library for Linux, Windows or macOS")
+    raise ValueError("it is damaged, or no shared library for Linux, Windows or macOS")
 
 
 def fat_library(libraries: Sequence[bytes]) -> bytes:
@@ -87,145 +81,55 @@ def fat_library(libraries: Sequence[bytes]) -> bytes:
     return header.ljust(page, b"\0") + body
 
 
-def _c_string(content: bytes, start: int) -> str:
-    end = content.find(b"\0", start)
-    if end < 0:
-        raise IndexError(start)
-    return content[start:end].decode("ascii", "replace")
-
-
-def _elf(content: bytes) -> Library:  # noqa: C901  # one pass over a binary format
-    if content[4:6] != b"\x02\x01":
-        raise ValueError("it is not a 64-bit little-endian library")
-    (kind, machine) = struct.unpack_from("<HH", content, 16)
-    if kind != 3:
-        raise ValueError("it is not a shared library")
-    (headers,) = struct.unpack_from("<Q", content, 0x28)
-    (size, count) = struct.unpack_from("<HH", content, 0x3A)
-    sections = [
-        struct.unpack_from("<IIQQQQIIQQ", content, headers + size * i) for i in range(count)
-    ]
-    symbols = next(s for s in sections if s[1] == _DYNAMIC_SYMBOLS)
-    names = sections[symbols[6]][4]
-
-    def exports() -> Iterator[str]:
-        for place in range(symbols[4], symbols[4] + symbols[5], 24):
-            name, info, _, section = struct.unpack_from("<IBBH", content, place)
-            if section and info >> 4:  # defined here, not local
-                yield _c_string(content, names + name)
-
-    def undefined() -> Iterator[str]:
-        marks = next((s[4] for s in sections if s[1] == _SYMBOL_VERSIONS), None)
-        for i in range(1, symbols[5] // 24):
-            name, info, _, section = struct.unpack_from("<IBBH", content, symbols[4] + 24 * i)
-            (mark,) = (0,) if marks is None else struct.unpack_from("<H", content, marks + 2 * i)
-            if not section and info >> 4 == _GLOBAL and mark & 0x7FFF < 2:
-                yield _c_string(content, names + name)
-
-    def entries() -> Iterator[tuple[int, str]]:
-        for section in (s for s in sections if s[1] == _DYNAMIC):
-            for place in range(section[4], section[4] + section[5], 16):
-                tag, value = struct.unpack_from("<QQ", content, place)
-                if tag in (_NEEDED, _RPATH, _RUNPATH):
-                    yield tag, _c_string(content, sections[section[6]][4] + value)
-
-    def versions() -> Iterator[str]:
-        for section in (s for s in sections if s[1] == _VERSIONS):
-            place = section[4]
-            for _ in range(section[7]):  # as many libraries
-                _, count, _, first, following = struct.unpack_from("<HHIII", content, place)
-                inner = place + first
-                for _ in range(count):
-                    _, _, _, name, step = struct.unpack_from("<IHHII", content, inner)
-                    yield _c_string(content, sections[section[6]][4] + name)
-                    inner += step
-                place += following
-
-    dynamic = tuple(entries())
+def _elf(library: Any, elf: Any) -> Library:
+    symbols, header = list(library.dynamic_symbols), library.header
+    processor = _PROCESSORS[header.machine_type.name]
+    whole = len(library.sections) == header.numberof_sections
+    if header.file_type != elf.Header.FILE_TYPE.DYN or not (whole and symbols):
+        raise ValueError("it is damaged or not a shared library")
+    kinds = (elf.DynamicEntryRpath, elf.DynamicEntryRunPath)
+    paths = [entry for entry in library.dynamic_entries if isinstance(entry, kinds)]
+    needed = library.symbols_version_requirement
+    bound = {s.name for s in symbols if s.has_version and s.symbol_version.value > 1}
+    bare = [s for s in symbols if not s.shndx and s.name not in bound]
     return Library(
         "linux",
-        _ELF_PROCESSORS[machine],
-        frozenset(exports()),
-        frozenset(name for tag, name in dynamic if tag == _NEEDED),
-        frozenset(versions()),
-        tuple(p for tag, text in dynamic if tag != _NEEDED for p in text.split(":") if p),
-        frozenset(undefined()),
+        processor,
+        frozenset(str(s.name) for s in symbols if s.exported),
+        frozenset(library.libraries),
+        frozenset(v.name for one in needed for v in one.get_auxiliary_symbols()),
+        tuple(place for entry in paths for place in entry.paths if place),
+        frozenset(str(s.name) for s in bare if s.binding == elf.Symbol.BINDING.GLOBAL),
     )
 
 
-def _pe(content: bytes) -> Library:
-    (start,) = struct.unpack_from("<I", content, 0x3C)
-    if content[start : start + 4] != b"PE\0\0":
-        raise ValueError("it is not a Windows library")
-    machine, count = struct.unpack_from("<HH", content, start + 4)
-    (optional,) = struct.unpack_from("<H", content, start + 20)
-    (magic,) = struct.unpack_from("<H", content, start + 24)
-    directories = start + 24 + (112 if magic == 0x20B else 96)
-    (amount,) = struct.unpack_from("<I", content, directories - 4)
-    headers = start + 24 + optional
-    sections = [struct.unpack_from("<4I", content, headers + 40 * i + 8) for i in range(count)]
-
-    def place(address: int) -> int:
-        for size, virtual, raw_size, raw in sections:
-            if virtual <= address < virtual + max(size, raw_size):
-                return int(address - virtual + raw)
-        raise IndexError(address)
-
-    def directory(index: int) -> int:
-        if index >= amount:
-            return 0
-        return int(struct.unpack_from("<I", content, directories + 8 * index)[0])
-
-    def needs(index: int, size: int, name: int) -> Iterator[str]:
-        address = directory(index)
-        entry = place(address) if address else 0
-        while address and (offset := struct.unpack_from("<I", content, entry + name)[0]):
-            yield _c_string(content, place(offset))
-            entry += size
-
-    exports: frozenset[str] = frozenset()
-    if address := directory(0):
-        named, _, names = struct.unpack_from("<3I", content, place(address) + 24)
-        table = struct.unpack_from(f"<{named}I", content, place(names) if named else 0)
-        exports = frozenset(_c_string(content, place(one)) for one in table)
-    loaded = frozenset((*needs(_IMPORTS, 20, 12), *needs(_DELAYED, 32, 4)))
-    return Library("windows", _PE_PROCESSORS[machine], exports, loaded)
+def _pe(library: Any) -> Library:
+    if len(library.sections) != library.header.numberof_sections:
+        raise ValueError("it is damaged")
+    table = library.get_export()
+    loaded = [*library.imports, *library.delay_imports]
+    return Library(
+        "windows",
+        _PROCESSORS[library.header.machine.name],
+        frozenset(e.name for e in table.entries if e.name) if table else frozenset(),
+        frozenset(one.name for one in loaded),
+    )
 
 
-def _mach(content: bytes) -> Library:
-    _, processor, _, kind, count, _ = struct.unpack_from("<6I", content)
-    if kind != 6:
-        raise ValueError("it is not a shared library")
-    exports: set[str] = set()
-    needs: set[str] = set()
-    versions: set[str] = set()
-    run_paths: list[str] = []
-    place = 32
-    for _ in range(count):
-        command, size = struct.unpack_from("<2I", content, place)
-        if not size:
-            raise IndexError(place)
-        if command == _SYMBOL_TABLE:
-            symbols, amount, names, _ = struct.unpack_from("<4I", content, place + 8)
-            for i in range(amount):
-                name, flags, _, _, _ = struct.unpack_from("<IBBHQ", content, symbols + 16 * i)
-                # external, not private to the library, defined in a section
-                if flags & 0x1F == 0x0F:
-                    exports.add(_c_string(content, names + name).removeprefix("_"))
-        elif command in (*_LOADS, _MACH_RPATH):
-            (text,) = struct.unpack_from("<I", content, place + 8)
-            loaded = _c_string(content, place + text)
-            needs.update({loaded} if command != _MACH_RPATH else ())
-            run_paths += [loaded] if command == _MACH_RPATH else []
-        elif command in (_OLD_MINIMUM, _BUILD):
-            (least,) = struct.unpack_from("<I", content, place + (12 if command == _BUILD else 8))
-            versions.add(f"macOS_{least >> 16}.{least >> 8 & 0xFF}")
-        place += size
+def _mach(library: Any, mach: Any) -> Library:
+    commands, kinds = list(library.commands), mach.LoadCommand.TYPE
+    whole = len(commands) == library.header.nb_cmds
+    if not whole or library.header.file_type != mach.Header.FILE_TYPE.DYLIB:
+        raise ValueError("it is damaged or not a shared library")
+    least = library.build_version.minos if library.has_build_version else ()
+    least = library.version_min.version if library.has_version_min else least
+    shown = [s for s in library.symbols if s.raw_type & 0x1F == 0x0F]  # defined, not private
+    loaded = [one for one in library.libraries if one.command != kinds.ID_DYLIB]
     return Library(
         "darwin",
-        _MACH_PROCESSORS[processor],
-        frozenset(exports),
-        frozenset(needs),
-        frozenset(versions),
-        tuple(run_paths),
+        _PROCESSORS[library.header.cpu_type.name],
+        frozenset(str(s.name).removeprefix("_") for s in shown),
+        frozenset(one.name for one in loaded),
+        frozenset({f"macOS_{least[0]}.{least[1]}"} if least else ()),
+        tuple(one.path for one in library.rpaths),
     )
