@@ -42,6 +42,7 @@ DESCRIBED = {
     "IDENTIFIER": set_attributes("CoSimulation", modelIdentifier="../bar"),
     "EXPERIMENT": set_attributes("DefaultExperiment", stopTime="0"),
     "UNIT": remove("UnitDefinitions", "Unit[@name='kg']"),
+    "UNIT_BASE": set_attributes("UnitDefinitions/Unit[@name='rad/s']/BaseUnit", factor="57"),
     "UNIT_OF_RATE": set_attributes(REAL.format("der(theta)"), unit="rad"),
     "NAME": twice_named,
     "CAUSALITY": set_attributes(VARIABLE.format("m"), variability="continuous"),

@@ -75,13 +75,16 @@ def test_file_of_pythonfmu_needs_a_program_that_holds_python(python_fmu, tmp_pat
 
 def test_file_of_pythonfmu_passes_the_trials(python_fmu):
     verdict = try_apart(python_fmu(), timeout=24.0)
-    assert {(f.level, f.rule) for f in verdict.findings} == {(ADVICE, "stop")}
+    found = {(f.level, f.rule) for f in verdict.findings}
+    # its instances keep 8 kB each, also under fmpy alone
+    assert {(ADVICE, "stop")} <= found <= {(ADVICE, "stop"), (ADVICE, "memory")}
 
 
 def test_error_in_a_step_is_told_once(python_fmu):
     found = try_apart(python_fmu("missing + "), timeout=24.0).findings
-    assert [f.rule for f in found] == ["reset", "steps"]
-    assert all("fmi2DoStep failed" in f.found for f in found)
+    failed = [f for f in found if f.level != ADVICE]
+    assert [f.rule for f in failed] == ["reset", "steps"]
+    assert all("fmi2DoStep failed" in f.found for f in failed)
 
 
 @pytest.mark.skipif(not REFERENCE, reason="$REFERENCE_FMUS names no folder with FMUs")
@@ -95,4 +98,6 @@ def test_reference_fmus_have_nothing_wrong(path):
     if path.stem.startswith("Clocks"):  # scheduled execution, which cannot be run here
         return
     found = {(f.level, f.rule) for f in try_apart(path, timeout=24.0).findings}
-    assert found <= {(ADVICE, "fixed"), (ADVICE, "logger")}
+    # their solver is Euler's method; FMI 2.0 has no place to declare its step
+    second = {(ADVICE, "logger"), (ADVICE, "motion")} if "build2" in str(path) else set()
+    assert found <= {(ADVICE, "fixed"), *second}

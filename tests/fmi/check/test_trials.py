@@ -1,14 +1,12 @@
 """Trials of FMUs that run: all pass on sound files; each is seen to fail on one with its fault."""
 
 import json
-import re
-from pathlib import Path
 
 import pytest
 from helpers.fmu_files import rewritten, set_attributes, with_description
 from helpers.hostile import hostile, hostile_binary
 from helpers.samples import sampled
-from helpers.small_models import decay
+from helpers.wrapped import wrapped
 
 import casadi_models
 from cosim.cli.main import main
@@ -19,9 +17,6 @@ from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.bench import Bench
 from cosim.fmi.check.trials.steps import summed_steps
-from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import FmuOptions, source_files, zipped
-from cosim.fmi.platforms import targets
 from cosim.fmi.run.c_master import co_simulation_library
 
 NAME = "bar_on_frame/reduced"
@@ -29,17 +24,6 @@ SHORT = 24.0  # s for all trials, a twelfth of it for the steps
 # Terms cancel there for all values, which the structure of the equations does not tell
 CANCELLING = ("bicycle/book", "bar_on_frame/two_body")
 QUICK = tuple(trial for trial in TRIALS if trial is not sources)  # a compiler takes 2 s
-SIGNATURES = {
-    "fmi2GetReal": "fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]",
-    "fmi2DoStep": "fmi2Component c, fmi2Real point, fmi2Real size, fmi2Boolean keep",
-    "fmi2SetFMUstate": "fmi2Component c, fmi2FMUstate state",
-    "fmi2SetupExperiment": "fmi2Component c, fmi2Boolean hasTol, fmi2Real tolerance, "
-    "fmi2Real start, fmi2Boolean hasStop, fmi2Real end",
-    "fmi2EnterInitializationMode": "fmi2Component c",
-    "fmi2ExitInitializationMode": "fmi2Component c",
-    "fmi2Instantiate": "fmi2String name, fmi2Type kind, fmi2String guid, fmi2String place, "
-    "const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean log",
-}
 FAULTY = {  # the function that is wrapped, its body, what is found
     "memory outside the instance": (
         "fmi2GetReal",
@@ -79,28 +63,6 @@ FAULTY = {  # the function that is wrapped, its body, what is found
 def found(path, **options) -> set[tuple[str, str]]:
     options = {"timeout": SHORT, "trials": QUICK} | options
     return {(one.level, one.rule) for one in try_apart(path, **options).findings}
-
-
-def wrapped(folder: Path, **bodies: str) -> Path:
-    """Build an FMU whose functions are wrapped: `CALL` in a body is the call of the sound one."""
-    files = source_files(decay(), FmuOptions(identifier="wrapped"))
-    for function, body in bodies.items():
-        kind = "fmi2Component" if function == "fmi2Instantiate" else "fmi2Status"
-        parameters = SIGNATURES[function]
-        definition = re.compile(rf"^{kind} {function}\(", re.MULTILINE)
-        (name,) = [
-            n for n, c in files.items() if n.endswith(".c") and definition.search(c.decode())
-        ]
-        names = ", ".join(re.findall(r"(\w+)(?:\[\])?(?:,|$)", parameters))
-        inner = definition.sub(f"static {kind} inner_{function}(", files[name].decode())
-        own = body.replace("CALL", f"inner_{function}({names})")
-        text = f"{inner}\n{kind} {function}({parameters}) {{{own}}}\n"
-        files[name] = f"#include <math.h>\nextern double limit;\n{text}".encode()
-    files["sources/equations.c"] += b"\ndouble limit;\n"
-    sources = {Path(n).name: c for n, c in files.items() if n.startswith("sources/")}
-    path = folder / "wrapped.fmu"
-    path.write_bytes(zipped(files | binaries(sources, "wrapped", targets(["native"], 2))))
-    return path
 
 
 @pytest.mark.parametrize(("name", "fmi"), [(NAME, 2), ("crank_shaft/multipliers", 3)])

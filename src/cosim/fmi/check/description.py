@@ -5,14 +5,16 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib.resources import files
-from math import isfinite
+from math import isclose, isfinite
 from typing import Any
 from xml.etree import ElementTree as ET
 
+from casadi_models.units import UNITS, product
 from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check.finding import RULES, Finding, Rule
 from cosim.fmi.check.parsed import BUILD, REAL, Described, Description, Unknown
 
+_ROUNDING = 1e-5  # of factors, as people write them
 _MOST = 10  # findings in a file: one fault can have hundreds
 _SCHEMAS = {  # of what layered standards add, the standards have their own
     BUILD: "fmi3/fmi3BuildDescription.xsd",
@@ -217,7 +219,14 @@ def _units(described: Description) -> Iterator[Finding]:
         if count > 1:
             yield RULES["unit"].about(DESCRIPTION, f"unit '{name}' is defined {count} times")
     for unit, name in zip(defined, names, strict=True):
-        if unit.find("BaseUnit") is None:
+        base, own = _base(unit), UNITS.get(name) or product(name)
+        if base and own:
+            exponents = dict(own.base)
+            same = all(base[n] == exponents.get(n, 0) for n in BASE_UNITS if n != "rad")
+            if not (same and isclose(base["factor"], own.factor, rel_tol=_ROUNDING)):
+                fault = f"unit '{name}' has base units of another quantity, or another factor"
+                yield RULES["unit-base"].about(DESCRIPTION, fault)
+        if not base:
             yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' has no base units")
         if name not in used:
             yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' is not used")

@@ -15,9 +15,12 @@ from cosim.fmi.archive import unpacked
 from cosim.fmi.check.finding import ADVICE, TRIAL_RULES, WRONG, Finding, Rule
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
-from cosim.fmi.check.trials.derivatives import dependencies, derivatives
+from cosim.fmi.check.trials.derivatives import dependencies, derivatives, slopes
+from cosim.fmi.check.trials.motion import motion
+from cosim.fmi.check.trials.process import memory, quiet
 from cosim.fmi.check.trials.start import (
     callbacks,
+    defaults,
     fixed,
     initialization,
     instances,
@@ -25,6 +28,7 @@ from cosim.fmi.check.trials.start import (
     reset,
     rollback,
     start,
+    time,
 )
 from cosim.fmi.check.trials.steps import steps, stop
 from cosim.fmi.run.c_master import co_simulation_library
@@ -36,8 +40,9 @@ from cosim.model.values import number
 from cosim.text import sentence
 
 TRIALS: tuple[Trial, ...] = (
-    *(start, initialization, reset, instances, rollback, derivatives, dependencies, fixed),
-    *(callbacks, logger, stop, steps, sources),
+    *(start, initialization, defaults, time, reset, instances, rollback),
+    *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
+    *(motion, stop, steps, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger"})
@@ -75,13 +80,16 @@ class TrialResults:
                 continue
             assert stopped is not None
             found = [Finding(**one) for one in line["findings"]]
-            self.findings += found
+            known = {(f.place, f.found): f.rule for f in self.findings if f.importers == FAILED}
+            same = next((known[key] for f in found if (key := (f.place, f.found)) in known), "")
             note = "".join(f": {note}" for note in line["notes"])
-            if line["skipped"]:
-                self.skipped.append(f"{_called(stopped)}: {line['skipped']}")
-            elif not found:
+            if reason := line["skipped"] or (same and f"it fails like {same}"):
+                self.skipped.append(f"{_called(stopped)}: {reason}")
+            elif found:
+                self.findings += found
+            else:
                 self.passed.append(_called(stopped) + note)
-            elif stopped[0] == TRIALS[0].__name__:
+            if found and stopped[0] == TRIALS[0].__name__:
                 failed.add(stopped[1])
             stopped = None
         if stopped is not None:
@@ -165,18 +173,14 @@ def _tried(bench: Bench, trial: Trial, kind: str) -> dict[str, Any]:
 
 def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, Any]]:
     trials, failed = {trial.__name__: trial for trial in TRIALS}, set()
-    failures: dict[tuple[str, str], str] = {}
     for name, kind in tasks:
         if kind in failed:
             continue
         yield {"begun": (name, kind)}
         answer = _tried(bench, trials[name], kind)
-        for one in answer["findings"]:
-            if one["importers"] == FAILED:
-                before = failures.setdefault((kind, one["found"]), name)
-                if before != name:  # one fault, one finding
-                    answer |= {"findings": [], "skipped": f"it fails like {before}"}
         yield answer
+        if any("(fatal)" in one["found"] for one in answer["findings"]):
+            return  # no instance may be made after that, but in another process
         if answer["findings"] and trials[name] is TRIALS[0]:
             failed.add(kind)
 

@@ -28,7 +28,7 @@ class Described:
         name, kind, causality, variability, initial: As in FMI; `kind` is the type of its values.
         reference: The value reference.
         derivative_of: Position of the state; -1 where there is no such variable.
-        texts: The attributes min, max, nominal, start, unit, displayUnit.
+        texts: The attributes min, max, nominal, start, unit, displayUnit, also of its type.
     """
 
     name: str
@@ -114,6 +114,10 @@ def parse(content: bytes) -> Description:
     major = version[0]
     found = {name: root.find(name) for name in ("ModelExchange", "CoSimulation")}
     listed = root.findall("ModelVariables/*")
+    types = {
+        t.get("name"): (t if major == "3" else next(iter(t), t)).attrib
+        for t in root.findall("TypeDefinitions/*")
+    }
     by_reference = {element.get("valueReference"): i for i, element in enumerate(listed)}
 
     def position(text: str | None) -> int:
@@ -135,7 +139,7 @@ def parse(content: bytes) -> Description:
         fixed = major == "3" and causality.endswith("arameter")
         usual = "fixed" if fixed else "continuous" if kind in REAL else "discrete"
         variability = element.get("variability", usual)
-        texts = dict(facts.attrib)
+        texts = {**types.get(facts.get("declaredType"), {}), **facts.attrib}
         if (start := facts.find("Start")) is not None:  # texts and binary values in FMI 3
             texts["start"] = start.get("value", "")
         return Described(

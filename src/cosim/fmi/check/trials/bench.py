@@ -1,11 +1,13 @@
 """An FMU on the bench: instances started by the letter, read and driven by value references."""
 
 import ctypes
+import mmap
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,8 @@ from cosim.fmi.check.parsed import Described, Description, parse
 from cosim.fmi.run.instance import enter_continuous_time, instantiated, read_description
 
 MOST_NAMES = 5  # in one finding
+MEMORY_GROWTH = 2**19  # bytes; what is less does not count
+_MEMORY = Path("/proc/self/statm")
 
 
 class Note(str):
@@ -26,6 +30,19 @@ class Note(str):
 
 
 Trial = Callable[["Bench", str], Iterator[Finding | Note]]
+
+
+def memory_in_use() -> int:
+    """Return the memory of this process, bytes; 0 where it is not known, but on Linux."""
+    pages = _MEMORY.read_text().split()[1] if _MEMORY.exists() else "0"
+    return int(pages) * mmap.PAGESIZE
+
+
+def altered(variable: Described, value: float, share: float) -> float:
+    """Return a value raised by a share of its size, within the bounds of the variable."""
+    least = float(variable.texts.get("min", "-inf"))
+    most = float(variable.texts.get("max", "inf"))
+    return min(max(value + share * (abs(value) or variable.nominal), least), most)
 
 
 class Skipped(Exception):
@@ -74,10 +91,14 @@ class Bench:
         """Return whether a variable is one number of double precision."""
         return variable.kind in ("Real", "Float64") and variable.reference not in self.arrays
 
-    def outputs(self) -> tuple[Described, ...]:
+    def reals(self, causality: str, variability: str = "") -> list[Described]:
+        """Return the variables of one kind that are real numbers."""
+        every = (v for v in self.described.variables if v.causality == causality)
+        return [v for v in every if variability in ("", v.variability) and self.single(v)]
+
+    def outputs(self) -> list[Described]:
         """Return the outputs that are real numbers."""
-        every = self.described.variables
-        return tuple(v for v in every if v.causality == "output" and self.single(v))
+        return self.reals("output")
 
     def states(self) -> tuple[tuple[Described, Described], ...]:
         """Return every state with its derivative, in the order of the model structure.
@@ -99,6 +120,11 @@ class Bench:
         found = self.described.root.find("DefaultExperiment")
         text = None if found is None else found.get(name)
         return None if text is None else float(text)
+
+    @property
+    def tolerance(self) -> float:
+        """Relative tolerance of the default experiment; 1e-6 if it names none."""
+        return self.experiment("tolerance") or 1e-6
 
     def offers(self, kind: str, *names: str) -> bool:
         """Return whether an interface has one of these capabilities."""
@@ -126,12 +152,14 @@ class Session:
         kind: ModelExchange or CoSimulation.
         instance: Of fmpy.
         time: How far it has come, s.
+        next_event: In model exchange the time of its next event as it starts, s.
     """
 
     bench: Bench
     kind: str
     instance: Any
     time: float = 0.0
+    next_event: float = inf
 
     @property
     def start_time(self) -> float:
@@ -153,7 +181,7 @@ class Session:
         self.enter(stop_time)
         self.instance.exitInitializationMode()
         if self.kind == "ModelExchange":
-            enter_continuous_time(self.instance, self.bench.fmpy)
+            self.next_event = enter_continuous_time(self.instance, self.bench.fmpy)
 
     def values(self, variables: Sequence[Described]) -> Vector:
         """Return values of real variables, (n,)."""
@@ -167,6 +195,11 @@ class Session:
         second = self.bench.second
         put = self.instance.setReal if second else self.instance.setFloat64
         put([int(variable.reference)], [value])
+
+    def put_all(self, variables: Sequence[Described], values: Sequence[float] | Vector) -> None:
+        """Set real variables."""
+        for variable, value in zip(variables, values, strict=True):
+            self.put(variable, float(value))
 
     def put_states(self, values: Vector) -> None:
         """Set the continuous states, (n,)."""

@@ -9,7 +9,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
 from cosim.fmi.check.parsed import Described
-from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Note, Session, Skipped
+from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Note, Session, Skipped, altered
 from cosim.text import shortened
 
 
@@ -51,14 +51,10 @@ def knowns_of(bench: Bench) -> Iterator[Known]:
     with suppress(Skipped):
         for i, (state, _) in enumerate(bench.states()):
             yield Known(state, i, required=True)
-    for variable in bench.described.variables:
-        if not bench.single(variable):
-            continue
-        kinds = variable.causality, variable.variability
-        if kinds == ("input", "continuous"):
-            yield Known(variable, None, required=True)
-        elif not bench.second and kinds == ("parameter", "tunable"):
-            yield Known(variable, None, required=False)
+    for variable in bench.reals("input", "continuous"):
+        yield Known(variable, None, required=True)
+    for variable in () if bench.second else bench.reals("parameter", "tunable"):
+        yield Known(variable, None, required=False)
 
 
 def need_model_exchange(kind: str) -> None:
@@ -172,14 +168,10 @@ def _matrix(
 
 def _vary_parameters(session: Session, rng: np.random.Generator) -> None:
     """Change parameters a little within their bounds, so that no factor is 0 by chance."""
-    for variable in session.bench.described.variables:
-        if variable.causality == "parameter" and session.bench.single(variable):
-            least = float(variable.texts.get("min", "-inf"))
-            most = float(variable.texts.get("max", "inf"))
-            value = float(variable.texts.get("start", "0"))
-            moved = value + 0.02 * (1 + rng.random()) * (abs(value) or variable.nominal)
-            with suppress(Exception):
-                session.put(variable, min(max(moved, least), most))
+    for variable in session.bench.reals("parameter"):
+        value = float(variable.texts.get("start", "0"))
+        with suppress(Exception):
+            session.put(variable, altered(variable, value, 0.02 * (1 + rng.random())))
 
 
 def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -188,15 +180,17 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
     if not offers_directional(bench, kind):
         raise Skipped("it offers no directional derivatives")
     unknowns = [rate for _, rate in bench.states()]
-    unknowns += [output for output in bench.outputs() if output.variability == "continuous"]
+    unknowns += bench.reals("output", "continuous")
     knowns = [known for known in knowns_of(bench) if known.required]
     with bench.session(kind) as session:
         session.start()
         at = session.values([known.variable for known in knowns])
         states = states_among(knowns, at)
         sizes = np.abs(session.values(unknowns))
+        forward = list[Vector]()
         for known, value in zip(knowns, at, strict=True):
             reported = session.slopes(unknowns, known.variable)
+            forward.append(reported)
             scale = max(abs(value), known.variable.nominal)
             coarse, fine, bend = _differences(session, unknowns, known, states, value, scale)
             noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
@@ -210,6 +204,56 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
                     f"its derivative to '{known.variable.name}' is reported as {reported[k]:.6g}, "
                     f"differences give {coarse[k]:.6g}",
                 )
+        if not bench.second and bench.offers(kind, "providesAdjointDerivatives"):
+            yield from _adjoint(session, unknowns, knowns, np.array(forward))
+
+
+def _adjoint(
+    session: Session, unknowns: Sequence[Described], knowns: Sequence[Known], forward: Vector
+) -> Iterator[Finding]:
+    """Compare adjoint derivatives with directional ones, (knowns, unknowns)."""
+    weights = np.random.default_rng(0).standard_normal(len(unknowns))
+    references = [int(v.reference) for v in unknowns], [int(k.variable.reference) for k in knowns]
+    found = session.instance.getAdjointDerivative(*references, weights, len(knowns))
+    noise = 1e-9 * (np.abs(forward) @ np.abs(weights))
+    for k in np.flatnonzero(np.abs(found - forward @ weights) > noise)[:MOST_NAMES]:
+        name = knowns[k].variable.name
+        yield TRIAL_RULES["derivatives"].at(
+            name, "the adjoint derivative to it is not the sum of the directional ones"
+        )
+
+
+_PART = 0.25  # of a communication step, for differences
+
+
+def slopes(bench: Bench, kind: str) -> Iterator[Finding]:
+    """Derivatives of outputs, which co-simulation offers, agree with differences of steps."""
+    offered = bench.described.interfaces[kind].get("maxOutputDerivativeOrder", "0")
+    outputs = bench.reals("output", "continuous")
+    variable = bench.offers(kind, "canHandleVariableCommunicationStepSize")
+    if offered == "0" or not outputs or not variable:
+        raise Skipped("it offers no derivatives of outputs")
+    size = _PART * bench.step_size(kind)
+    with bench.session(kind) as session:
+        session.start()
+        list(session.steps(4 * size, 5))
+        get = (
+            session.instance.getRealOutputDerivatives
+            if bench.second
+            else (session.instance.getOutputDerivatives)
+        )
+        places = [int(v.reference) for v in outputs]
+        reported = np.array(get(places, [1] * len(places)))
+        y = [session.values(outputs)]
+        y += [session.values(outputs) for _ in session.steps(size, 4)]
+    if len(y) < 5:
+        raise Skipped("it ends by itself before")
+    fine, coarse = ((4 * y[i] - 3 * y[0] - y[2 * i]) / (2 * i * size) for i in (1, 2))
+    noise = bench.tolerance * np.maximum([v.nominal for v in outputs], np.abs(y[0])) / size
+    doubt = 2 * np.abs(coarse - fine) + 0.01 * np.abs(fine) + noise
+    for k in np.flatnonzero(~(np.abs(reported - fine) <= doubt))[:MOST_NAMES]:
+        found = f"its derivative is reported as {reported[k]:.6g}, steps give {fine[k]:.6g}"
+        yield TRIAL_RULES["slopes"].at(outputs[k].name, found)
 
 
 def _differences(

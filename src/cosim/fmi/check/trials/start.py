@@ -13,6 +13,8 @@ from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped
 from cosim.text import shortened
 
 _NOISE = 1e-9  # of an output in nominal values
+_WHOLE = 1.0  # s; a multiple of most fixed steps inside
+_ROUNDING = 1e-6  # of a start value, as people write it, and of a time
 
 
 def start(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -51,11 +53,44 @@ def initialization(bench: Bench, kind: str) -> Iterator[Finding]:
             yield TRIAL_RULES["other-early"].at(output.name, found)
 
 
+def defaults(bench: Bench, kind: str) -> Iterator[Finding]:
+    """The library begins with the start values of the file."""
+    every = filter(bench.single, bench.described.variables)
+    listed = [v for v in every if "start" in v.texts and v.initial in ("exact", None)]
+    if not listed:
+        raise Skipped("it has no real variable that begins with its start value")
+    with bench.session(kind) as session:
+        session.enter()
+        session.instance.exitInitializationMode()
+        for variable, value in zip(listed, session.values(listed), strict=True):
+            start = float(variable.texts["start"])
+            if not abs(value - start) <= _ROUNDING * abs(start):
+                found = f"the file says {start:.10g}, the library {value:.10g}"
+                yield TRIAL_RULES["defaults"].at(variable.name, found)
+
+
+def time(bench: Bench, kind: str) -> Iterator[Finding]:
+    """The independent variable is the time."""
+    clocks = bench.reals("independent")
+    if not clocks:
+        raise Skipped("it has no variable for the time")
+    with bench.session(kind) as session:
+        session.start()
+        if kind == "CoSimulation":
+            variable = bench.offers(kind, "canHandleVariableCommunicationStepSize")
+            list(session.steps(_WHOLE if variable else bench.step_size(kind), 1))
+        else:
+            session.time += bench.step_size(kind)
+            session.instance.setTime(session.time)
+        (value,) = session.values(clocks)
+        if not abs(value - session.time) <= _ROUNDING * abs(session.time):
+            found = f"it is {value:.6g} at {session.time:.6g} s"
+            yield TRIAL_RULES["time"].at(clocks[0].name, found)
+
+
 def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
     """A fixed parameter is rejected during a run."""
-    every = bench.described.variables
-    found = (v for v in every if v.causality == "parameter" and v.variability == "fixed")
-    parameters = [v for v in found if bench.single(v)]
+    parameters = bench.reals("parameter", "fixed")
     if not parameters:
         raise Skipped("it has no fixed real parameter")
     for parameter in parameters[:MOST_NAMES]:  # a rejected call may end the instance

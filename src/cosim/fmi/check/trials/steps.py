@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
-from cosim.fmi.check.trials.bench import Bench, Note, Session, Skipped
+from cosim.fmi.check.trials.bench import (
+    MEMORY_GROWTH,
+    Bench,
+    Note,
+    Session,
+    Skipped,
+    memory_in_use,
+)
 from cosim.fmi.run.c_structures import Ending, Recorded, Run, functions_of, reject_failed_call
 from cosim.host.signals import interruptible
 
@@ -24,7 +31,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
     end, made = monotonic() + _SHARE * bench.timeout, Progress()
-    stop = bench.experiment("stopTime")
+    stop, used = bench.experiment("stopTime"), [memory_in_use()]
     with bench.session(kind) as session:
         session.start()
         try:
@@ -32,6 +39,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 if not made.finite:
                     yield TRIAL_RULES["not-finite"].at(kind, f"not finite at {made.time:.6g} s")
                     return
+                used.append(memory_in_use())
                 if monotonic() > end:
                     break
         except Exception as error:
@@ -43,6 +51,9 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 return
             yield Note(f"{made.done} steps of 1/60 s, beyond its stop time; then: {error}")
             return
+        if (growth := used[-1] - used[-2]) > MEMORY_GROWTH:  # the last part is half of all
+            found = f"{growth / 1e6:.1f} MB are lost in the last of {made.done} steps"
+            yield TRIAL_RULES["memory"].at(kind, found)
         yield Note(f"{made.done} steps of 1/60 s, to {session.time:.6g} s")
 
 

@@ -1,0 +1,75 @@
+"""FMUs whose functions are wrapped by C code that makes them wrong in one way."""
+
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from helpers.small_models import decay
+
+from casadi_models.dae import Dae
+from cosim.fmi.export.build import binaries
+from cosim.fmi.export.package import FmuOptions, source_files, zipped
+from cosim.fmi.platforms import targets
+
+SIGNATURES = {
+    "fmi2GetReal": "fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]",
+    "fmi2SetReal": "fmi2Component c, const fmi2ValueReference vr[], size_t n, "
+    "const fmi2Real value[]",
+    "fmi2DoStep": "fmi2Component c, fmi2Real point, fmi2Real size, fmi2Boolean keep",
+    "fmi2SetFMUstate": "fmi2Component c, fmi2FMUstate state",
+    "fmi2SetupExperiment": "fmi2Component c, fmi2Boolean hasTol, fmi2Real tolerance, "
+    "fmi2Real start, fmi2Boolean hasStop, fmi2Real end",
+    "fmi2EnterInitializationMode": "fmi2Component c",
+    "fmi2ExitInitializationMode": "fmi2Component c",
+    "fmi2Instantiate": "fmi2String name, fmi2Type kind, fmi2String guid, fmi2String place, "
+    "const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean log",
+    "fmi2SetTime": "fmi2Component c, fmi2Real time",
+    "fmi2SetRealInputDerivatives": "fmi2Component c, const fmi2ValueReference vr[], size_t n, "
+    "const fmi2Integer order[], const fmi2Real value[]",
+    "fmi2GetRealOutputDerivatives": "fmi2Component c, const fmi2ValueReference vr[], size_t n, "
+    "const fmi2Integer order[], fmi2Real value[]",
+    "fmi3GetAdjointDerivative": "fmi3Instance c, const fmi3ValueReference unknowns[], size_t m, "
+    "const fmi3ValueReference knowns[], size_t n, const fmi3Float64 seed[], size_t o, "
+    "fmi3Float64 value[], size_t p",
+}
+_RESULTS = {"fmi2Instantiate": "fmi2Component"}
+
+
+def wrapped(
+    folder: Path, options: dict[str, Any] | None = None, dae: Dae | None = None, **bodies: str
+) -> Path:
+    """Build an FMU whose functions are wrapped.
+
+    Args:
+        options: Of `FmuOptions`.
+        dae: The model; `decay()` if it is None.
+        bodies: C code by function. `CALL` is the call of the sound one, `REF(name)` the value
+            reference of a variable.
+    """
+    chosen = FmuOptions(identifier="wrapped", **(options or {}))
+    files = source_files(dae or decay(), chosen)
+    references = {
+        variable.get("name"): variable.get("valueReference")
+        for variable in ET.fromstring(files["modelDescription.xml"]).iter()
+        if variable.get("valueReference")
+    }
+    for function, body in bodies.items():
+        kind = _RESULTS.get(function, f"{function[:4]}Status")
+        parameters = SIGNATURES[function]
+        definition = re.compile(rf"^{kind} {function}\(", re.MULTILINE)
+        (name,) = [
+            n for n, c in files.items() if n.endswith(".c") and definition.search(c.decode())
+        ]
+        names = ", ".join(re.findall(r"(\w+)(?:\[\])?(?:,|$)", parameters))
+        inner = definition.sub(f"static {kind} inner_{function}(", files[name].decode())
+        own = body.replace("CALL", f"inner_{function}({names})")
+        own = re.sub(r"REF\((.*?)\)", lambda match: references[match[1]], own)
+        head = "#include <math.h>\n#include <stdio.h>\n#include <stdlib.h>\nextern double limit;\n"
+        files[name] = f"{head}{inner}\n{kind} {function}({parameters}) {{{own}}}\n".encode()
+    files["sources/equations.c"] += b"\ndouble limit;\n"
+    sources = {Path(n).name: c for n, c in files.items() if n.startswith("sources/")}
+    path = folder / "wrapped.fmu"
+    made = binaries(sources, "wrapped", targets(["native"], chosen.fmi))
+    path.write_bytes(zipped(files | made))
+    return path
