@@ -14,7 +14,7 @@
 #include "interface.h"
 #include "interrupt.h"
 
-enum { MOST_ITERATIONS = 40, MOST_FORCED = 1000 };
+enum { MOST_ITERATIONS = 40, MOST_FORCED = 1000, MOST_PIECES = 10000 };
 
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
@@ -57,6 +57,17 @@ static inline int drive(Coupling *self, const Part *part, double since, double l
     return 0;
 }
 
+/* Give a part within a step the values of the cubics, of which it may have followed less. */
+static inline int set_to_cubics(Coupling *self, const Part *part, double since) {
+    if (part->order == MOST_ORDER || self->system->method < EXTRAPOLATED) return 0;
+    for (long long i = 0; i < part->inputs; ++i) {
+        double d[4];
+        cubic_at(&self->now, &self->next, part->first_input + i, since, d);
+        self->part_u[i] = d[0];
+    }
+    return part_set(&self->fmu, part, self->part_u);
+}
+
 /* Note by how much the outputs of a part differ from the cubics that they drive, within a step. */
 static inline int compare_with_cubics(Coupling *self, const Part *part, double since) {
     const System *system = self->system;
@@ -77,6 +88,38 @@ static inline int is_before(const System *system, long long row, double t) {
     return row < system->points && system->times[row] < t && !near(system->times[row], t);
 }
 
+/* Into how many steps a part divides one: if it holds its inputs, into so many that their error
+ * falls like the tolerance. */
+static inline long long pieces_of(const Coupling *self, const Part *part, double since,
+                                  double length) {
+    const System *system = self->system;
+    double change = 0;
+    if (part->order || system->method < EXTRAPOLATED || system->tolerance <= 0) return 1;
+    for (long long i = part->first_input; i < part->first_input + part->inputs; ++i) {
+        double a[4], b[4];
+        cubic_at(&self->now, &self->next, i, since, a);
+        cubic_at(&self->now, &self->next, i, since + length, b);
+        const double rate = fmax(fabs(a[1]), fabs(b[1]));
+        change = fmax(change, rate * length / size_of(system, i, a[0]));
+    }
+    return 1 + (long long)fmin(change / sqrt(system->tolerance), MOST_PIECES);
+}
+
+/* Step a part from one time within the macro step to another. */
+static inline int advance(Coupling *self, Part *part, double from, double to) {
+    const double begin = self->now.t;
+    const long long pieces = pieces_of(self, part, from - begin, to - from);
+    double t = from;
+    for (long long i = 1; i <= pieces; ++i) {
+        const double end = i == pieces ? to : from + (to - from) * (double)i / (double)pieces;
+        if (drive(self, part, t - begin, end - t)) return PART_FAILED;
+        const int how = part_step(&self->fmu, part, t, end - t);
+        if (how != STEPPED) return how;
+        t = end;
+    }
+    return STEPPED;
+}
+
 /* Step a part to the end of the macro step; if it records, by way of the output times within. */
 static inline int step_part(Coupling *self, Part *part, int recording) {
     const System *system = self->system;
@@ -86,14 +129,12 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
     for (;; ++row) {
         const int last = !(recording && is_before(system, row, end));
         const double to = last ? end : system->times[row];
-        if (to > t) {
-            if (drive(self, part, t - begin, to - t)) return PART_FAILED;
-            const int how = part_step(&self->fmu, part, t, to - t);
-            if (how != STEPPED) return how;
-        }
+        const int how = to > t ? advance(self, part, t, to) : STEPPED;
+        if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
-        if (part_record(&self->fmu, part, row)) return PART_FAILED;
+        if (set_to_cubics(self, part, t - begin) || part_record(&self->fmu, part, row))
+            return PART_FAILED;
         if (system->method >= EXTRAPOLATED && compare_with_cubics(self, part, t - begin))
             return PART_FAILED;
     }

@@ -59,6 +59,13 @@ static inline int give_up(Coupling *self, long long part) {
     return 1;
 }
 
+/* Whether the call that failed had no answer now, as while something slides; then go on. */
+static inline int is_discarded(Fmu *fmu) {
+    if (fmu->status != DISCARD) return 0;
+    fmu->function = NULL;
+    return 1;
+}
+
 static inline int set_inputs(Coupling *self, const double *u) {
     const System *system = self->system;
     for (long long p = 0; p < system->n_parts; ++p) {
@@ -97,9 +104,9 @@ static inline int find_gain(Coupling *self, const double *u) {
             for (long long k = 0; k < part->outputs; ++k)
                 felt |= system->feeds[(output + k) * m + input] != 0;
             if (!felt) continue;
-            if (part->directional) {
-                if (part_column(&self->fmu, part, i, self->column)) return give_up(self, p);
-            } else {
+            const int known = part->directional && !part_column(&self->fmu, part, i, self->column);
+            if (part->directional && !known && !is_discarded(&self->fmu)) return give_up(self, p);
+            if (!known) {
                 const double step = 1e-6 * system->scale[input];
                 memcpy(self->part_u, u + input - i, (size_t)part->inputs * sizeof *u);
                 self->part_u[i] += step;
@@ -185,15 +192,19 @@ static inline int settle_rates(Coupling *self, Interface *at) {
     for (long long p = 0; p < system->n_parts; ++p) {
         const Part *part = system->parts + p;
         double *rates = self->y + part->first_output;
-        if (part->rates &&
-            ((part->order && part_set_derivatives(&self->fmu, part, 1, self->change)) ||
-             part_rates(&self->fmu, part, rates)))
+        if (part->rates && part->order && part_set_derivatives(&self->fmu, part, 1, self->change))
             return give_up(self, p), CALL_FAILED;
-        for (long long i = 0; !part->rates && i < part->outputs; ++i) rates[i] = NAN;
+        const int known = part->rates && !part_rates(&self->fmu, part, rates);
+        if (part->rates && !known && !is_discarded(&self->fmu))
+            return give_up(self, p), CALL_FAILED;
+        for (long long i = 0; !known && i < part->outputs; ++i) rates[i] = NAN;
     }
-    for (long long k = 0; k < system->inputs; ++k) {
-        const double rate = system->factor[k] * self->y[system->source[k]];
-        at->r[k] = isnan(rate) ? rate_of_values(self, at, k) : rate;
+    const long long m = system->inputs;
+    for (long long k = 0; k < m; ++k) {
+        at->r[k] = system->factor[k] * self->y[system->source[k]];
+        if (!isnan(at->r[k])) continue;
+        at->r[k] = rate_of_values(self, at, k); /* which holds what passes through loops */
+        memset(self->gain + k * m, 0, (size_t)m * sizeof *self->gain);
     }
     return self->feedthrough && through_loops(self, at->r) ? LOOP_UNSOLVED : DONE;
 }

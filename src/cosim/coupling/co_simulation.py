@@ -192,7 +192,8 @@ class CoSimulation:
                 sizes = np.array([column.nominal for column in run.columns])
                 change = np.abs(run.values - last.values).max(axis=0) / sizes
                 # the error falls like the tolerance; less than that is on the safe side
-                estimate = float(change.max()) * ratio**_FALLS
+                falls = min(ratio, 0.8) ** _FALLS
+                estimate = float(change.max()) * falls / (1 - falls)
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
