@@ -19,6 +19,7 @@ enum { MOST_ITERATIONS = 40, MOST_FORCED = 1000, MOST_PIECES = 10000 };
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
 static const double AGREED = 1e-2, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double DIVERGED = 1e3; /* times the difference of the first pass */
 static const double SAFE = 0.8, SHORTER = 0.2, LONGER = 2.0; /* of macro steps */
 static const double SHORTEST = 1e-9;                         /* macro step, of the span */
 static const double LONGEST = 0.1;
@@ -254,6 +255,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     double *predicted = self->found + n, *w = self->w;
     as_vector(self, &self->next, predicted);
     memcpy(w, predicted, (size_t)n * sizeof *w);
+    double first = 0;
     int agreed = !iterates;
     self->mismatch = 0;
     for (int pass = 0; pass < MOST_ITERATIONS; ++pass) {
@@ -267,7 +269,8 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
         const double left = largest(n, self->change, NULL);
         const double correction = largest(n, self->found, predicted);
-        if (!isfinite(left)) return REJECTED;
+        if (pass == 0) first = left;
+        if (!isfinite(left) || (left > DIVERGED * first && may_be_shortened(self))) return REJECTED;
         agreed = left <= fmax(share * correction, ROUNDED);
         if (agreed && !records) break;
         if (agreed)
