@@ -134,7 +134,7 @@ def _event(prepared: Prepared, record: EventRecord, sides: Vector | None) -> Eve
         | dict(zip(states, row.tolist(), strict=True))
         for side, row in zip(sides[record.instant], (record.before, record.after), strict=True)
     )
-    return Event(record.time, record.name, before, after)
+    return Event(float(record.time), record.name, before, after)
 
 
 def _failure(
