@@ -31,7 +31,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
     end, made = monotonic() + _SHARE * bench.timeout, Progress()
-    stop, used = bench.experiment("stopTime"), [memory_in_use()]
+    stop, used, looked = bench.experiment("stopTime"), [memory_in_use()], 0
     with bench.session(kind) as session:
         session.start()
         try:
@@ -39,7 +39,8 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 if not made.finite:
                     yield TRIAL_RULES["not-finite"].at(kind, f"not finite at {made.time:.6g} s")
                     return
-                used.append(memory_in_use())
+                if made.done >= 2 * looked:
+                    used, looked = [used[-1], memory_in_use()], made.done
                 if monotonic() > end:
                     break
         except Exception as error:
@@ -51,8 +52,8 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 return
             yield Note(f"{made.done} steps of 1/60 s, beyond its stop time; then: {error}")
             return
-        if (growth := used[-1] - used[-2]) > MEMORY_GROWTH:  # the last part is half of all
-            found = f"{growth / 1e6:.1f} MB are lost in the last of {made.done} steps"
+        if (growth := used[-1] - used[0]) > MEMORY_GROWTH:
+            found = f"{growth / 1e6:.1f} MB are lost in the second half of {looked} steps"
             yield TRIAL_RULES["memory"].at(kind, found)
         yield Note(f"{made.done} steps of 1/60 s, to {session.time:.6g} s")
 
