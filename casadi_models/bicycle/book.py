@@ -44,6 +44,7 @@ def build() -> Dae:
     kinetic = ca.dot(s["u_I"], s["M"] @ s["u_I"]) / 2
     weight = sum((mass * places[body] for body, mass, _ in bodies(s)), SX.zeros(3)) * s["gravity"]
     declaration.energies(model, kinetic, -weight[2])
+    declaration.name_modes(model, y[2])
     declaration.limits(model, s["phi"], forces[2], forces[5])
     declaration.elimination(model, bike, s["phi"], s["C_2"])
     declaration.drift_limits(model, closure, slip)

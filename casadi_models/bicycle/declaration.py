@@ -140,6 +140,11 @@ def states(model: Model, names: str, *, own_meaning: str = "") -> SX:
     return ca.vertcat(*declared)
 
 
+def name_modes(model: Model, delta: SX) -> None:
+    """Name the modes of lean and steer, as the literature does."""
+    model.name_modes(delta, oscillating=["weave"], real=["capsize", "castering"])
+
+
 def outputs(model: Model, names: str, column: SX) -> None:
     """Declare outputs by name, one per row."""
     for name, row in zip(names.split(), ca.vertsplit(column), strict=True):

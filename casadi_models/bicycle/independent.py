@@ -45,6 +45,7 @@ def build() -> Dae:
     declaration.outputs(model, RESIDUALS, rolling(moving.residuals()))
     declaration.energies(model, rolling(kane.kinetic_energy(system)), moving.potential)
     fz_Q = (moving.C_to_N @ moving.W_to_C @ front)[2]
+    declaration.name_modes(model, q[2])
     declaration.limits(model, q[0], *ca.vertsplit(rolling(rear[2], fz_Q)))
     declaration.contact(model, q, moving.closure)
     declaration.elimination(model, bike, q[0], rolling_matrix)

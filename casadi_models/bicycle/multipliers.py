@@ -45,6 +45,7 @@ def build() -> Dae:
     residuals = system.with_held_at_zero(moving.residuals())
     declaration.outputs(model, RESIDUALS, residuals)
     declaration.energies(model, kane.kinetic_energy(system), moving.potential)
+    declaration.name_modes(model, q[2])
     declaration.limits(model, q[0], rear[2], front[2])
     declaration.drift_limits(model, residuals[0], residuals[1:])
     declaration.contact(model, q, moving.closure)

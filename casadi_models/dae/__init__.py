@@ -12,7 +12,7 @@ from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.model import Model
 from casadi_models.dae.starts import StartRule, StartThrough
-from casadi_models.dae.variables import Experiment, Start, Variable
+from casadi_models.dae.variables import Experiment, ModeNames, Start, Variable
 
 __all__ = [
     "Closing",
@@ -21,6 +21,7 @@ __all__ = [
     "Experiment",
     "Family",
     "Invariant",
+    "ModeNames",
     "Model",
     "Start",
     "StartRule",

@@ -14,7 +14,7 @@ from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import operation_count
 from casadi_models.dae.invariants import CONSTRAINT_CONDITION, Closing, Invariant
 from casadi_models.dae.starts import StartRule, StartThrough
-from casadi_models.dae.variables import Experiment, Variable
+from casadi_models.dae.variables import Experiment, ModeNames, Variable
 
 _LAWS = (
     *("ode", "alg", "outputs", "start_rules", "start_outputs", "limits", "invariants"),
@@ -49,6 +49,7 @@ class Dae:
         start_outputs: Outputs by whose value starts of states may be given.
         events: What happens at an instant, besides the relations of the equations; see `Event`.
         smooth: Expressions whose relations are no events.
+        mode_names: What the modes of the linear system are called.
         derived: How many states, the first ones, are followed by their derivatives along a
             direction of the parameters.
 
@@ -93,6 +94,7 @@ class Dae:
     start_outputs: tuple[StartThrough, ...] = ()
     events: tuple[Event, ...] = ()
     smooth: tuple[SX, ...] = ()
+    mode_names: tuple[ModeNames, ...] = ()
     derived: int = 0
 
     def __post_init__(self) -> None:

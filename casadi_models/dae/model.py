@@ -1,6 +1,6 @@
 """`Model`: the builder of a `Dae`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Unpack
 
@@ -20,7 +20,7 @@ from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.scenery import Scenery
 from casadi_models.dae.starts import AT_A_START, Starting, reject_disorder
-from casadi_models.dae.variables import Experiment, Facts, Start, Variable
+from casadi_models.dae.variables import Experiment, Facts, ModeNames, Start, Variable
 
 
 class Model(Declaring, Starting, Happening, Scenery):
@@ -70,6 +70,7 @@ class Model(Declaring, Starting, Happening, Scenery):
         self._limits: list[tuple[SX, str]] = []
         self._invariants: list[Invariant] = []
         self._rate: tuple[SX, float] | None = None
+        self._mode_names: list[ModeNames] = []
 
     # -- relations ------------------------------------------------------------------------------
 
@@ -141,6 +142,19 @@ class Model(Declaring, Starting, Happening, Scenery):
             )
         self.monitor(name, ca.norm_inf(rows), f"largest drift (SI units) from: {meaning}")
         self._invariants.append(Invariant(positions, rows, weights, meaning))
+
+    def name_modes(
+        self, state: SX, *, oscillating: Sequence[str] = (), real: Sequence[str] = ()
+    ) -> None:
+        """Name the modes in which a state takes part, for tables and figures of eigenvalues.
+
+        Args:
+            state: The state.
+            oscillating: Names of the pairs of complex eigenvalues, the slowest oscillation first.
+            real: Names of the real eigenvalues, the largest first.
+        """
+        (name,) = self._names(state)
+        self._mode_names.append(ModeNames(name, tuple(oscillating), tuple(real)))
 
     def closing_rate(self, value: float) -> SX:
         """Return what stands in equations for the rate at which drift decays.
@@ -260,4 +274,5 @@ class Model(Declaring, Starting, Happening, Scenery):
             drawing=drawing,
             events=tuple(self._shared_events(conditions, values)),
             smooth=(smooth,) if self._smooth else (),
+            mode_names=tuple(self._mode_names),
         )

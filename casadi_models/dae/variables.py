@@ -12,6 +12,21 @@ from casadi_models.units import convert
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
+@dataclass(frozen=True)
+class ModeNames:
+    """What the modes are called in which a state takes part.
+
+    Attributes:
+        state: Name of the state.
+        oscillating: Names of the pairs of complex eigenvalues, the slowest oscillation first.
+        real: Names of the real eigenvalues, the largest first.
+    """
+
+    state: str
+    oscillating: tuple[str, ...] = ()
+    real: tuple[str, ...] = ()
+
+
 class Start(Enum):
     """How a start value comes about."""
 

@@ -25,11 +25,13 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
     figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     axis = figure.subplots()
     size = float(abs(sweep.eigenvalues).max()) or 1.0
-    for j, column in enumerate(sweep.eigenvalues.T):
+    colors: dict[str, str] = {}
+    for j, (column, mode) in enumerate(zip(sweep.eigenvalues.T, sweep.modes, strict=True)):
         if abs(column).max() <= _NOTHING * size:
             continue
-        color = CURVES[j % len(CURVES)]
-        axis.plot(sweep.values, column.real, color=color, linewidth=1.2)
+        label = mode if mode not in colors else None
+        color = colors.setdefault(mode or f"column {j}", CURVES[len(colors) % len(CURVES)])
+        axis.plot(sweep.values, column.real, color=color, linewidth=1.2, label=label or None)
         imaginary = abs(column.imag)
         if imaginary.max() > _NOTHING * size:
             axis.plot(sweep.values, imaginary, "--", color=color, linewidth=0.8)
@@ -39,9 +41,9 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
     axis.fill_between(sweep.values, 0, 1, where=stable, transform=across, color="0.92", zorder=0)
     for crossing in sweep.crossings:
         axis.axvline(crossing.value, color="0.5", linewidth=0.8)
-        kind = "oscillates" if crossing.frequency else "real"
+        outputs = [f"{name} {value:.4g}" for name, value in crossing.outputs.items()]
         axis.annotate(
-            f"{crossing.value:.6g}, {kind}",
+            ", ".join([crossing.mode, f"{crossing.value:.6g}", *outputs[:2]]),
             (crossing.value, 0.02),
             xycoords=("data", "axes fraction"),
             rotation=90,
@@ -50,6 +52,8 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
             fontsize=7,
             color="0.3",
         )
+    if any(sweep.modes):
+        axis.legend(fontsize=8)
     unit = f" [{sweep.unit}]" if sweep.unit else ""
     axis.set_xlabel(f"{sweep.name}{unit}")
     axis.set_ylabel("eigenvalue [1/s]: real part, imaginary part dashed")

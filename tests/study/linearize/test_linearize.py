@@ -41,6 +41,11 @@ def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
     assert weave.frequency == pytest.approx(WEAVE_FREQUENCY, abs=1e-9)
     assert capsize.frequency == 0
     assert (weave.unstable, capsize.unstable) == ("above", "below")  # thetaR_dot is negative
+    is_minimal = formulation == "independent"  # drift decays with real eigenvalues of its own
+    assert (weave.mode, capsize.mode) == ("weave", "capsize" if is_minimal else "real")
+    assert sorted(filter(None, sweep.modes)) == (
+        ["capsize", "castering", "weave", "weave"] if is_minimal else ["weave", "weave"]
+    )
 
 
 @pytest.mark.parametrize(("model", "fmi"), [("bicycle/independent", 2), ("bicycle/multipliers", 3)])

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
@@ -25,6 +25,7 @@ class Crossing:
     Attributes:
         value: Value of the parameter.
         frequency: Angular frequency of the oscillation, rad/s; 0 for a real eigenvalue.
+        mode: What the model calls this mode; otherwise "real" or "oscillating".
         states: States that take part in the motion.
         unstable: Side on which the eigenvalue has a positive real part: "below" or "above".
         outputs: Outputs of the model at this value, by name.
@@ -32,6 +33,7 @@ class Crossing:
 
     value: float
     frequency: float
+    mode: str
     states: tuple[str, ...]
     unstable: str
     outputs: Mapping[str, float]
@@ -41,6 +43,7 @@ class Crossing:
         return {
             name: f"{self.value:.15g}",
             "frequency": f"{self.frequency:.10g}",
+            "mode": self.mode,
             "unstable": self.unstable,
             "states": " ".join(self.states),
             **{key: f"{value:.15g}" for key, value in self.outputs.items()},
@@ -56,6 +59,7 @@ class EigenvalueSweep:
         values: Its values, (n,).
         points: The linear system at each value.
         eigenvalues: Eigenvalues, 1/s, (n, states); a column follows one eigenvalue.
+        modes: What the model calls the mode of each column; empty where it has no name.
         crossings: Values at which an eigenvalue crosses the imaginary axis.
     """
 
@@ -64,6 +68,7 @@ class EigenvalueSweep:
     values: Vector
     points: tuple[Linearization, ...]
     eigenvalues: Vector
+    modes: tuple[str, ...]
     crossings: tuple[Crossing, ...]
 
     def rows(self) -> list[dict[str, Any]]:
@@ -166,19 +171,40 @@ def _along(
     points = tuple(map(point, grid))
     pattern = np.any([linear.pattern for linear in points], axis=0)
     groups = blocks(pattern)
-    table, crossings = [], list[Crossing]()
+    table, modes, crossings = [], list[str](), list[Crossing]()
     for group in groups:
         found = _followed([_eigenvalues(linear, group, pattern) for linear in points])
+        names = _mode_names(dae, group, found)
         table.append(found)
+        modes += names
         size = np.abs(found).max(initial=0.0)
         signs = (found.real > 1e-9 * size).sum(axis=1)
         for i in np.flatnonzero(np.diff(signs)):
             ends = (float(grid[i]), float(grid[i + 1]))
-            crossings.append(_crossing(point, group, pattern, ends, int(signs[i]), 1e-13 * size))
+            crossing = _crossing(point, group, pattern, ends, int(signs[i]), 1e-13 * size)
+            nearest = int(np.abs(found[i] - 1j * crossing.frequency).argmin())
+            crossings.append(replace(crossing, mode=names[nearest] or crossing.mode))
     crossings.sort(key=lambda crossing: crossing.value)
-    return EigenvalueSweep(
-        name, dae.variable(name).unit, grid, points, np.hstack(table), tuple(crossings)
-    )
+    unit, eigenvalues = dae.variable(name).unit, np.hstack(table)
+    return EigenvalueSweep(name, unit, grid, points, eigenvalues, tuple(modes), tuple(crossings))
+
+
+def _mode_names(dae: Dae, group: Sequence[int], found: Vector) -> list[str]:
+    """Return what the model calls the modes of a group, by what they are at most values.
+
+    Eigenvalues of a kind get their names only if they are as many as these.
+    """
+    names = [""] * len(group)
+    frequencies, sizes = np.median(np.abs(found.imag), axis=0), np.median(found.real, axis=0)
+    pairs = [j for j in np.argsort(frequencies, kind="stable") if frequencies[j]]
+    reals = [j for j in np.argsort(-sizes) if not frequencies[j]]
+    for known in dae.mode_names:
+        if any(dae.states[i].name == known.state for i in group):
+            for columns, given in ((pairs, np.repeat(known.oscillating, 2)), (reals, known.real)):
+                if len(columns) == len(given):
+                    for column, name in zip(columns, given, strict=True):
+                        names[column] = str(name)
+    return names
 
 
 def _eigenvalues(linear: Linearization, group: tuple[int, ...], pattern: Vector) -> Vector:
@@ -234,6 +260,7 @@ def _crossing(
     return Crossing(
         high,
         float(frequency),
+        "oscillating" if frequency else "real",
         tuple(linear.states[i] for i in group),
         "above" if upward else "below",
         dict(zip(linear.outputs, map(float, linear.y), strict=True)),
