@@ -58,15 +58,30 @@ static inline int drive(Coupling *self, const Part *part, double since, double l
     return 0;
 }
 
-/* Give a part within a step the values of the cubics, of which it may have followed less. */
+/* Give a part the values of the cubics within a step. */
 static inline int set_to_cubics(Coupling *self, const Part *part, double since) {
-    if (part->order == MOST_ORDER || self->system->method < EXTRAPOLATED) return 0;
+    if (self->system->method < EXTRAPOLATED) return 0;
     for (long long i = 0; i < part->inputs; ++i) {
         double d[4];
         cubic_at(&self->now, &self->next, part->first_input + i, since, d);
         self->part_u[i] = d[0];
     }
     return part_set(&self->fmu, part, self->part_u);
+}
+
+/* Which part steps. FMI 3 has no other way to tell the callback that FMPy leaves open. */
+static _Thread_local struct {
+    Coupling *coupling;
+    const Part *part;
+} stepping;
+
+/* The callback of FMI 3: a part asks within its step for the inputs at a time. */
+SHARED void give_inputs(void *environment, double time, bool asks, bool readable, bool finished,
+                        bool may_return, bool *stops, double *until) {
+    Coupling *self = stepping.coupling;
+    (void)environment, (void)readable, (void)finished, (void)may_return, (void)until;
+    *stops = false;
+    if (asks && self) self->refused |= set_to_cubics(self, stepping.part, time - self->now.t);
 }
 
 /* Note by how much the outputs of a part differ from the cubics that they drive, within a step. */
@@ -114,8 +129,13 @@ static inline int advance(Coupling *self, Part *part, double from, double to) {
     for (long long i = 1; i <= pieces; ++i) {
         const double end = i == pieces ? to : from + (to - from) * (double)i / (double)pieces;
         if (drive(self, part, t - begin, end - t)) return PART_FAILED;
+        self->refused = 0;
+        stepping.coupling = self;
+        stepping.part = part;
         const int how = part_step(&self->fmu, part, t, end - t);
+        stepping.coupling = NULL;
         if (how != STEPPED) return how;
+        if (self->refused) return PART_FAILED;
         t = end;
     }
     return STEPPED;
@@ -134,7 +154,8 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
         if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
-        if (set_to_cubics(self, part, t - begin) || part_record(&self->fmu, part, row))
+        const int differs = part->order < MOST_ORDER; /* from the cubics, at the end of its step */
+        if ((differs && set_to_cubics(self, part, t - begin)) || part_record(&self->fmu, part, row))
             return PART_FAILED;
         if (system->method >= EXTRAPOLATED && compare_with_cubics(self, part, t - begin))
             return PART_FAILED;

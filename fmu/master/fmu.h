@@ -40,7 +40,7 @@ typedef struct {
     int (*set_real)(void *, const uint32_t *, size_t, const double *);
     int (*get_float64)(void *, const uint32_t *, size_t, double *, size_t);
     int (*set_float64)(void *, const uint32_t *, size_t, const double *, size_t);
-    int (*set_input_derivatives)(void *, const uint32_t *, size_t, const int *, const double *);
+    int (*set_input_derivatives)(void *, const uint32_t *, size_t, const int32_t *, const double *);
     int (*output_derivatives_2)(void *, const uint32_t *, size_t, const int32_t *, double *);
     int (*output_derivatives_3)(void *, const uint32_t *, size_t, const int32_t *, double *,
                                 size_t);

@@ -46,6 +46,7 @@ typedef struct {
     System *system;
     Fmu fmu;
     int feedthrough, all_roll_back;
+    int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
     double mismatch;                 /* of outputs and inputs, at output times within the step */

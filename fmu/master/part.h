@@ -5,6 +5,7 @@
 #include "recording.h"
 
 enum { MOST_ORDER = 3 }; /* of derivatives of inputs */
+enum { TOGETHER = 32 };  /* variables of a call that wants an order for each */
 
 typedef struct {
     const Functions *call;
@@ -20,6 +21,10 @@ typedef struct {
     long long steps, restored;
     void *saved; /* its state at the last communication point; NULL at first */
 } Part;
+
+static inline size_t together(long long left) {
+    return (size_t)(left < TOGETHER ? left : TOGETHER);
+}
 
 static inline int part_get(Fmu *fmu, const Part *self, double *y) {
     const Functions *call = self->call;
@@ -43,15 +48,17 @@ static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
                   call->set_float64(call->instance, self->input_references, n, u, n));
 }
 
-/* Derivatives of one order of all inputs, for the next step. */
+/* Derivatives of one order of all inputs, for the next step; an FMU of version 3 asks instead. */
 static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
                                        const double *values) {
     const Functions *call = self->call;
-    int orders[1] = {order};
-    for (long long i = 0; i < self->inputs; ++i)
+    int32_t orders[TOGETHER];
+    if (call->version == 3) return 0;
+    for (int k = 0; k < TOGETHER; ++k) orders[k] = order;
+    for (long long i = 0; i < self->inputs; i += TOGETHER)
         if (failed(fmu, "fmi2SetRealInputDerivatives",
-                   call->set_input_derivatives(call->instance, self->input_references + i, 1,
-                                               orders, values + i)))
+                   call->set_input_derivatives(call->instance, self->input_references + i,
+                                               together(self->inputs - i), orders, values + i)))
             return 1;
     return 0;
 }
@@ -59,15 +66,17 @@ static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
 /* First derivatives of the outputs by time. */
 static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
     const Functions *call = self->call;
-    for (long long i = 0; i < self->outputs; ++i) {
-        const int32_t order[1] = {1};
-        const uint32_t *reference = self->output_references + i;
-        if (call->version == 2
-                ? failed(fmu, "fmi2GetRealOutputDerivatives",
-                         call->output_derivatives_2(call->instance, reference, 1, order, rates + i))
-                : failed(fmu, "fmi3GetOutputDerivatives",
-                         call->output_derivatives_3(call->instance, reference, 1, order, rates + i,
-                                                    1)))
+    int32_t orders[TOGETHER];
+    for (int k = 0; k < TOGETHER; ++k) orders[k] = 1;
+    for (long long i = 0; i < self->outputs; i += TOGETHER) {
+        const uint32_t *references = self->output_references + i;
+        const size_t n = together(self->outputs - i);
+        if (call->version == 2 ? failed(fmu, "fmi2GetRealOutputDerivatives",
+                                        call->output_derivatives_2(call->instance, references, n,
+                                                                   orders, rates + i))
+                               : failed(fmu, "fmi3GetOutputDerivatives",
+                                        call->output_derivatives_3(call->instance, references, n,
+                                                                   orders, rates + i, n)))
             return 1;
     }
     return 0;

@@ -25,7 +25,7 @@ static const unsigned needed_by[] = {
 static unsigned settable(const Instance *self, const VariableInfo *variable) {
     const unsigned start = INSTANTIATED | INITIALIZATION_MODE;
     switch (variable->role) {
-    case INPUT: return start | EVENT_MODE | CONTINUOUS_TIME_MODE | STEP_MODE;
+    case INPUT: return start | EVENT_MODE | CONTINUOUS_TIME_MODE | STEP_MODE | INTERMEDIATE_INPUTS;
     case PARAMETER:
         return variable->tunable ? start | EVENT_MODE | CONTINUOUS_TIME_MODE | STEP_MODE : start;
     case ALGEBRAIC: return INSTANTIATED;

@@ -26,22 +26,35 @@ static Host host_of(fmi3InstanceEnvironment environment, fmi3LogMessageCallback 
     };
 }
 
-/* Between communication points the importer may read variables, and wish to stop there. */
-static bool intermediate_update(Instance *self, double *end) {
+/* Call the importer back in a mode; false where it has called what it must not. */
+static bool call_back(Instance *self, uint32_t mode, double time, fmi3Boolean *stops,
+                      fmi3Float64 *wanted) {
     const fmi3IntermediateUpdateCallback update = (fmi3IntermediateUpdateCallback)self->host.update;
     const char *function = self->function;
-    const double now = self->state.values[TIME];
-    fmi3Boolean requested = fmi3False;
-    fmi3Float64 wanted = now;
-    self->state.mode = INTERMEDIATE_UPDATE;
-    update(self->host.environment, now, fmi3False, fmi3True, fmi3True, self->host.may_return_early,
-           &requested, &wanted);
-    if (self->state.mode != INTERMEDIATE_UPDATE) return false;
+    const bool finished = mode == INTERMEDIATE_UPDATE;
+    self->state.mode = mode;
+    update(self->host.environment, time, !finished, finished, finished,
+           finished && self->host.may_return_early, stops, wanted);
+    if (self->state.mode != mode) return false;
     self->state.mode = STEP_MODE;
     self->function = function;
-    if (requested && self->host.may_return_early && wanted < *end)
-        *end = wanted > now ? wanted : now;
     return true;
+}
+
+/* Between communication points the importer may read variables, and wish to stop there. */
+static bool intermediate_update(Instance *self, double *end) {
+    const double now = self->state.values[TIME];
+    fmi3Boolean stops = fmi3False;
+    fmi3Float64 wanted = now;
+    if (!call_back(self, INTERMEDIATE_UPDATE, now, &stops, &wanted)) return false;
+    if (stops && self->host.may_return_early && wanted < *end) *end = wanted > now ? wanted : now;
+    return true;
+}
+
+static bool ask_inputs(Instance *self, double time) {
+    fmi3Boolean stops = fmi3False;
+    fmi3Float64 wanted = time;
+    return call_back(self, INTERMEDIATE_INPUTS, time, &stops, &wanted);
 }
 
 /* The resources are not needed and not read; nothing is ever visible. */
@@ -55,7 +68,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
     return create(&host, __func__, instanceName, instantiationToken, INTERFACE_ME, loggingOn);
 }
 
-/* No event mode: events happen within a communication step. */
+/* No event mode: events happen within a communication step. All variables can be read between
+   communication points; inputs are asked for if one of them is among the required variables. */
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
     fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
@@ -63,13 +77,22 @@ fmi3Instance fmi3InstantiateCoSimulation(
     size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
     fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate) {
     (void)resourcePath, (void)visible;
-    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables; /* all are there */
     Host host = host_of(instanceEnvironment, logMessage);
     host.step_finished = intermediateUpdate ? intermediate_update : NULL;
     host.update = (void (*)(void))intermediateUpdate;
     host.may_return_early = earlyReturnAllowed;
+    const Instance draft = {.host = host, .name = "", .function = __func__, .categories = ~0u};
+    if (nRequiredIntermediateVariables > 0 && !requiredIntermediateVariables) {
+        log_text(&draft, ERROR, "%zu required variables, but no list",
+                 nRequiredIntermediateVariables);
+        return NULL;
+    }
+    for (size_t i = 0; i < nRequiredIntermediateVariables; i++) {
+        const fmi3ValueReference reference = requiredIntermediateVariables[i];
+        if (reference < N_VARIABLES && variables[reference].role == INPUT && intermediateUpdate)
+            host.ask_inputs = ask_inputs;
+    }
     if (eventModeUsed) {
-        const Instance draft = {.host = host, .name = "", .function = __func__, .categories = ~0u};
         log_text(&draft, ERROR, "%s: instantiate with eventModeUsed = false",
                  HAS_EVENTS ? "the model handles events within its steps"
                             : "the model has no events");

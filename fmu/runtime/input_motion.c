@@ -1,6 +1,8 @@
 /* Inputs within a communication step: polynomials of the time since that of the instance. */
 #include "input_motion.h"
 
+#include <string.h>
+
 /* A derivative of the polynomial of an input, by Horner's scheme from that of order 3 downward. */
 static double derivative_at(const Instance *self, int input, int order, double since) {
     const State *state = &self->state;
@@ -32,6 +34,24 @@ void move_inputs(Instance *self, double time) {
             self->state.motion[order - 1][i] = derivative_at(self, i, order, since);
     }
     values[TIME] = time;
+}
+
+bool ask_for_motion(Instance *self, double end) {
+    double *now = self->state.values + FIRST_INPUT, u[MOST_INPUT_ORDER + 1][ROOM(NU)] = {{0}};
+    const double begin = self->state.values[TIME], h = (end - begin) / MOST_INPUT_ORDER;
+    for (int k = 0; k <= MOST_INPUT_ORDER; k++) {
+        if (!self->host.ask_inputs(self, k < MOST_INPUT_ORDER ? begin + k * h : end)) return false;
+        memcpy(u[k], now, NU * sizeof *now);
+    }
+    memcpy(now, u[0], NU * sizeof *now);
+    for (int i = 0; i < NU; i++) { /* by forward differences, which are 0 where inputs rest */
+        const double a = u[1][i] - u[0][i], b = u[2][i] - u[1][i], c = u[3][i] - u[2][i];
+        const double second = b - a, third = c - b - second;
+        self->state.motion[0][i] = (a - second / 2 + third / 3) / h;
+        self->state.motion[1][i] = (second - third) / (h * h);
+        self->state.motion[2][i] = third / (h * h * h);
+    }
+    return true;
 }
 
 bool inputs_rest(const Instance *self) {

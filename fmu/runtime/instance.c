@@ -137,6 +137,7 @@ static const char *mode_name(uint32_t mode) {
     case STEP_FAILED: return "after a failed communication step";
     case TERMINATED: return "after termination";
     case INTERMEDIATE_UPDATE: return "in an intermediate update";
+    case INTERMEDIATE_INPUTS: return "in an intermediate update that asks for inputs";
     default: return "after an error";
     }
 }

@@ -9,6 +9,7 @@
 
 #define all_finite INSIDE_NAME(MODEL_PREFIX, all_finite)
 #define allowed INSIDE_NAME(MODEL_PREFIX, allowed)
+#define ask_for_motion INSIDE_NAME(MODEL_PREFIX, ask_for_motion)
 #define assigned INSIDE_NAME(MODEL_PREFIX, assigned)
 #define begin_events INSIDE_NAME(MODEL_PREFIX, begin_events)
 #define begin_modes INSIDE_NAME(MODEL_PREFIX, begin_modes)

@@ -24,6 +24,7 @@ enum {
     INTERFACE_ME = 1 << 8,
     INTERFACE_CS = 1 << 9,
     INTERMEDIATE_UPDATE = 1 << 10, /* FMI 3: within a communication step */
+    INTERMEDIATE_INPUTS = 1 << 11, /* FMI 3: at its begin, while inputs are asked for */
     EITHER = INTERFACE_ME | INTERFACE_CS
 };
 
@@ -95,7 +96,7 @@ typedef struct {
     double stop_time;              /* infinite where none was given */
     double tolerance;              /* relative, of co-simulation */
     uint32_t interface;            /* INTERFACE_ME or INTERFACE_CS */
-    uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_UPDATE */
+    uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_INPUTS */
     uint32_t stale;                /* of START_VALUES ... JACOBIAN */
     uint32_t experiment_set;       /* start time and tolerance are settled */
     uint32_t motion_spent;         /* the inputs' derivatives belong to a step that is over */
@@ -113,7 +114,8 @@ typedef struct {
     void (*logger)(void); /* the importer's, of a type that `log` knows; may be NULL */
     void *environment;
     bool (*step_finished)(Instance *self, double *end); /* may bring the end forward; or NULL */
-    void (*update)(void); /* the importer's, of a type that `step_finished` knows */
+    bool (*ask_inputs)(Instance *self, double time);    /* for those of a time ahead; or NULL */
+    void (*update)(void); /* the importer's, of a type that these two know */
     bool may_return_early;
 } Host;
 

@@ -7,6 +7,7 @@
 #include "access.h"
 #include "evaluation.h"
 #include "events.h"
+#include "input_motion.h"
 #include "integration.h"
 #include "logging.h"
 #include "sensitivity.h"
@@ -34,7 +35,9 @@ Status do_step(Instance *self, double from, double length) {
 
     drop_spent_motion(self);
     const State before = self->state;
-    const bool done = integrate_to(self, end);
+    const bool asks = self->host.ask_inputs != NULL;
+    const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
+    if (asks) memset(self->state.motion, 0, sizeof self->state.motion); /* what comes is unknown */
     if (self->state.mode != STEP_MODE) return ERROR; /* by the importer's callback, or an event */
     self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;

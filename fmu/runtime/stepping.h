@@ -1,4 +1,4 @@
-/* Co-simulation: communication steps with inputs that move linearly within them. A step that is
+/* Co-simulation: communication steps with inputs that move within them. A step that is
    fine may have been ended early by `Host.step_finished`; time tells. */
 #ifndef STEPPING_H
 #define STEPPING_H

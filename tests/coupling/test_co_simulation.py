@@ -102,6 +102,27 @@ def test_statistics_say_what_was_done():
     assert stats["part_steps"]["a"] >= 20
 
 
+@pytest.mark.parametrize("name", ["quarter_car", "loop"])
+def test_files_of_fmi_3_take_the_same_cubics_as_those_of_fmi_2(name, tmp_path):
+    """They ask for their inputs within a step, at four times."""
+    second = read_system(f"{FOLDER}/{name}.toml")
+    files = {
+        part: str(cosim.export_fmu(found.subject, tmp_path / f"{part}.fmu", fmi=3))
+        for part, found in second.parts.items()
+    }
+    wires = {".".join(wire.input): ".".join(wire.output) for wire in second.connections}
+    values = {".".join(name): value for name, value in second.start_values.items()}
+    third = cosim.couple(files, wires, start_values=values)
+    runs = [
+        system.simulate(stop_time=1, output_interval=0.01, accuracy=1e-6)
+        for system in (second, third)
+    ]
+    assert runs[0].stats["order"] == runs[1].stats["order"]
+    assert set(runs[1].stats["order"].values()) == {"cubic inputs"}
+    assert runs[1].stats["part_steps"] == runs[0].stats["part_steps"]
+    assert error_of(runs[1], runs[0]) < 1e-9
+
+
 def test_output_times_within_macro_steps_are_recorded_in_order_4():
     system = read_system(f"{FOLDER}/dual_mass.toml")
     exact = reference(system, stop_time=1)

@@ -40,7 +40,6 @@ def test_smooth_systems_are_as_accurate_as_asked(seed):
 def test_parts_with_kinks_jumps_and_friction_agree_with_the_one_model(seed):
     drawn = RandomSystem(seed, relations=True)
     system = cosim.couple(drawn.parts, drawn.connections)
-
     try:
         whole = cosim.simulate(
             system.dae, stop_time=SPAN, output_interval=0.02, solver="dop853",

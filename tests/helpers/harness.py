@@ -316,6 +316,7 @@ class Fmu3(Fmu):
         logging: bool = True,
         early: bool = True,
         update: Callable[..., None] | None = None,
+        wanted: Sequence[str] = (),
     ) -> None:
         super().__init__(lib, names)
         signature = CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_char_p)
@@ -324,7 +325,9 @@ class Fmu3(Fmu):
         create = getattr(lib, f"fmi3Instantiate{kind}")
         create.restype = c_void_p
         texts = [text if text is None else text.encode() for text in (name, token)]
-        extra = {0: [], 1: [events, early, None, c_size_t(0)], 2: []}[interface]
+        list_of_wanted = self.refs(*wanted) if wanted else None
+        required = [list_of_wanted, c_size_t(len(wanted))]
+        extra = {0: [], 1: [events, early, *required], 2: []}[interface]
         self._update = UPDATE(update) if update else None
         callbacks = {0: [], 1: [self._update], 2: [None, None, None]}[interface]
         self.component = create(

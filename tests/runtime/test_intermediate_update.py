@@ -112,3 +112,91 @@ def test_derivatives_of_outputs_are_told_between(fmi3):
     stepped(fmi3, Watch(call=ask))
     assert rates_seen
     assert all(rate == v for rate, v in rates_seen)  # q' = v
+
+
+class Source:
+    """A callback that gives an input its values where they are asked for."""
+
+    def __init__(self, law, call=None):
+        self.law, self.call, self.asked, self.fmu = law, call, [], None
+
+    def __call__(self, _, time, asks, readable, finished, may_return, *__):
+        assert (readable, finished) == (not asks, not asks)
+        if asks:
+            assert not may_return
+            self.asked.append(time)
+            assert self.fmu.set(force=self.law(time)) == OK
+            if self.call:
+                self.call(self.fmu)
+
+
+def driven(fmi3, law, **options):
+    source = Source(law, **options)
+    fmu = source.fmu = fmi3(1, update=source, wanted=["force"])
+    return fmu.initialize({"tolerance": 1e-11}), source
+
+
+def test_inputs_are_asked_for_and_move_on_the_cubic_through_their_values(fmi3):
+    law = np.polynomial.Polynomial([2.0, -1.0, 3.0, -4.0])
+    fmu, source = driven(fmi3, law)
+    for k in range(2):
+        assert fmu.step(1.0 * k, 1.0)[::2] == (OK, k + 1.0)
+        times = k + np.array([0, 1, 2, 3]) / 3
+        np.testing.assert_allclose(source.asked[4 * k :], times, rtol=1e-15, atol=1e-15)
+
+    def forced(t, x):
+        q, v, w, _ = x
+        return [v, (0.1 * w - 0.5 * v - 8 * q + law(t)) / 1.8, -w * np.sqrt(q + 10), 0.0]
+
+    run = solve_ivp(forced, (0, 2), [1, 0, 1, 1], "DOP853", rtol=1e-12, atol=1e-13)
+    error = np.abs(np.array(fmu.get("q", "v", "w")) - run.y[:3, -1]).max()
+    assert error < 1e-8  # measured 1.3e-10
+    assert fmu.get("force") == [pytest.approx(law(2.0), rel=1e-13)]
+
+
+def test_inputs_that_rest_change_no_bit(fmi3):
+    fmu, source = driven(fmi3, lambda _: 1.5)
+    plain = fmi3(1).initialize({"tolerance": 1e-11})
+    plain.set(force=1.5)
+    assert fmu.step(0.0, STRETCH) == plain.step(0.0, STRETCH)
+    assert len(source.asked) == 4
+    assert fmu.get(*fmu.reference) == plain.get(*plain.reference)
+
+
+def test_only_inputs_that_the_importer_wants_are_asked_for(fmi3):
+    told = []
+    for wanted in ((), ["q", "energy"]):
+        fmu = fmi3(1, update=lambda *flags: told.append(flags[2]), wanted=wanted)
+        fmu.initialize()
+        assert fmu.step(0.0, STRETCH)[0] == OK
+    assert told
+    assert not any(told)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda fmu: fmu.set(damping=1.0), "damping, a parameter, cannot be set now"),
+        (
+            lambda fmu: fmu.step(0.0, 0.1),
+            "not allowed in an intermediate update that asks for inputs",
+        ),
+    ],
+)
+def test_a_callback_that_is_asked_for_inputs_may_do_nothing_else(fmi3, call, said):
+    fmu, source = driven(fmi3, lambda _: 0.0, call=call)
+    status, _, reached = fmu.step(0.0, 1.0)
+    assert (status, reached) == (ERROR, 0.0)
+    assert said in fmu.said
+    assert len(source.asked) == 1
+    assert fmu.step(0.0, 0.1)[0] == ERROR  # terminated
+
+
+def test_an_input_that_is_not_finite_is_refused_and_keeps_its_value(fmi3):
+    fmu, source = driven(fmi3, lambda _: 0.0)
+    assert fmu.set(force=2.0) == OK
+    source.law = lambda _: 2.0
+    source.call = lambda fmu: fmu.set(force=NAN)
+    assert fmu.step(0.0, 1.0)[0] == OK
+    assert "not finite" in fmu.said
+    assert fmu.get("force") == [2.0]

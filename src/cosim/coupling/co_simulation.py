@@ -19,9 +19,7 @@ from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.coupling.parts import Connection
 from cosim.errors import FmuError, Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recorded, Recording
-from cosim.fmi.run.instance import (
-    by_name,
-)
+from cosim.fmi.run.instance import by_name
 from cosim.fmi.run.request import column_of, output_names
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
@@ -122,11 +120,12 @@ class CoSimulation:
         wires = sorted(wires, key=lambda wire: (list(files).index(wire.input[0]), wire.input[1]))
         self.parts = dict[str, OpenedPart]()
         sources = list[tuple[str, str]]()
+        callback = ctypes.cast(_library().give_inputs, _POINTER).value or 0
         for part, path in files.items():
             inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
             outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})
             sources += [(part, output) for output in outputs]
-            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs)
+            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback)
             self._open.callback(opened.close)
         self._inputs = [wire.input for wire in wires]
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)

@@ -23,9 +23,17 @@ class InputOrder(IntEnum):
 
 
 class OpenedPart:
-    """An instance of a part, with what it can do and its connected variables."""
+    """An instance of a part, with what it can do and its connected variables.
 
-    def __init__(self, name: str, path: Path, inputs: Sequence[str], outputs: Sequence[str]):
+    Args:
+        name, path: Of the part and its file.
+        inputs, outputs: Names of those that are connected.
+        callback: Address of a C function that gives an FMU of version 3 its inputs within a step.
+    """
+
+    def __init__(
+        self, name: str, path: Path, inputs: Sequence[str], outputs: Sequence[str], callback: int
+    ) -> None:
         self.name, self.path = name, path
         self._fmu = fmu = OpenedFmu(path, Interface.CO_SIMULATION)
         fmu.reset_is_enough = is_made_here(path)
@@ -48,6 +56,12 @@ class OpenedPart:
         self.order = InputOrder.CONSTANT
         if is_second(fmu.description) and abilities.canInterpolateInputs:
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
+        smooth = int(getattr(abilities, "recommendedIntermediateInputSmoothness", 0))
+        if fmu.reset_is_enough and smooth >= InputOrder.CUBIC:  # it asks for them within a step
+            self.order = InputOrder.CUBIC
+            references = [variable.valueReference for variable in self.inputs]
+            fmu.callback["requiredIntermediateVariables"] = references
+            fmu.callback["intermediateUpdate"] = callback
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""

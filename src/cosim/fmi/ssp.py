@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import UNITS, known
+from casadi_models.units import UNITS
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import unpacked
@@ -143,12 +143,6 @@ def _described(path: str | os.PathLike[str]) -> Any:
             return read_model_description(str(folder), validate=False)
         except Exception as error:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
-
-
-def _known_unit(variable: Any) -> str | None:
-    """Return the unit of a variable; None if the table of units does not contain it."""
-    unit = unit_of(variable)
-    return unit if unit is not None and known(unit) else None
 
 
 def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:

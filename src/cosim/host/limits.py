@@ -24,15 +24,12 @@ class Limits:
         cpu: Processor time, s.
         file: Size of a file that the run writes, bytes.
         files: Open files.
-        processes: Processes and threads besides those that the user runs already; root has no
-            such limit.
     """
 
     memory: int = 16 * 2**30
     cpu: int = 4 * 3600
     file: int = 2**30
     files: int = 256
-    processes: int = 256
 
     @classmethod
     def chosen(cls) -> "Limits":
@@ -70,23 +67,12 @@ class Limits:
         }
         if sys.platform == "linux":
             limits[resource.RLIMIT_AS] = self.memory
-            limits[resource.RLIMIT_NPROC] = self.processes and _threads_of_user() + self.processes
         chosen = {kind: most for kind, most in limits.items() if most}
         for kind, most in {resource.RLIMIT_CORE: 0, **chosen}.items():
             _, hard = resource.getrlimit(kind)
             most = most if hard == resource.RLIM_INFINITY else min(most, hard)
             with suppress(OSError, ValueError):
                 resource.setrlimit(kind, (most, most))
-
-
-def _threads_of_user() -> int:
-    """Count the threads of all processes of this user, which is what Linux limits."""
-    count = 0
-    for process in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if process.stat().st_uid == os.geteuid():
-                count += len(list((process / "task").iterdir()))
-    return count
 
 
 # A shell limits the memory. A second process waits for the end of a pipe that only the caller

@@ -146,7 +146,8 @@ def _family_panel(axis: Axes, family: str, findings: Sequence[CaseFinding]) -> N
         if letter := LETTERS[outcome]:
             axis.text(x, y, letter, ha="center", va="center", fontsize=6, color="white")
     axis.set_title(f"{family} ({len(findings)})", fontsize=9, loc="left")
-    axis.set_xticks(range(len(points)), points, rotation=35, ha="right", fontsize=6)
+    turned = {"rotation": 90} if len(points) > 20 else {"rotation": 35, "ha": "right"}
+    axis.set_xticks(range(len(points)), points, fontsize=6, **turned)
     axis.set_yticks(range(len(runners)), runners, fontsize=6)
     axis.set_xlim(-0.8, max(len(points), 8) - 0.2)
     axis.set_ylim(len(runners) - 0.4, -0.6)

@@ -101,6 +101,8 @@ def _element(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Elem
     if variable.role is Role.VALIDITY:
         kind, facts = "Boolean", {}
         general["valueReference"] = "0" if dialect.types_apart else str(reference)
+    if dialect.version == "3.0" and causality(variable) in ("input", "output"):
+        general["intermediateUpdate"] = "true"
     element = dialect.typed("ScalarVariable", kind, general, facts)
     if variable.alias:
         element.append(_alias(variable.alias, variable.meaning, dialect))

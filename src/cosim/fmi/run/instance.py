@@ -188,9 +188,13 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
 
 @contextmanager
 def instantiated(
-    folder: Path, description: Any, kind: str, name: object
+    folder: Path, description: Any, kind: str, name: object, **callback: Any
 ) -> Iterator[tuple[Any, Callable[[Exception], FmuError]]]:
     """Yield fmpy's instance of an unpacked FMU, and a function that adds the FMU's log to an error.
+
+    Args:
+        callback: For co-simulation of FMI 3, `intermediateUpdate`, the address of a C function, and
+            `requiredIntermediateVariables`, value references.
 
     Raises:
         FmuError: The library cannot be loaded, or rejects the instantiation.
@@ -213,7 +217,7 @@ def instantiated(
 
     with chdir("."):  # fmpy stays in the library's folder if it cannot load the library
         try:
-            instance = _instance(folder, description, Interface(kind), collect)
+            instance = _instance(folder, description, Interface(kind), collect, **callback)
         except Exception as error:
             raise explained(error) from error
     try:
@@ -222,7 +226,9 @@ def instantiated(
         instance.freeInstance()
 
 
-def _instance(folder: Path, description: Any, kind: Interface, log: Callable[..., None]) -> Any:
+def _instance(
+    folder: Path, description: Any, kind: Interface, log: Callable[..., None], **callback: Any
+) -> Any:
     """Return what `fmpy.instantiate_fmu` does, of a class that checks every status."""
     from fmpy import calloc, fmi2, free
     from fmpy.logging import addLoggerProxy
@@ -236,7 +242,7 @@ def _instance(folder: Path, description: Any, kind: Interface, log: Callable[...
         instanceName=None,
     )
     if not is_second(description):
-        instance.instantiate(loggingOn=True, logMessage=log)
+        instance.instantiate(loggingOn=True, logMessage=log, **callback)
         return instance
     callbacks = fmi2.fmi2CallbackFunctions()
     callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)

@@ -43,6 +43,7 @@ class OpenedFmu:
             self._open.close()
             raise
         self.reset_is_enough = True  # before another run; otherwise a new instance is made
+        self.callback: dict[str, Any] = {}  # of FMI 3; see `instantiated`
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
         self._master: CompiledMaster | None = None
@@ -97,8 +98,8 @@ class OpenedFmu:
         if not self.reset_is_enough:
             self._drop()
         if self._instance is None:
-            made = instantiated(self._folder, self.description, self.interface, self.path)
-            self._instance = self._live.enter_context(made)
+            facts = (self._folder, self.description, self.interface, self.path)
+            self._instance = self._live.enter_context(instantiated(*facts, **self.callback))
         else:
             instance, explained = self._instance
             try:
