@@ -298,7 +298,7 @@ class Trajectory:
             raise UsageError.of_type("read_csv: columns", columns, "headers by name of a variable")
         place = Path(path)
         known = {} if like is None else {column.name: column for column in like.columns}
-        times, own, values = read_samples(place, columns, time, units or {}, known)
+        times, own, values, _ = read_samples(place, columns, time, units or {}, known)
         stats = {"file": place.name, "gaps": int(np.isnan(values).sum())}
         return cls(model or place.stem, times, own, values, stats)
 

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from cosim.errors import FmuError
 from cosim.fmi.run.c_structures import functions_of
-from cosim.fmi.run.instance import Interface, begin_initialization, by_name, is_second
+from cosim.fmi.run.instance import (
+    Interface,
+    asks_for_inputs,
+    begin_initialization,
+    by_name,
+    is_second,
+)
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.trust import is_made_here
 
@@ -56,8 +62,7 @@ class OpenedPart:
         self.order = InputOrder.CONSTANT
         if is_second(fmu.description) and abilities.canInterpolateInputs:
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
-        smooth = int(getattr(abilities, "recommendedIntermediateInputSmoothness", 0))
-        if fmu.reset_is_enough and smooth >= InputOrder.CUBIC:  # it asks for them within a step
+        if fmu.reset_is_enough and asks_for_inputs(fmu.description):
             self.order = InputOrder.CUBIC
             references = [variable.valueReference for variable in self.inputs]
             fmu.callback["requiredIntermediateVariables"] = references

@@ -1,12 +1,10 @@
 """Input time series: linear between samples, held constant outside, with jumps; from CSV files."""
 
-import csv
-import io
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite
+from math import inf
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +13,8 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.files import read_text
+from cosim.series.csv_file import read_samples
+from cosim.series.samples import Column
 
 _SAME_TIME = 1e-12  # of a time
 _SHORT = 0.1  # of the middle length of the intervals between samples
@@ -195,16 +194,15 @@ class FollowedInputs(InputSeries):
 def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSeries:
     r"""Read a time series of some of a model's inputs from a CSV file.
 
-    The first line names the columns: `time`, then inputs. Numbers are in SI units, with a decimal
-    point, and columns are separated by commas. A byte order mark and CRLF are tolerated. Two lines
-    with the same time are a jump.
+    The first line names the columns: `time`, and inputs, with their units in brackets or in a
+    second line, or in SI units; see `Trajectory.read_csv`. Two lines with the same time are a jump.
 
     Args:
-        dae: The model whose inputs the columns are; for those of an FMU, None.
+        dae: The model whose inputs the columns are; for those of an FMU, whose units count, None.
 
     Raises:
-        UsageError: The file cannot be read, or has no header or too few samples.
-        UnknownName: A column is no input of the model.
+        UsageError: The file cannot be read, has no header, too few samples or an unknown unit.
+        UnknownName: There is no column `time`, or a column is no input of the model.
         ParameterError: A cell is missing, no finite number, out of bounds, or a time falls
             or stands three times; line and column are named.
 
@@ -214,23 +212,36 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
         >>> read_inputs("torque.csv").names
         ('steer_torque',)
     """
-    rows = _table_rows(Path(path))
-    names = _header(f"{path}, line 1", rows[0] if rows else [], dae)
-    if len(rows) < 3:
+    known = {v.name: Column(v.name, v.unit) for v in dae.inputs} if dae else {}
+    times, columns, values, lines = read_samples(Path(path), None, "time", {}, known)
+    names = tuple(column.name for column in columns)
+    for column in columns:
+        if dae and column.name not in known:
+            raise UnknownName.among(f"{path}: {dae.full_name}", "input", column.name, known)
+        if names.count(column.name) > 1:
+            raise UsageError(f"{path}: '{column.name}' occurs twice; give each input once")
+        if not dae and column.unit != "1":
+            raise UsageError(f"{path}: {column.name} has the unit of the FMU; leave the unit out")
+    if len(times) < 2:
         raise UsageError(
-            f"{path}: {max(len(rows) - 1, 0)} sample(s); give two or more, "
-            "or write a constant input as a number"
+            f"{path}: one sample; give two or more, or write a constant input as a number"
         )
-    table = [
-        _row_numbers(f"{path}, line {i}", row, names, dae) for i, row in enumerate(rows[1:], 2)
-    ]
-    samples = np.array(table)
-    if (found := _disorder(samples[:, 0])) is not None:
+    for name, samples in zip(("time", *names), (times, *values.T), strict=True):
+        variable = dae.variable(name) if dae and name in known else None
+        low, high = (variable.minimum, variable.maximum) if variable else (-inf, inf)
+        wrong = ~(np.isfinite(samples) & (samples >= low) & (samples <= high))
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise ParameterError(
+                f"{path}, line {lines[i]}, column '{name}': {samples[i]:g} is missing, not finite "
+                f"or out of the range {low:g} ... {high:g}; give a number in every cell"
+            )
+    if (found := _disorder(times)) is not None:
         raise ParameterError(
-            f"{path}, line {found[0] + 2}, column 'time': {found[1]}; sort the lines by time and "
-            "give each time once, or twice for a jump"
+            f"{path}, line {lines[found[0]]}, column 'time': {found[1]}; sort the lines by time "
+            "and give each time once, or twice for a jump"
         )
-    return InputSeries(tuple(names[1:]), samples[:, 0], samples[:, 1:])
+    return InputSeries(names, times, values)
 
 
 def _disorder(times: Vector) -> tuple[int, str] | None:
@@ -243,70 +254,3 @@ def _disorder(times: Vector) -> tuple[int, str] | None:
     i = int(np.argmax(falls | thrice))
     after = f"comes after {times[i - 1]:g} s" if falls[i] else "stands there for the third time"
     return i, f"{times[i]:g} s {after}"
-
-
-def _table_rows(path: Path) -> list[list[str]]:
-    text = read_text(path, "the input series ")
-    try:
-        rows = list(csv.reader(io.StringIO(text), strict=True))
-    except csv.Error as error:
-        raise UsageError(f"{path} is not a CSV file: {error}") from error
-    while rows and not any(cell.strip() for cell in rows[-1]):
-        rows.pop()  # blank lines at the end
-    return rows
-
-
-def _header(where: str, cells: Sequence[str], dae: Dae | None) -> list[str]:
-    names = [cell.strip() for cell in cells]
-    if not names or names[0] != "time":
-        found = f"'{names[0]}'" if names and names[0] else "nothing"
-        for mark, word in ((";", "semicolons"), ("\t", "tabs")):
-            if names and mark in cells[0]:
-                found = f"columns separated by {word}"
-        raise UsageError(f"{where}: the header begins with {found}; write 'time,INPUT,...'")
-    known = [variable.name for variable in dae.inputs] if dae else []
-    for i, name in enumerate(names[1:], start=2):
-        if dae and name not in known:
-            raise UnknownName.among(f"{where}, column {i}: {dae.full_name}", "input", name, known)
-        if name in names[: i - 1]:
-            raise UsageError(f"{where}, column {i}: '{name}' occurs twice; give each input once")
-    if len(names) == 1:
-        raise UsageError(f"{where}: there is no column beside 'time'; give an input's samples")
-    return names
-
-
-def _row_numbers(
-    where: str, cells: Sequence[str], names: Sequence[str], dae: Dae | None
-) -> list[float]:
-    if len(cells) != len(names):
-        raise ParameterError(
-            f"{where}: {len(cells)} cells under {len(names)} column names; separate the columns "
-            "by commas, write numbers with a decimal point, and leave no cell out"
-        )
-    numbers = [
-        _cell_number(f"{where}, column '{name}'", cell)
-        for name, cell in zip(names, cells, strict=True)
-    ]
-    for name, value in zip(names[1:], numbers[1:], strict=True) if dae else ():
-        assert dae is not None
-        variable = dae.variable(name)
-        if not variable.minimum <= value <= variable.maximum:
-            raise ParameterError(
-                f"{where}, column '{name}': {value:g} {variable.unit} is out of its range "
-                f"{variable.minimum:g} ... {variable.maximum:g} {variable.unit}"
-            )
-    return numbers
-
-
-def _cell_number(where: str, cell: str) -> float:
-    text = cell.strip()
-    if not text:
-        raise ParameterError(f"{where}: the cell is empty; give a number in every cell")
-    try:
-        value = float(text if "_" not in text else "none")  # Python's 1_000 is no CSV number
-    except ValueError:
-        hint = "with a decimal point" if "," in text else "in SI units, without its unit"
-        raise ParameterError(f"{where}: '{text}' is not a number; write one {hint}") from None
-    if not isfinite(value):
-        raise ParameterError(f"{where}: {text} is not finite; give a finite number")
-    return value

@@ -76,7 +76,7 @@ def read_samples(
     time: str | None,
     units: Mapping[str, str],
     known: Mapping[str, Column],
-) -> tuple[Vector, tuple[Column, ...], Vector]:
+) -> tuple[Vector, tuple[Column, ...], Vector, list[int]]:
     """Read a CSV file with a header; see `Trajectory.read_csv` for its form and the errors.
 
     Args:
@@ -87,9 +87,10 @@ def read_samples(
         known: Variables by name whose units and meanings apply to columns of that name.
 
     Returns:
-        Times, s, (n,); variables; their values, SI, (n, variables), NaN in gaps.
+        Times, s, (n,); variables; their values, SI, (n, variables), NaN in gaps; the numbers of
+        the lines.
     """
-    rows = _rows(path)
+    rows = rows_of(path)
     cells = [cell.strip() for cell in rows[0][1]]
     header = [_NAMED.fullmatch(cell) for cell in cells]
     if len(header) < 2 or any(_is_number(cell) for cell in cells):
@@ -110,7 +111,7 @@ def read_samples(
     if headers is not None:
         chosen = [(name, _place(path, cells, names, text)) for name, text in headers.items()]
     places = [at, *(i for _, i in chosen)]
-    table = np.array([_numbers(path, line, row, names, places) for line, row in body])
+    table = np.array([numbers_of(path, line, row, names, places) for line, row in body])
     _, factor = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
     times = table[:, 0] * factor
     for wrong, problem in (
@@ -120,7 +121,8 @@ def read_samples(
         if wrong.any():
             raise ParameterError(f"{path}, line {body[int(np.argmax(wrong))][0]}: {problem}")
     pairs = [_column(path, n, units.get(n, written[i]), known.get(n)) for n, i in chosen]
-    return times, tuple(c for c, _ in pairs), table[:, 1:] * [factor for _, factor in pairs]
+    values = table[:, 1:] * [factor for _, factor in pairs]
+    return times, tuple(column for column, _ in pairs), values, [line for line, _ in body]
 
 
 def _place(path: Path, cells: Sequence[str], names: Sequence[str], text: str) -> int:
@@ -159,7 +161,8 @@ def si_name(name: str, unit: Unit) -> str:
     return next(fitting, None) or ".".join(f"{b}{n if n != 1 else ''}" for b, n in unit.base)
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
+def rows_of(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the cells of a CSV file with the numbers of their lines, without comments."""
     from cosim.files import read_text  # only if a file is used
 
     lines = [*enumerate(read_text(path).splitlines(), 1)]
@@ -172,18 +175,22 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     return [(i, cells) for i, cells in rows if any(cell.strip() for cell in cells)]
 
 
-def _numbers(
+def numbers_of(
     path: Path, line: int, cells: Sequence[str], names: Sequence[str], places: Sequence[int]
 ) -> list[float]:
     """Return the numbers of a line at some places; NaN for an empty cell."""
     if len(cells) != len(names):
         raise ParameterError(
-            f"{path}, line {line}: {len(cells)} cells under {len(names)} names; give each its own"
+            f"{path}, line {line}: {len(cells)} cells under {len(names)} names; give each "
+            "its own, and write numbers with a decimal point"
         )
     chosen = [cells[i].strip() or "nan" for i in places]
     for name, cell in zip([names[i] for i in places], chosen, strict=True):
         if not _is_number(cell):
-            raise ParameterError(f"{path}, line {line}, column '{name}': '{cell}' is not a number")
+            hint = "; write one with a decimal point" if "," in cell else ""
+            raise ParameterError(
+                f"{path}, line {line}, column '{name}': '{cell}' is not a number{hint}"
+            )
     return [float(cell) for cell in chosen]
 
 

@@ -82,8 +82,8 @@ def test_malformed_tables_and_designs_are_rejected(tmp_path):
         as_samples({"a": [1, 2], "b": [1, 2, 3]})
     file = tmp_path / "bad.csv"
     for text, expected in (
-        ("a,b\n1\n", "row 2"),
-        ("a\nx\n", "could not convert"),
+        ("a,b\n1\n", "line 2: 1 cells"),
+        ("a\nx\n", "line 2, column .a.: .x. is not a number"),
         ("a,a\n1,2\n", "twice"),
     ):
         file.write_text(text)

@@ -43,6 +43,11 @@ def is_second(description: Any) -> bool:
     return str(description.fmiVersion).startswith("2")
 
 
+def asks_for_inputs(description: Any) -> bool:
+    """Tell whether an FMU asks for cubic inputs within its communication steps (FMI 3.0)."""
+    return getattr(description.coSimulation, "recommendedIntermediateInputSmoothness", 0) >= 3
+
+
 def initialize(
     instance: Any, description: Any, values: Mapping[str, float], **experiment: float | None
 ) -> None:

@@ -14,7 +14,13 @@ import numpy as np
 from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.c_master import CompiledMaster
-from cosim.fmi.run.instance import choose_interface, instantiated, read_description
+from cosim.fmi.run.instance import (
+    Interface,
+    asks_for_inputs,
+    choose_interface,
+    instantiated,
+    read_description,
+)
 from cosim.fmi.run.python_master import run_in_python
 from cosim.fmi.run.request import FmuRequest, MasterRun
 from cosim.fmi.trust import is_made_here
@@ -55,6 +61,14 @@ class OpenedFmu:
     def run(self, request: FmuRequest, master: Master = Master.FMPY) -> Trajectory:
         """Run it once more, from its initial state."""
         began = perf_counter()
+        instance: Any
+        driven = request.inputs is not None and self.interface is Interface.CO_SIMULATION
+        if driven and asks_for_inputs(self.description):
+            self._drop()
+            self.callback = {
+                "requiredIntermediateVariables": request.input_references,
+                "intermediateUpdate": lambda _, time, asks, *__: asks and instance.answer(time),
+            }
         instance, explained = self.ready()
         ready = perf_counter()
         try:

@@ -7,6 +7,7 @@ more closely: in model exchange at every evaluation, in co-simulation piece by p
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
 from math import inf, isclose
 from threading import current_thread, main_thread
@@ -293,15 +294,22 @@ def _step_with_inputs(
 ) -> _Step:
     """Return a step whose inputs follow a series, in substeps that end at every sample.
 
-    An FMU that can interpolate gets the slope of each piece. Another one gets the value at the
-    piece's middle, which leaves an error of second order in the step; of first order if inputs
-    jump within the step of an FMU whose steps have one size.
+    An FMU that can interpolate gets the slope of each piece; one that asks within its step gets the
+    values. Another one gets the value at the piece's middle, which leaves an error of second order
+    in the step; of first order if inputs jump within the step of an FMU whose steps have one size.
     """
     abilities, references = request.description.coSimulation, request.input_references
     any_step, samples = abilities.canHandleVariableCommunicationStepSize, np.unique(series.time)
     set_real = _setter(instance)
     set_slopes = getattr(instance, "setRealInputDerivatives", None)
     slopes = set_slopes if abilities.canInterpolateInputs else None
+    failures: list[Exception] = []  # of answers: ctypes drops what a callback raises
+
+    def answer(piece: InputSeries, time: float) -> None:
+        try:
+            set_real(references, _values(piece, time))
+        except Exception as error:
+            failures.append(error)
 
     def driven(begin: float, end: float) -> tuple[float, bool]:
         inner = samples[(samples > begin) & (samples < end)] if any_step else samples[:0]
@@ -313,7 +321,10 @@ def _step_with_inputs(
             set_real(references, (first if slopes else middle).tolist())
             if slopes:
                 slopes(references, [1] * len(references), ((last - first) / (b - a)).tolist())
+            instance.answer = partial(answer, piece)
             reached, ends = step(a, b)
+            if failures:
+                raise failures[0]
             if reached < b or ends:
                 return reached, ends
         following = _after(series, end)

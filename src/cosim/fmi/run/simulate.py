@@ -38,7 +38,8 @@ def simulate_fmu(
         start_values: Start values, parameters and constant inputs by name, in the FMU's units.
         inputs: What `read_inputs` returns; or by name a number, a formula of time ("2*sin(3*t)"),
             a function of time, samples at the output times (n,), or an `InputSeries`; in the FMU's
-            units. Within a step of an FMU that integrates itself, inputs are constant or linear.
+            units. Within a step of an FMU that integrates itself, inputs are constant, linear
+            or cubic.
         outputs: Names to record; the FMU's outputs when None.
         master: What drives the FMU. "fmpy" is a loop in Python over fmpy's objects with CVODE,
             which takes more than fmpy's 500 steps between two outputs if it has to

@@ -1,8 +1,6 @@
 """The samples of a sweep: tables, grids and designs."""
 
-import csv
 import hashlib
-import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.files import read_text
 from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
+from cosim.series.csv_file import numbers_of, rows_of
 
 DESIGNS = {"sobol": "Sobol", "lhs": "LatinHypercube", "halton": "Halton", "random": ""}
 A_TABLE = "arrays by name, a CSV file, a pandas table, or what grid and design return"
@@ -116,22 +114,15 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
         UsageError: It cannot be read.
         ParameterError: Something is no number.
     """
-    text = io.StringIO(read_text(path, "the samples "), newline="")
-    names, *rows = [row for row in csv.reader(text) if row] or [[]]
-    names = [name.strip() for name in names]
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(names):
-            raise ParameterError(
-                f"{path}, row {number}: {len(row)} values for {len(names)} names; give as many"
-            )
+    (_, head), *rows = rows_of(Path(path))
+    names = [name.strip() for name in head]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise ParameterError(f"{path}: the column {twice} occurs twice; remove one")
-    try:
-        table = np.array(rows, dtype=float).reshape(len(rows), len(names))
-    except ValueError as error:
-        raise ParameterError(f"{path}: {error}; give numbers in SI units") from error
-    return Samples(dict(zip(names, table.T, strict=True)), f"{Path(path).name}")
+    places = range(len(names))
+    table = [numbers_of(Path(path), line, row, names, places) for line, row in rows]
+    columns = np.array(table).reshape(len(table), len(names)).T
+    return Samples(dict(zip(names, columns, strict=True)), f"{Path(path).name}")
 
 
 def grid(axes: Mapping[str, ArrayLike]) -> Samples:
