@@ -36,6 +36,7 @@ _FEWER_STEPS = (
 _ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # no message says why
 _CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
 _MESSAGES = 3  # of an FMU's log, in an error
+_FATAL = 4  # a status after which no function of the FMU may be called
 
 
 def is_second(description: Any) -> bool:
@@ -260,19 +261,29 @@ def _instance(
 
 @cache
 def _checked_class(second: bool, exchange: bool) -> type:
-    """Return fmpy's class of FMUs, with an error for a status below 0, which fmpy takes for OK."""
+    """Return fmpy's class of FMUs, which rejects unknown statuses and calls nothing after Fatal."""
     from fmpy import fmi2, fmi3
+    from fmpy.fmi1 import FMICallException
 
     name = f"FMU{2 if second else 3}{'Model' if exchange else 'Slave'}"
     base: Any = getattr(fmi2 if second else fmi3, name)
 
     def checked_call(self: Any, function: str, *arguments: Any) -> Any:
-        result = base._call(self, function, *arguments)
+        try:
+            result = base._call(self, function, *arguments)
+        except FMICallException as error:
+            self.is_fatal = error.status == _FATAL
+            raise
         if isinstance(result, int) and result < 0:
             raise FmuError(f"{function} returned {result}, which is no status of the FMI")
         return result
 
-    return type(name, (base,), {"_call": checked_call})  # fmpy reads the version from the name
+    def free(self: Any) -> None:
+        if not getattr(self, "is_fatal", False):
+            base.freeInstance(self)
+
+    # fmpy reads the version from the name
+    return type(name, (base,), {"_call": checked_call, "freeInstance": free})
 
 
 def getter_name(variable: Any, description: Any) -> str:
