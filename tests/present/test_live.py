@@ -25,7 +25,8 @@ def test_run_of_a_page_is_that_of_the_fmu(name, tmp_path):
     np.testing.assert_array_equal(found["time"], run.time)
     for column, values in zip(found["names"], found["values"], strict=True):
         size = max(np.abs(run[column]).max(), run.column(column).nominal)
-        np.testing.assert_allclose(values, run[column], rtol=0, atol=1e-11 * size, err_msg=column)
+        # the same bits, but for inverse functions at the start: 8e-14
+        np.testing.assert_allclose(values, run[column], rtol=0, atol=1e-12 * size, err_msg=column)
 
 
 def test_page_says_which_limit_the_run_leaves(tmp_path):

@@ -79,7 +79,8 @@ const char *const limits[] = {{
 
 
 # Others compile without our options, so the code itself hides symbols, except in system headers.
-_INCLUDES = """#include "visibility.h"
+_INCLUDES = """#include "sine.h"
+#include "visibility.h"
 INSIDE_BEGIN
 #define CASADI_SYMBOL_EXPORT
 #if defined __GNUC__
