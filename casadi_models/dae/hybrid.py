@@ -153,6 +153,18 @@ class Hybrid:
         results = [ca.densify(ca.vertcat(SX(0, 1), *rows)) for rows in (inside, rates)]
         return self._with_unknown_rates(name, f, w, [v, f], results)
 
+    def deciding(self, name: str) -> ca.Function:
+        """Return a function of t, x, z, u, p and du/dt, where z solves the algebraic equations.
+
+        Its results decide what happens at an event: arguments of the relations and their time
+        derivatives, the fastest rate of a state, `rules`, and the largest violated invariant.
+        """
+        dae, violated = self.dae, [invariant.residual for invariant in self.dae.invariants]
+        w, v = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
+        fastest, defect = (ca.norm_inf(ca.vertcat(0, *column)) for column in ([dae.ode], violated))
+        results = [self.arguments, self.rates(self.arguments, w, v), fastest, *self.rules, defect]
+        return self._with_unknown_rates(name, dae.ode, w, [v], results)
+
     def _with_unknown_rates(
         self, name: str, ode: SX, w: SX, others: Sequence[SX], results: Sequence[SX]
     ) -> ca.Function:

@@ -30,8 +30,8 @@ static inline Rest rest_of(double x) {
 static inline double sine_of(const Rest *rest) {
     const double x = rest->angle, z = x * x, w = z * z, cube = z * x;
     const double odd = 1.0 / 5040 + w * (1.0 / 39916800 + w * (1.0 / 1307674368000));
-    const double even = 1.0 / 120 + w * (1.0 / 362880 + w * (1.0 / 6227020800 +
-                                                             w * (1.0 / 355687428096000)));
+    const double even =
+        1.0 / 120 + w * (1.0 / 362880 + w * (1.0 / 6227020800 + w * (1.0 / 355687428096000)));
     const double most = z * (0.5 * rest->tail - cube * (even - z * odd)) - rest->tail;
     return x - (most + cube * (1.0 / 6));
 }
@@ -39,8 +39,8 @@ static inline double sine_of(const Rest *rest) {
 static inline double cosine_of(const Rest *rest) {
     const double x = rest->angle, z = x * x, w = z * z, half = 0.5 * z, one = 1 - half;
     const double odd = 1.0 / 720 + w * (1.0 / 3628800 + w * (1.0 / 87178291200));
-    const double even = 1.0 / 24 + w * (1.0 / 40320 + w * (1.0 / 479001600 +
-                                                           w * (1.0 / 20922789888000)));
+    const double even =
+        1.0 / 24 + w * (1.0 / 40320 + w * (1.0 / 479001600 + w * (1.0 / 20922789888000)));
     return one + (((1 - one) - half) + (z * (z * (even - z * odd)) - x * rest->tail));
 }
 

@@ -7,7 +7,7 @@
 #include "dop853.h"
 #include "interrupt.h"
 #include "projection.h"
-#include "watch.h"
+#include "switch.h"
 
 enum { MOST_STEPS = 100000 }; /* per output interval */
 
@@ -113,8 +113,23 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             ++course->passed;
         }
         if (crossed) {
+            double *column = out + next * NX, *unknowns = z ? z + next * NZ : NULL;
             course->reached = after;
-            return ends_run(self, &crossing, found, out + next * NX, z ? z + next * NZ : NULL);
+            if (pass_event(self, &crossing, found))
+                return ends_run(self, &crossing, found, column, unknowns);
+            t = after;
+            rejected = 0;
+            memcpy(x, found, sizeof x);
+            if (equations_at(self, t, x, k[0], NULL) || !is_finite(k[0]) ||
+                look_afresh(self, t, x, k[END], &here))
+                return NOT_FINITE;
+            h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
+            if (grid->times[next] > t) continue;
+            memcpy(column, x, sizeof x);
+            if (unknowns) memcpy(unknowns, self->z, NZ * sizeof *unknowns);
+            ++course->passed;
+            ++next;
+            continue;
         }
         memcpy(x, end, sizeof x);
         memcpy(k[0], k[END], sizeof k[0]);

@@ -15,11 +15,12 @@
 #define SETTINGS (6 + NX + RELATIONS)
 #include "crossings.h"
 #include "shapes.h"
+#include "switch.h"
 
 /* What the functions below run; generated code fills it. */
 typedef struct {
     Equations *rhs, *project, *watch;
-    WorkSize *rhs_work, *project_work, *watch_work; /* NULL with the function itself */
+    WorkSize *rhs_work, *project_work, *watch_work, *switch_work; /* NULL with the function */
     int (*integrate)(Problem *self, const Grid *grid, double *out, double *z, Course *course);
 } Solver;
 
@@ -49,14 +50,28 @@ SHARED int cosim_relation(void) {
     return relation;
 }
 
+static _Thread_local double *first_record;
+static _Thread_local long long room, recorded;
+
+/* Where the thread's runs record the events that they go through, and how many fit in there. */
+SHARED void cosim_record(double *rows, long long count) {
+    first_record = rows;
+    room = count;
+}
+
+/* How many events the thread's last run has recorded. */
+SHARED long long cosim_recorded(void) {
+    return recorded;
+}
+
 static inline void widen(long long *size, long long wanted) {
     if (wanted > *size) *size = wanted;
 }
 
 SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w) {
-    WorkSize *const others[] = {solver.project_work, solver.watch_work};
+    WorkSize *const others[] = {solver.project_work, solver.watch_work, solver.switch_work};
     int failed = solver.rhs_work(sz_arg, sz_res, sz_iw, sz_w);
-    for (int i = 0; i < 2; ++i) {
+    for (int i = 0; i < 3; ++i) {
         long long arg = 0, res = 0, iw = 0, w = 0;
         if (others[i]) failed |= others[i](&arg, &res, &iw, &w);
         widen(sz_arg, arg);
@@ -100,7 +115,8 @@ static inline int integrate_pieces(Problem *self, const Schedule *schedule, doub
         const Grid grid = {schedule->times + begin, end - begin + 1, largest};
         double *const own = z ? z + begin * NZ : NULL;
         if (own) memcpy(before, own, NZ * sizeof *before);
-        self->u = inputs_to(schedule, begin + 1);
+        if (schedule->columns > 1)
+            memcpy(self->u, inputs_to(schedule, begin + 1), NU * sizeof *self->u);
         const int code = solver.integrate(self, &grid, out + begin * NX, own, course);
         if (own && begin) memcpy(own, before, NZ * sizeof *before);
         if (code != SUCCESS) return code;
@@ -113,9 +129,9 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const double *x0 = arg[0] ? arg[0] : none, *c = arg[2];
     (void)mem;
     if (!c || !res[0]) return 1;
-    const double *settings = c + NC, *nominal = settings + 6, *zero = nominal + NX;
-    const double *times = zero + RELATIONS;
-    double offsets[RELATIONS + 1] = {0};
+    const double *settings = c + NC, *nominal = settings + 6, *begin = nominal + NX;
+    const double *times = begin + RELATIONS;
+    double offsets[RELATIONS + 1] = {0}, zero[RELATIONS + 1], z[NZ + 1], u[NU + 1];
     const long long points = (long long)settings[0];
     const int given = arg[3] != NULL;
     const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
@@ -124,7 +140,8 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .rhs = solver.rhs,
         .project = solver.project,
         .watch = solver.watch,
-        .z = arg[1] ? arg[1] : none,
+        .z = z,
+        .u = u,
         .c = c,
         .arg = arg + 4,
         .res = res + 2,
@@ -136,7 +153,12 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .zero = zero,
         .offsets = offsets,
         .relation = -1,
+        .records = first_record,
+        .last_record = schedule.columns > 1 ? first_record : first_record + room * RECORD,
     };
+    memcpy(z, arg[1] ? arg[1] : none, NZ * sizeof *z);
+    memcpy(u, schedule.u, NU * sizeof *u);
+    memcpy(zero, begin, RELATIONS * sizeof *zero);
     Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
     const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);
@@ -145,6 +167,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     memcpy(report, seen, sizeof report);
     passed = course.passed;
     relation = problem.relation;
+    recorded = (problem.records - first_record) / RECORD;
     return code != SUCCESS;
 }
 

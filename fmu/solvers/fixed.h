@@ -4,7 +4,7 @@
 
 #include "interrupt.h"
 #include "projection.h"
-#include "watch.h"
+#include "switch.h"
 
 enum { MOST_STAGES = 16 };
 
@@ -68,12 +68,14 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
     memcpy(x, out, sizeof x);
     if (z && equations_at(self, grid->times[0], x, k[0], z)) return NOT_FINITE;
     if (RELATIONS && look_afresh(self, grid->times[0], x, made.slope, &here)) return NOT_FINITE;
-    for (long long next = 1; next < grid->points; ++next) {
-        const double begin = grid->times[next - 1], length = grid->times[next] - begin;
+    double begin = grid->times[0];
+    for (long long next = 1; next < grid->points;) {
+        const double length = grid->times[next] - begin;
         const double parts = fmax(1, ceil(length / grid->largest * (1 - 1e-12)));
         const double h = length / parts;
+        int passed = 0;
         course->last = h;
-        for (double part = 0; part < parts; ++part) {
+        for (double part = 0; part < parts && !passed; ++part) {
             const double t = begin + part * h, end = part + 1 < parts ? t + h : grid->times[next];
             course->reached = t;
             if (halted) return HALTED;
@@ -93,15 +95,25 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             if (crossing.relation >= 0) {
                 if (end_at(&step, &crossing, found)) return NOT_FINITE;
                 course->reached = crossing.time;
-                return ends_run(self, &crossing, found, out + next * NX, z ? z + next * NZ : NULL);
+                if (pass_event(self, &crossing, found))
+                    return ends_run(self, &crossing, found, out + next * NX,
+                                    z ? z + next * NZ : NULL);
+                passed = 1;
+                begin = crossing.time;
+                memcpy(x, found, sizeof x);
+                if (look_afresh(self, begin, x, made.slope, &here)) return NOT_FINITE;
+                continue;
             }
             memcpy(made.slope, slope_ahead, sizeof slope_ahead);
             here = ahead;
         }
         if (!is_finite(x)) return NOT_FINITE;
+        if (passed && grid->times[next] > begin) continue;
+        begin = grid->times[next];
         memcpy(out + next * NX, x, sizeof x);
-        if (z && equations_at(self, grid->times[next], x, k[0], z + next * NZ)) return NOT_FINITE;
+        if (z && equations_at(self, begin, x, k[0], z + next * NZ)) return NOT_FINITE;
         ++course->passed;
+        ++next;
     }
     course->reached = grid->times[grid->points - 1];
     return SUCCESS;

@@ -18,21 +18,23 @@ typedef int Equations(const double **arg, double **res, long long *iw, double *w
 typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
 
 typedef struct {
-    Equations *rhs;          /* (t, x, z guess, u, c) -> (dx/dt, z) */
-    Equations *project;      /* see projection.h; NULL where nothing is corrected */
-    Equations *watch;        /* see watch.h; NULL without relations */
-    const double *z, *u, *c; /* what every call is given */
-    const double **arg;      /* CasADi's work space */
+    Equations *rhs;     /* (t, x, z guess, u, c) -> (dx/dt, z) */
+    Equations *project; /* see projection.h; NULL where nothing is corrected */
+    Equations *watch;   /* see watch.h; NULL without relations */
+    double *z, *u;      /* what every call is given: the guess, inputs with modes, ... */
+    const double *c;    /* ... and constants */
+    const double **arg; /* CasADi's work space */
     double **res;
     long long *iw;
     double *w;
     long long steps, calls;
     double relative, absolute; /* error that each step may have, the latter in nominal values */
     const double *nominal;     /* of the states */
-    const double *zero;        /* whether margins are 0 where the run begins, by definition */
+    double *zero;              /* whether margins are 0 by definition where the solver began */
     double *offsets;           /* what they are there by value */
     int looked_at;
-    int relation; /* which one ended the run */
+    int relation;                  /* which one ended the run */
+    double *records, *last_record; /* where the next event is written, and where room ends */
 } Problem;
 
 /* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */

@@ -5,14 +5,14 @@ import pytest
 
 from cosim.integrate import call as module
 from cosim.integrate.call import call, finite_rows
-from cosim.integrate.engine import Counts, Engine
+from cosim.integrate.engine import Counts, Engine, Filled
 
 
 def engine(points, reached):
     def direct(x0, z0, p, u, states, algebraics):
         states.fill(7.0)  # as memory may hold, from earlier runs
         states[:reached] = np.arange(reached)[:, None]
-        return reached == points, reached, None
+        return Filled(reached == points, reached)
 
     return Engine(None, points, False, lambda: Counts(cause="it was told to"), direct=direct)
 

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 import cosim
 from casadi_models.dae import Model
 from cosim.errors import SolverError, UsageError
+from cosim.integrate import location
 
 SOLVERS = ("dop853", "ode8", "rk4", "erk", "rosenbrock", "cvodes", "cvodes_adams", "idas")
 FIXED = ("ode8", "rk4")
@@ -70,6 +71,25 @@ def test_impacts_of_a_ball_happen_at_their_closed_form(solver):
     assert all(event.name == "impact" for event in run.events)
     first = run.events[0]
     assert first.after["v"] == pytest.approx(-0.7 * first.before["v"], rel=1e-14)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8"])
+def test_compiled_solvers_go_through_impacts_in_one_call(solver, monkeypatch):
+    model, _, v = ball()
+    count = model.discrete("count", "1", 0, "number of fast impacts")
+    model.when(v > 0.5, {count: count + 1}, name="fast")  # an impact causes it
+    calls, scaled_call = [], location.scaled_call
+    monkeypatch.setattr(location, "scaled_call", lambda *a: calls.append(a) or scaled_call(*a))
+    run = simulate(model.freeze(), solver)
+    times = [event.time for event in run.events if event.name == "impact"]
+    np.testing.assert_allclose(times, impact_times(len(times)), rtol=0, atol=1e-12)
+    speeds = G * impact_times(1) * 0.7 ** np.arange(1, len(times) + 1)
+    fast = int(np.sum(speeds > 0.5))
+    assert [e.time for e in run.events if e.name == "fast"] == times[:fast]
+    assert run.final["count"] == fast
+    steps = np.searchsorted(times[:fast], run.time, "right")
+    np.testing.assert_array_equal(run["count"], steps)
+    assert len(calls) == (2 if solver in FIXED else 1)  # fixed steps are checked by smaller ones
 
 
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 MASTER = SOLVERS.parent / "master"
 FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir(), *MASTER.iterdir()]
 SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
-SIZES["RELATIONS"] = 1
+SIZES |= dict.fromkeys(("RELATIONS", "MODES", "EVENTS", "ASSIGNED"), 1)
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
 

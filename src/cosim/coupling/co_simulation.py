@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_models.dae.coupled import Connection
 from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.opened_part import OpenedPart, explained
-from cosim.coupling.parts import Connection
 from cosim.errors import FmuError, Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recorded, Recording
 from cosim.fmi.run.instance import by_name

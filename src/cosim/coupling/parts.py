@@ -3,7 +3,6 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from casadi_models.dae import Dae
 from casadi_models.dae.variables import is_name
@@ -12,15 +11,6 @@ from cosim.fmi.archive import unpacked
 from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description, unit_of
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
-
-
-class Connection(NamedTuple):
-    """An output that drives an input, each as (part, variable): input = factor output + offset."""
-
-    input: tuple[str, str]
-    output: tuple[str, str]
-    factor: float
-    offset: float
 
 
 @dataclass(frozen=True)

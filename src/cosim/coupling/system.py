@@ -10,10 +10,10 @@ from typing import Any
 from weakref import finalize
 
 from casadi_models.dae import Dae
+from casadi_models.dae.coupled import Connection, joined
 from casadi_models.units import convert, known
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
-from cosim.coupling.monolith import joined
-from cosim.coupling.parts import Connection, Part, part_of
+from cosim.coupling.parts import Part, part_of
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.ssp import write_ssp
@@ -90,7 +90,10 @@ class System:
                     "simulate the system by co-simulation (--method, or System.simulate)"
                 )
             models[name] = self._configured(name, part.subject)
-        dae = joined(self.name, self.title, models, self.connections)
+        try:
+            dae = joined(self.name, self.title, models, self.connections)
+        except ValueError as error:
+            raise UsageError(f"{self.name}: {error}") from None
         experiment = replace(
             dae.experiment,
             stop_time=self.stop_time or dae.experiment.stop_time,

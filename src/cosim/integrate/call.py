@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.host.progress import doing, looked_at
 from cosim.host.signals import interruptible
-from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer
+from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +105,7 @@ class Reached:
         solve_time: Time of the solver, s.
         crossing: Time and relation at which it ended; the last columns are the values there.
         watched: Whether it would have ended at a relation that leaves its mode.
+        events: Those that it went through; see `Filled`.
     """
 
     states: Vector
@@ -114,6 +115,7 @@ class Reached:
     solve_time: float
     crossing: Crossing | None = None
     watched: bool = False
+    events: NDArray[np.void] | None = None
 
 
 def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
@@ -127,21 +129,22 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
         _marks(states).fill(np.nan)
     if engine.repeat_u:
         u = np.tile(u, n)
-    counts, reached, crossing = Counts(), None, None
+    counts, filled = Counts(), Filled(False)
     began = perf_counter()
     messages = io.StringIO()  # of SUNDIALS: the time and the step of a failure
     recording = redirect_stderr(messages) if by_casadi else nullcontext()
     with recording, interruptible(engine.library) as interrupts:
         try:
             with doing("solving", partial(_written_share, states)):
-                succeeded, reached, crossing = _evaluated(engine, x0, z0, p, u, states, algebraics)
+                filled = _evaluated(engine, x0, z0, p, u, states, algebraics)
         except RuntimeError as error:  # CasADi has no narrower type
             reason, counts = _flag(str(error)), engine.counts()
         else:
             counts = engine.counts()
             cause = counts.cause or "step size too small, or too many steps"
-            reason = "" if succeeded else cause
+            reason = "" if filled.succeeded else cause
     solve_time = perf_counter() - began
+    _, reached, crossing, events = filled
     if reached is None:
         reached = finite_rows(states)
     rows: slice | NDArray[np.intp] = slice(reached + (crossing is not None))
@@ -158,7 +161,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     elif len(states) < n and crossing is None:
         reason = "a state is not finite"
     transposed = states.T, algebraics.T
-    return Reached(*transposed, counts, reason, solve_time, crossing, engine.watches)
+    return Reached(*transposed, counts, reason, solve_time, crossing, engine.watches, events)
 
 
 def finite_rows(rows: Vector) -> int:
@@ -172,12 +175,8 @@ def finite_rows(rows: Vector) -> int:
 
 def _evaluated(
     engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
-) -> tuple[bool, int | None, Crossing | None]:
-    """Fill the results of an engine.
-
-    Returns:
-        See `DirectRun`; the number of output times is None if the engine does not report it.
-    """
+) -> Filled:
+    """Fill the results of an engine."""
     if engine.direct is not None:
         return engine.direct(x0, z0, p, u, states, algebraics)
     parameters = engine.functions.parameters
@@ -185,7 +184,7 @@ def _evaluated(
         extended = np.empty(parameters.numel_out(0))
         call_on_arrays(parameters, [p], [extended])
         p = extended
-    return call_on_buffer(engine.buffer, (x0, z0, p, u), (states, algebraics)), None, None
+    return Filled(call_on_buffer(engine.buffer, (x0, z0, p, u), (states, algebraics)))
 
 
 def _marks(rows: Vector) -> Vector:

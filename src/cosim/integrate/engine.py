@@ -77,12 +77,36 @@ class EngineFunctions(NamedTuple):
     parameters: ca.Function | None = None
 
 
-# (x0, z0, p, u, states, algebraics) -> whether it succeeded, number of output times reached, and
-# the time and relation at which it ended before, whose values follow those of the output times
-Crossing = tuple[float, int]
-DirectRun = Callable[
-    [Vector, Vector, Vector, Vector, Vector, Vector], tuple[bool, int, Crossing | None]
-]
+Crossing = tuple[float, int]  # a time, and the relation that leaves its mode there
+
+
+class Filled(NamedTuple):
+    """What a call that fills arrays of states and algebraic unknowns tells.
+
+    Attributes:
+        succeeded: Whether it came to the last output time, or to a crossing.
+        reached: Number of output times reached; None if the engine does not report it.
+        crossing: Where it ended; the values there follow those of the output times.
+        events: Those that it went through before, an array of `event_type`.
+    """
+
+    succeeded: bool
+    reached: int | None = None
+    crossing: Crossing | None = None
+    events: NDArray[np.void] | None = None
+
+
+def event_type(system: Hybrid) -> np.dtype[np.void]:
+    """Return how fmu/solvers/switch.h records an event: both sides, and the order of conditions."""
+    dae, m = system.dae, len(system.relations)
+    sides = ("x", dae.x.numel()), ("z", dae.z.numel()), ("modes", m), ("zero", m)
+    side = np.dtype([(name, float, (size,)) for name, size in sides])
+    order = ("order", float, (len(system.events),))
+    return np.dtype([("time", float), ("before", side), ("after", side), order])
+
+
+# (x0, z0, p, u, states, algebraics)
+DirectRun = Callable[[Vector, Vector, Vector, Vector, Vector, Vector], Filled]
 
 
 @dataclass(frozen=True)

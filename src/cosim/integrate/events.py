@@ -208,9 +208,11 @@ class _Course:
                 )
         if system.events:
             sampled = np.array([event.sampled for event in system.events], dtype=bool)
-            before = np.where(sampled, self._samples_before(conditions), conditions)
+            before = conditions
+            if sampled.any():
+                before = np.where(sampled, self._samples_before(conditions), conditions)
             begin = self.at
-            self._happen(before, "")
+            self._happen(before)
             self.instants.append((begin, self.at))
         self._write(self.at.t)
 
@@ -262,6 +264,8 @@ class _Course:
             end = float(grid[last])
         rows = grid[self.next :][grid[self.next :] < end]
         piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
+        self._pass(piece)
+        at = piece.begin
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
             self._accept(piece, found[0].t)
@@ -297,6 +301,15 @@ class _Course:
         self.reached.append(piece.reached)
         return piece
 
+    def _pass(self, piece: Piece) -> None:
+        """Record the events that the solver went through, and the rows before each of them."""
+        for before, after, which in piece.passed:
+            self._accept(piece, before.t, before.modes)
+            was, self.at = self.at.t, after
+            self._record([self.system.events[i].name for i in which], before.zero, before.x)
+            self.instants.append((before, after))
+            self._reject_zeno(was)
+
     def _switch(
         self, at: Instant, zero: frozenset[int], left: frozenset[int], before: Vector
     ) -> None:
@@ -317,7 +330,7 @@ class _Course:
             at = replace(at, modes=modes, sliding=at.sliding - {i})
         was = self.at.t
         self.at = settled(self.system, replace(at, zero=zero), self.values.p, left)
-        self._happen(before, self._names(zero | left), x, dt)
+        self._happen(before, zero | left, x, dt)
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
@@ -336,7 +349,13 @@ class _Course:
         dt = shift(float(change[i]), float(seen.rates[0, i]))
         return replace(at, x=moved(at.x, self.dae.derived, seen.ode[0], dt)), dt
 
-    def _happen(self, before: Vector, cause: str, x: Vector | None = None, dt: float = 0.0) -> None:
+    def _happen(
+        self,
+        before: Vector,
+        switched: Iterable[int] = (),
+        x: Vector | None = None,
+        dt: float = 0.0,
+    ) -> None:
         """Let events happen whose conditions have risen, until none is left."""
         happened = list[str]()
         start = self.at.x if x is None else x
@@ -360,9 +379,14 @@ class _Course:
                 f"{self.dae.full_name}: '{happened[-1]}' happens again and again at "
                 f"{self.at.t:.12g} s, more than {MOST_ROUNDS} times"
             )
+        self._record(happened, switched, start)
+
+    def _record(self, happened: Sequence[str], switched: Iterable[int], before: Vector) -> None:
+        """Record the events of an instant, or the relations of the equations that switch there."""
+        cause = self._names(switched)
         for name in happened or ([cause] if cause else []):
             place = len(self.instants)
-            self.events.append(EventRecord(self.at.t, name, start, self.at.x, place))
+            self.events.append(EventRecord(self.at.t, name, before, self.at.x, place))
 
     def _assigned(self, which: Sequence[int], dt: float) -> Instant:
         """Return the instant after the assignments of some events, all of them at once.
@@ -456,9 +480,11 @@ class _Course:
             u[known.index(name)], du[known.index(name)] = value, rate
         return replace(at, u=u, du=du)
 
-    def _accept(self, piece: Piece, end: float) -> None:
-        """Write the rows of a piece before a time."""
+    def _accept(self, piece: Piece, end: float, modes: Vector | None = None) -> None:
+        """Write the rows of a piece before a time, with other modes than its last ones if given."""
         grid = self.grid
+        if self.next == len(grid) or grid[self.next] >= end:
+            return
         last = min(end, np.nextafter(piece.times[-1], np.inf)) if len(piece.times) else -np.inf
         count = int(np.searchsorted(grid, last)) - self.next
         if count <= 0:
@@ -467,6 +493,8 @@ class _Course:
         first = int(np.searchsorted(piece.times, grid[self.next]))
         places = slice(first, first + count)
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
+        if modes is not None:
+            self.u[rows, self.u.shape[1] - len(modes) :] = modes
         self.algebraics[rows] = piece.z[places, : self.algebraics.shape[1]]
         self.next += count
 

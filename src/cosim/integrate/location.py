@@ -42,8 +42,23 @@ class Located(NamedTuple):
     left: frozenset[int]
 
 
+class Passed(NamedTuple):
+    """An event that the solver itself went through.
+
+    Attributes:
+        before, after: Its instant.
+        events: Positions of the model's events that happened there, in their order.
+    """
+
+    before: Instant
+    after: Instant
+    events: list[int]
+
+
 class Piece:
     """A motion with fixed modes, from an instant over some times.
+
+    `passed` are events of states within it; `begin` is then the instant after the last of them.
 
     Args:
         system: The frozen equations, nothing sliding.
@@ -80,10 +95,30 @@ class Piece:
         self.u, self.du = self._inputs(self.times)
         self.reason = self.reached.reason
         self._rates = dict[int, Vector]()
+        events = self.reached.events
+        self.passed = [] if events is None else self._passed(events)
+        if self.passed:
+            self.begin = begin = self.passed[-1].after
         self.offsets = np.zeros(len(system.relations))  # of arguments that are 0 by definition
         near = [i for i in begin.zero if not system.floors[i]]
         if near:
             self.offsets[near] = begin.watched(system, p).arguments[0, near]
+
+    def _passed(self, events: NDArray[np.void]) -> list[Passed]:
+        """Return events from their records; see `event_type`."""
+        sides = list[list[Instant]]()
+        for side in (events["before"], events["after"]):
+            names = ("x", "z", "modes", "zero")
+            rows = zip(events["time"].tolist(), *(side[name] for name in names), strict=True)
+            sides.append([
+                Instant(t, x, z, *self._inputs_at(t), m, zero=frozenset(np.flatnonzero(o).tolist()))
+                for t, x, z, m, o in rows
+            ])  # fmt: skip
+        orders = [sorted((n, i) for i, n in enumerate(o) if n) for o in events["order"].tolist()]
+        return [
+            Passed(before, after, [i for _, i in order])
+            for before, after, order in zip(*sides, orders, strict=True)
+        ]
 
     def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:
         u, _ = self._inputs(times[:1])
@@ -131,14 +166,22 @@ class Piece:
             x, z: The row.
             solved: Modes of the relations that slide; as at the begin if None.
         """
-        slid, modes, n = self.own.sliding, self.begin.modes.copy(), len(self.begin.u)
+        slid, modes = self.own.sliding, self.begin.modes.copy()
         if solved is not None:
             modes[list(slid)] = solved
-        u, du = self._inputs(np.array([t]))
+        u, du = self._inputs_at(t)
         return replace(
-            self.begin, t=float(t), x=x, z=z[: len(self.begin.z)], u=u[0, :n], du=du[0, :n],
-            modes=modes, zero=frozenset(slid),
+            self.begin, t=float(t), x=x, z=z[: len(self.begin.z)], u=u, du=du, modes=modes,
+            zero=frozenset(slid),
         )  # fmt: skip
+
+    def _inputs_at(self, t: float) -> tuple[Vector, Vector]:
+        """Return inputs without modes, and their slopes."""
+        if self.problem.inputs is None:
+            return self.begin.u, self.begin.du
+        (u,), (du,) = self._inputs(np.array([t]))
+        n = len(self.begin.u)
+        return u[:n], du[:n]
 
     @cached_property
     def seen(self) -> Watched:

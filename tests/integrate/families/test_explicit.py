@@ -204,6 +204,9 @@ static int rhs_work(long long *a, long long *r, long long *i, long long *w) {
 #define NU 1
 #define NC 1
 #define RELATIONS 0
+#define MODES 0
+#define EVENTS 0
+#define ASSIGNED 0
 """
 
 

@@ -22,6 +22,25 @@ from cosim.codegen.runge_kutta.tableau import Tableau
 _sizing = Lock()
 
 
+class WatchText(NamedTuple):
+    """How a solver looks at relations, and goes through events; see fmu/solvers.
+
+    Attributes:
+        watch: `watch(t, x, z, u, c, dx) -> (inside, rates)`.
+        decide: `decide(t, x, z, u, c)`, see switch.h; None if events are left to the caller.
+        sizes: Of the tables.
+        tables: C text of the tables of relations and events.
+    """
+
+    watch: ca.Function | None = None
+    decide: ca.Function | None = None
+    sizes: tuple[int, int, int] = (0, 0, 0)
+    tables: str = "static const Switches switches = {NULL, NULL, NULL, NULL, NULL, NULL};"
+
+
+NO_EVENTS = WatchText()
+
+
 class MethodText(NamedTuple):
     """C text of a method: header in fmu/solvers, "adaptive" or "fixed", and coefficients."""
 
@@ -34,7 +53,7 @@ def explicit_library(
     name: str,
     method: MethodText,
     project: ca.Function | None = None,
-    watch: ca.Function | None = None,
+    events: WatchText = NO_EVENTS,
 ) -> str:
     """Return the path of a compiled solver.
 
@@ -44,18 +63,18 @@ def explicit_library(
         method: Its C text: `dop853_method` or `fixed_step_method`.
         project: `project(t, x, u, c) -> (x, change)`, applied after each step; None for no
             projection.
-        watch: `watch(t, x, z, u, c, dx) -> (inside, rates)`, see fmu/solvers/watch.h; None if the
-            equations have no relations.
+        events: What it watches.
 
     Raises:
         MissingTool: There is no compiler, or it fails.
         UsageError: `rhs` calls a library function whose C code is not available.
     """
-    rhs, *others = map(dense, filter(None, (rhs, project, watch)))
+    rhs, *others = map(dense, filter(None, (rhs, project, events.watch, events.decide)))
     sizes = {macro: rhs.numel_in(i) for i, macro in enumerate(("NX", "NZ", "NU", "NC"), start=1)}
-    sizes["RELATIONS"] = 0 if watch is None else watch.numel_out(0)
+    sizes["RELATIONS"] = events.watch.numel_out(0) if events.watch else 0
+    sizes |= zip(("MODES", "EVENTS", "ASSIGNED"), events.sizes, strict=True)
     before = "".join(f"#define {macro} {size}\n" for macro, size in sizes.items())
-    after = _solver_text(method, project, watch)
+    after = _solver_text(method, project, events)
 
     def generate() -> str:
         generator = ca.CodeGenerator("equations", {"with_header": False})
@@ -122,15 +141,17 @@ def fixed_step_method(tableau: Tableau) -> MethodText:
 
 
 def _solver_text(
-    method: MethodText, project: ca.Function | None = None, watch: ca.Function | None = None
+    method: MethodText, project: ca.Function | None, events: WatchText = NO_EVENTS
 ) -> str:
-    """Return the code around the generated functions `rhs` and, if any, `project` and `watch`."""
-    own = ("rhs", "project" if project else "NULL", "watch" if watch else "NULL")
+    """Return the code around the generated functions."""
+    others = {"project": project, "watch": events.watch, "decide": events.decide}
+    own = ["rhs", *(name if function else "NULL" for name, function in others.items())]
     works = (name if name == "NULL" else f"{name}_work" for name in own)
-    calls = ", ".join((*own, *works, f"integrate_{method.steps}"))
+    calls = ", ".join((*own[:3], *works, f"integrate_{method.steps}"))
     parts = (
         solver_source(f"{method.steps}.h", "external.h"),
         method.coefficients,
         f"static const Solver solver = {{{calls}}};\n",
+        events.tables,
     )
     return "\n".join(parts)

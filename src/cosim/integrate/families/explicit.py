@@ -16,17 +16,28 @@ from cosim.codegen.casadi_patches import REPORT
 from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function, projection_step
 from cosim.codegen.runge_kutta.explicit_library import (
+    NO_EVENTS,
     MethodText,
+    WatchText,
     dop853_method,
     explicit_function,
     explicit_library,
     work_space,
 )
 from cosim.integrate.call import call_on_arrays
-from cosim.integrate.engine import Crossing, Engine, EngineFunctions, Problem, reported
+from cosim.integrate.engine import (
+    Engine,
+    EngineFunctions,
+    Filled,
+    Problem,
+    event_type,
+    reported,
+)
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver
+
+_ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +92,7 @@ def explicit_engine(
         extended = ca.vertcat(constants(p), ca.DM(known))
         return EngineFunctions(run, ca.Function("parameters", [p], [extended]))
 
-    counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known, watched)
+    counts, direct = reported(library, 0.0, 1.0), DirectCall(library, constants, known, system)
     every, watches = problem.piecewise, system is not None
     return Engine(make, len(grid), every, counts, library, selected, direct=direct, watches=watches)
 
@@ -108,19 +119,44 @@ def _compiled(
     ode, _ = function(t, x, solved, inputs_at(dae, inputs, t, u), c)
     projection = _projection(dae, inputs, c.numel()) if project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
-    watch = _watch(system, inputs, c.numel()) if system else None
-    return explicit_library(rhs, name, method, projection, watch), constants
+    events = _events(system, inputs, c.numel()) if system else NO_EVENTS
+    return explicit_library(rhs, name, method, projection, events), constants
 
 
-def _watch(system: Hybrid, inputs: InputSeries | None, constants: int) -> ca.Function:
-    """Return the margins of the relations, with inputs from a series; see fmu/solvers/watch.h."""
+def _events(system: Hybrid, inputs: InputSeries | None, constants: int) -> WatchText:
+    """Return what looks at relations, and goes through events, with inputs from a series."""
     dae = system.dae
     sizes = (*(s.numel() for s in dae.arguments[:4]), constants, dae.x.numel())
     t, x, z, u, c, dx = symbols = [MX.sym("argument", size) for size in sizes]
     now = inputs_at(dae, inputs, t, u)
     slopes = MX.zeros(u.numel()) if inputs is None else ca.densify(ca.jtimes(now, t, 1))
-    margins = system.margins("margins")(t, x, z, now, c[: dae.p.numel()], slopes, dx)
-    return ca.Function("watch", symbols, [*margins])
+    p = c[: dae.p.numel()]
+    margins = system.margins("margins")(t, x, z, now, p, slopes, dx)
+    watch = ca.Function("watch", symbols, [*margins])
+    if system.sliding or dae.derived:  # what follows an event is not known from one evaluation
+        return WatchText(watch)
+    solved = algebraic_function(dae)(t, x, z, now, p) if dae.algebraics else z
+    results = system.deciding("deciding")(t, x, solved, now, p, slopes)
+    decide = ca.Function("decide", symbols[:5], [*results, solved])
+    assigned = [state for event in system.events for state in event.states]
+    columns = {
+        "watched": system.of_states, "floors": system.floors, "of_time": system.of_time,
+        "assigned": assigned,
+    }  # fmt: skip
+    tables = [
+        f"static const int {name}[] = {{{', '.join(str(int(row)) for row in (*rows, -1))}}};"
+        for name, rows in columns.items()
+    ]
+    rules = [
+        f"{{{len(event.states)}, {int(event.sampled)}, {int(bool(event.message))}}}, "
+        for event in system.events
+    ]
+    tables += [
+        f"static const Rule rules[] = {{{''.join(rules)}{{0, 0, 0}}}};",
+        "static const Switches switches = {decide, watched, floors, of_time, rules, assigned};",
+    ]
+    sizes = len(system.relations), len(system.events), len(assigned)
+    return WatchText(watch, decide, sizes, "\n".join(tables))
 
 
 def _projection(dae: Dae, inputs: InputSeries | None, constants: int) -> ca.Function:
@@ -140,7 +176,7 @@ class DirectCall:
         library: A library of `explicit_library`.
         constants: From parameters p to the constants c of its right-hand side.
         known: Numbers that follow c in the parameters of its function `run`.
-        relations: Relations that it watches.
+        system: The frozen equations whose relations it watches.
     """
 
     def __init__(
@@ -148,12 +184,16 @@ class DirectCall:
         library: ctypes.CDLL,
         constants: ca.Function,
         known: Vector,
-        relations: tuple[int, ...] = (),
+        system: Hybrid | None = None,
     ) -> None:
         self._run, self._constants, self._library = library.run, constants, library
         self._passed: Callable[[], int] = library.cosim_passed
-        self._relations = relations
-        library.cosim_passed.restype = ctypes.c_longlong
+        self._relations = system.of_states if system else ()
+        self._events = None
+        if system is not None:
+            record = event_type(system)
+            self._events = np.empty(1 + _ROOM_FOR_EVENTS // record.itemsize, record)
+        library.cosim_passed.restype = library.cosim_recorded.restype = ctypes.c_longlong
         self._work = work_space(library)
         self._p: bytes | None = None
         self._c = np.empty(constants.numel_out(0))
@@ -161,31 +201,32 @@ class DirectCall:
 
     def __call__(
         self, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
-    ) -> tuple[bool, int, Crossing | None]:
-        """Fill states and algebraic unknowns, (n, nx) and (n, nz).
-
-        Returns:
-            See `DirectRun`.
-        """
+    ) -> Filled:
+        """Fill states and algebraic unknowns, (n, nx) and (n, nz)."""
         if p.tobytes() != self._p:  # evaluate the constants once
             call_on_arrays(self._constants, [p], [self._c])
             self._extended[: len(self._c)] = self._c
             self._p = p.tobytes()
         arguments, results, integers, doubles = self._work
         arrays = [*map(np.ascontiguousarray, (x0, z0, self._extended, u))]  # referenced here
-        for place, array in enumerate(arrays):
-            arguments[place] = array.ctypes.data if array.size else None
-        for place, array in enumerate((states, algebraics)):
-            results[place] = array.ctypes.data if array.size else None
+        for i, array in enumerate(arrays):
+            arguments[i] = array.ctypes.data if array.size else None
+        for i, array in enumerate((states, algebraics)):
+            results[i] = array.ctypes.data if array.size else None
+        library, events = self._library, self._events
+        if events is not None:
+            place = ctypes.c_void_p(events.ctypes.data)
+            library.cosim_record(place, ctypes.c_longlong(len(events)))
         failed = self._run(arguments, results, integers, doubles, 0)
+        passed = None if events is None else events[: library.cosim_recorded()].copy()
         if not failed:
-            return True, len(states), None
-        relation = self._library.cosim_relation()
+            return Filled(True, len(states), None, passed)
+        relation = library.cosim_relation()
         if relation < 0:
-            return False, self._passed(), None
+            return Filled(False, self._passed(), None, passed)
         numbers = (ctypes.c_double * REPORT)()
-        self._library.cosim_report(numbers)
-        return True, self._passed(), (numbers[4], self._relations[relation])
+        library.cosim_report(numbers)
+        return Filled(True, self._passed(), (numbers[4], self._relations[relation]), passed)
 
 
 def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:

@@ -3,19 +3,27 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae import Dae
 from casadi_models.dae.drawing import WORLD, Drawing, World
+from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing
 from casadi_models.dae.packed import rewritten
 from casadi_models.dae.starts import reject_disorder
 from casadi_models.dae.variables import Experiment, Start, Variable
-from cosim.coupling.parts import Connection
-from cosim.errors import UsageError
+
+
+class Connection(NamedTuple):
+    """An output that drives an input, each as (part, variable): input = factor output + offset."""
+
+    input: tuple[str, str]
+    output: tuple[str, str]
+    factor: float
+    offset: float
+
 
 _COLUMNS = (("x", "states"), ("z", "algebraics"), ("u", "inputs"), ("p", "parameters"))
 
@@ -27,7 +35,7 @@ def joined(name: str, title: str, parts: Mapping[str, Dae], wires: Sequence[Conn
     unknowns unless they follow from linear equations.
 
     Raises:
-        UsageError: A loop has no solution, or start values would depend on one.
+        ValueError: A loop has no solution, or start values would depend on one.
     """
     time = SX.sym("time")
     daes = [_renamed(part, dae, time) for part, dae in parts.items()]
@@ -39,16 +47,13 @@ def joined(name: str, title: str, parts: Mapping[str, Dae], wires: Sequence[Conn
     driven = whole.u[places]
     sources = _sources(whole)
     laws = ca.vertcat(*(w.factor * sources[".".join(w.output)] + w.offset for w in wires))
-    values, unknowns, residuals = _without_loops(name, laws, driven, [names[i] for i in places])
+    values, unknowns, residuals = _without_loops(laws, driven, [names[i] for i in places])
     wired = whole.rewritten(lambda all_laws: ca.substitute(all_laws, [driven], [values]))
     left = [i for i in range(len(names)) if i not in places]
     variables = [replace(whole.inputs[i], minimum=-ca.inf, maximum=ca.inf) for i in places]
     outputs = [(v, row) for v, row in zip(variables, ca.vertsplit(values), strict=True)]
     solved = [v for v in variables if v.name in unknowns]
-    try:
-        reject_disorder(wired.start_rules, wired.t, wired.x, whole.u[left], wired.p)
-    except ValueError as error:
-        raise UsageError(f"{name}: {error}") from None
+    reject_disorder(wired.start_rules, wired.t, wired.x, whole.u[left], wired.p)
     shown = [(_output(v), row) for v, row in outputs if v.name not in unknowns]
     closing = wired.closing
     if closing is not None and solved:
@@ -70,9 +75,7 @@ def joined(name: str, title: str, parts: Mapping[str, Dae], wires: Sequence[Conn
     )
 
 
-def _without_loops(
-    name: str, laws: SX, driven: SX, names: Sequence[str]
-) -> tuple[SX, list[str], list[SX]]:
+def _without_loops(laws: SX, driven: SX, names: Sequence[str]) -> tuple[SX, list[str], list[SX]]:
     """Return driven inputs without each other, where they are no unknowns of a loop.
 
     Returns:
@@ -95,7 +98,7 @@ def _without_loops(
             constant = ca.Function("m", [ca.vertcat(*ca.symvar(matrix))], [matrix])
             if not ca.symvar(matrix) and abs(float(ca.det(ca.DM(constant(SX(0, 1)))))) < 1e-12:
                 members = ", ".join(names[i] for i in loop)
-                raise UsageError(f"{name}: the loop through {members} has no unique solution")
+                raise ValueError(f"the loop through {members} has no unique solution")
             solved = ca.solve(matrix, ca.substitute(rows, u, SX.zeros(len(loop))))
         values[loop] = solved
     unknown = [i for i, n in enumerate(names) if n in unknowns]
