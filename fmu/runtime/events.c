@@ -223,6 +223,7 @@ Status happen(Instance *self, int crossing, Outcome *outcome) {
     }
     if (replan) plan_time_events(self, t);
     outcome->states_changed = memcmp(x, state->values + FIRST_STATE, NX * sizeof *x) != 0;
+    if (name) log_text(self, OK, "at %.17g s: %s", t, name);
     return name ? reject_zeno(self, name, way) : OK;
 }
 

@@ -10,7 +10,8 @@
 enum { TEXT_SIZE = 512 };
 
 /* The category of a status; the model description lists the same names. */
-static const char *const categories[] = {"logStatusWarning", "logStatusDiscard", "logStatusError"};
+static const char *const categories[] = {"logEvents", "logStatusWarning", "logStatusDiscard",
+                                         "logStatusError"};
 
 enum { N_CATEGORIES = sizeof categories / sizeof *categories };
 
@@ -39,12 +40,11 @@ static void write_message(char *text, const char *function, const char *format, 
 #endif
 
 static void log_arguments(const Instance *self, Status status, const char *format, va_list list) {
-    const unsigned category = (unsigned)status - WARNING;
-    if (!self->host.logger || !(self->categories >> category & 1)) return;
+    if (!self->host.logger || !(self->categories >> status & 1)) return;
     char text[TEXT_SIZE] = "";
     write_message(text, self->function, format, list);
     disarm(text);
-    self->host.log(self, status, categories[category], text);
+    self->host.log(self, status, categories[status], text);
 }
 
 /* Log "FUNCTION: MESSAGE" where the category of the status is on. */
@@ -75,9 +75,9 @@ Status choose_categories(Instance *self, bool on, size_t count, const char *cons
         uint32_t k = 0;
         while (k < N_CATEGORIES && (!names[i] || strcmp(names[i], categories[k]) != 0)) k++;
         if (k == N_CATEGORIES)
-            return refuse(self, ERROR, "log category %.80s is unknown; known: %s, %s, %s",
+            return refuse(self, ERROR, "log category %.80s is unknown; known: %s, %s, %s, %s",
                           names[i] ? names[i] : "NULL", categories[0], categories[1],
-                          categories[2]);
+                          categories[2], categories[3]);
         chosen |= UINT32_C(1) << k;
     }
     const uint32_t kept = self->host.fmi_version == 2 ? 0 : self->categories;

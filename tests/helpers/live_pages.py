@@ -25,8 +25,8 @@ for (let k = 0; k < 7; ++k) {
 }
 const names = data.columns.map((column) => column.name);
 const values = run.curves.values.map((column) => Array.from(column));
-const { reasons } = run;
-console.log(JSON.stringify({ time: Array.from(run.time), names, values, reasons, milliseconds }));
+const { events, reasons } = run, time = Array.from(run.time);
+console.log(JSON.stringify({ time, names, values, events, reasons, milliseconds }));
 """
 
 

@@ -104,3 +104,45 @@ def test_every_recorded_system_moves_in_the_browser(model, tmp_path):
     """
     found = asked(path, code, tmp_path)
     assert found == [True, True, pytest.approx(0.4 * run.time[-1])]
+
+
+def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
+    pytest.importorskip("ziglang")
+    path = animate(cosim.load("crank_shaft"), tmp_path / "x.html")
+    code = f"""
+        const facts = () => document.getElementById("facts").textContent;
+        const cost = () => document.getElementById("cost").textContent;
+        const csv = document.getElementById("csv"), found = [];
+        for (const link of ["#density=-1", "#density=3e4", "#nix=1", "#density="]) {{
+            location.hash = link;
+            await new Promise((done) => setTimeout(done, 50));
+            {FRAMES}
+            found.push([facts(), cost(), csv.disabled]);
+        }}
+        return found;
+    """
+    impossible, possible, unknown, empty = asked(path, code, tmp_path)
+    assert "no run: " in impossible[0]
+    assert "density" in impossible[0]
+    assert impossible[2] is True
+    assert "no run" not in possible[0]
+    assert possible[2] is False
+    assert "the link sets 'nix', which this model does not have" in unknown[1]
+    assert "the link sets density to '', which is no number" in empty[1]
+
+
+def test_keys_work_after_a_click_on_a_button(tmp_path):
+    run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = """
+        player.go(0.5);
+        const button = document.getElementById("axes");
+        button.focus();
+        button.click();
+        for (const key of ["ArrowRight", " "])
+            button.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+        return [player.t, player.playing];
+    """
+    t, playing = asked(path, code, tmp_path)
+    assert t == pytest.approx(0.51)
+    assert playing is False  # the key presses the button

@@ -1,9 +1,11 @@
 """The solver of a page, in node: its numbers are those of the native FMU."""
 
+import re
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from helpers import event_models
 from helpers.live_pages import NODE, computed
 
 import casadi_models
@@ -32,6 +34,21 @@ def test_run_of_a_page_is_that_of_the_fmu(name, tmp_path):
 def test_page_says_which_limit_the_run_leaves(tmp_path):
     found = computed(cosim.load("bicycle"), {"phi_dot": 4.0}, tmp_path)
     assert any("it is no longer true that" in reason for reason in found["reasons"])
+
+
+def test_page_says_each_limit_once_and_why_the_run_ends(tmp_path):
+    found = computed(cosim.load("bicycle"), {"phi_dot": -2.5}, tmp_path)
+    facts = [re.sub(r"^from time \S+ on ", "", reason) for reason in found["reasons"]]
+    assert len(facts) == len(set(facts)) > 1
+    assert "came no further than" in facts[-1]
+
+
+def test_page_tells_events_with_their_times(tmp_path):
+    found = computed(event_models.ball(), {}, tmp_path)
+    first = np.sqrt(2 / 9.81)
+    time, name = found["events"][0]
+    assert (time, name) == (pytest.approx(first, abs=1e-9), "impact")
+    assert found["reasons"] == []
 
 
 def test_page_says_why_a_run_cannot_start(tmp_path):

@@ -36,7 +36,7 @@ _FEWER_STEPS = (
 _ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # no message says why
 _CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
 _MESSAGES = 3  # of an FMU's log, in an error
-_FATAL = 4  # a status after which no function of the FMU may be called
+_OK, _FATAL = 0, 4  # a status after which no function of the FMU may be called
 
 
 def is_second(description: Any) -> bool:
@@ -208,8 +208,10 @@ def instantiated(
     log: list[str] = []
 
     def collect(*arguments: Any) -> None:
-        """Keep the message, the last argument in every version of the FMI."""
-        text = arguments[-1]
+        """Keep the message, the last argument in every version of the FMI, unless all is well."""
+        *_, status, _category, text = arguments
+        if status == _OK:
+            return
         log.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
 
     def explained(error: Exception) -> FmuError:

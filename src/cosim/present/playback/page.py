@@ -68,7 +68,7 @@ def page(
     recorded = () if live else zip(played, runs, strict=True)
     facts["runs"] = [_run(poses, run, names) for poses, run in recorded] or [{}]
     content = {
-        "TITLE": html.escape(played[0].title),
+        "TITLE": html.escape(runs[0].model if live else played[0].title),
         "STYLE": style + (own / "page.css").read_text(encoding="utf-8"),
         "DATA": json.dumps(facts, allow_nan=False).replace("<", "\\u003c"),
         "SCRIPTS": "\n".join(f"<script>{text}</script>" for text in scripts),

@@ -54,14 +54,20 @@ class Solver {
     const values = Array.from({ length: references.length - first }, (_, k) => column(first + k));
     const rounded = (digits) => String(Number(Number(digits).toPrecision(6)));
     const plain = (line) => line.replace(/^\w+: /, "").replace(/\d+\.\d{5,}/g, rounded);
-    const reasons = messages.map(plain);
+    const events = messages.map((line) => /: at (\S+) s: (.*)/.exec(line)).filter(Boolean);
+    const said = new Map(); // a condition that is left again and again is one reason
+    for (const line of messages.filter((text) => !/: at \S+ s: /.test(text)).map(plain)) {
+      const fact = line.replace(/^from time \S+ on /, "");
+      if (!said.has(fact)) said.set(fact, line);
+    }
+    const reasons = [...said.values()];
     const stopped = reached < times.length;
     if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${time[reached - 1]} s`);
     const since = messages.map((line) => /from time (\S+) on/.exec(line)).find(Boolean);
     return {
       time, rows: rows.subarray(references.length), across: width, down: 1, title: "",
       shapes: reached ? Array.from(rows.subarray(width - shapes, width)) : [],
-      curves: { time, values }, events: [], reasons,
+      curves: { time, values }, events: events.map(([, t, name]) => [Number(t), name]), reasons,
       invalid_from: since ? Number(since[1]) : null, stopped,
     };
   }
@@ -83,7 +89,13 @@ class Settings {
       group.appendChild(document.createElement("summary")).textContent = title;
       for (const setting of own) group.append(this.line(setting));
     }
-    this.read();
+    this.trouble = this.read();
+    window.addEventListener("hashchange", () => {
+      this.chosen.clear();
+      this.trouble = this.read();
+      live.settings.forEach((setting) => this.show(setting));
+      changed();
+    });
   }
 
   line(setting) {
@@ -122,12 +134,14 @@ class Settings {
     if (value === setting.value) this.chosen.delete(setting.name);
     else this.chosen.set(setting.name, value);
     this.show(setting);
+    this.trouble = "";
     history.replaceState(null, "", this.link);
     this.changed();
   }
 
   reset() {
     this.chosen.clear();
+    this.trouble = "";
     for (const setting of this.live.settings) this.show(setting);
     history.replaceState(null, "", this.link);
     this.changed();
@@ -138,13 +152,17 @@ class Settings {
     return `${location.href.split("#")[0]}${parts.length ? "#" : ""}${parts.join("&")}`;
   }
 
-  /* Takes the settings that the page's address holds. */
+  /* Takes the settings that the page's address holds; returns what it cannot take. */
   read() {
+    const trouble = [];
     for (const [name, text] of new URLSearchParams(location.hash.slice(1))) {
       const setting = this.live.settings.find((s) => s.name === name), value = Number(text);
-      if (!setting || !Number.isFinite(value)) continue;
-      this.chosen.set(name, value);
-      this.show(setting);
+      if (!setting) trouble.push(`the link sets '${name}', which this model does not have`);
+      else if (!text.trim() || !Number.isFinite(value))
+        trouble.push(`the link sets ${name} to '${text}', which is no number`);
+      else this.chosen.set(name, value);
+      if (setting) this.show(setting);
     }
+    return trouble.join("; ");
   }
 }

@@ -29,7 +29,15 @@ class Player {
     requestAnimationFrame((now) => this.frame(now));
   }
 
+  /* Without a run: why there is none, beside what the last one showed. */
+  fail(reason) {
+    this.failure = reason;
+    document.body.classList.toggle("failed", Boolean(reason));
+    this.stale = true;
+  }
+
   take(results) {
+    this.fail("");
     this.results = results;
     results.forEach((run, i) => run.time.length && this.scene.actors[i].take(run));
     const { time } = results[0];
@@ -76,7 +84,8 @@ class Player {
       "-": () => this.scene.zoom(1.1), r: () => this.scene.fit(), a: () => $("axes").click(),
     };
     document.addEventListener("keydown", (e) => {
-      if (e.ctrlKey || e.metaKey || e.altKey || e.target.matches("input, select, button, summary")) return;
+      if (e.ctrlKey || e.metaKey || e.altKey || e.target.matches("input:not([type=checkbox]), select")) return;
+      if (e.key === " " && e.target.matches("input, button, summary")) return; // it is pressed
       if (!keys[e.key]) return;
       e.preventDefault();
       keys[e.key]();
@@ -111,6 +120,13 @@ class Player {
 
   facts() {
     const parts = [this.data.title];
+    if (this.failure) {
+      $("facts").textContent = parts[0];
+      const line = $("facts").appendChild(document.createElement("div"));
+      line.className = "alarm";
+      line.textContent = `no run: ${this.failure}`;
+      return;
+    }
     for (const k of this.data.labels) {
       const { name, factor, unit } = this.data.columns[k], { time, values } = this.results[0].curves;
       parts.push(`${name} = ${shown(sampled(time, values[k], [this.t])[0] * factor)} ${unit}`);
@@ -172,29 +188,26 @@ async function begin() {
   const solver = await Solver.of(data.live);
   let waiting = false, latest = null;
   const compute = () => {
-    const start = performance.now();
-    const result = solver.run(settings.chosen);
-    $("cost").textContent = `computed in ${shown(performance.now() - start)} ms`;
-    if (result.time.length) return (latest = result);
-    $("cost").textContent = result.reasons.join("; ") || "the model cannot start with these values";
-    return null;
+    const start = performance.now(), result = solver.run(settings.chosen);
+    latest = result.time.length ? result : null;
+    $("csv").disabled = !latest;
+    $("cost").textContent = [`computed in ${shown(performance.now() - start)} ms`, settings.trouble]
+      .filter(Boolean).join("; ");
+    if (latest) window.player.take([latest]);
+    else window.player.fail(result.reasons.join("; ") || "the model cannot start with these values");
   };
   const settings = new Settings(data.live, $("live"), () => {
     if (waiting) return;
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
-      const result = compute();
-      if (result) window.player.take([result]);
+      compute();
     });
   });
   $("live").hidden = false;
-  if (!compute()) {
-    settings.reset();
-    compute();
-  }
-  window.player = new Player(data, [latest]);
+  window.player = new Player(data, [solver.run(new Map())]);
   window.solver = solver;
+  compute();
   $("reset").addEventListener("click", () => settings.reset());
   $("link").addEventListener("click", () =>
     navigator.clipboard ? navigator.clipboard.writeText(settings.link) : prompt("link", settings.link));
