@@ -216,7 +216,8 @@ class Hybrid:
         dae, nx = self.dae, self.dae.derived
         nu = dae.u.numel() - len(self.relations)
         np_ = (dae.p.numel() - nu) // 2  # the directions of inputs and parameters follow these
-        moving = ca.vertcat(dae.t, dae.x[:nx], dae.u[:nu], dae.p[:np_])
+        u, p = ca.vertsplit(dae.u)[:nu], ca.vertsplit(dae.p)[:np_]  # CasADi's [:0] may be a row
+        moving = ca.vertcat(dae.t, dae.x[:nx], *u, *p)
         return ca.densify(
             ca.jtimes(column, moving, ca.vertcat(dt, dae.x[nx : 2 * nx], dae.p[np_:]))
         )

@@ -30,10 +30,12 @@ Crossing first_crossing(Instance *self, const Motion *motion, double begin, doub
     return crossing_between(look_at, &step, before, end);
 }
 
-double crossing_delay(Instance *self, int relation, const Point *at) {
+bool correct_crossing(Instance *self, Crossing *crossing, Bounds *bounds, const Point *at) {
     double inside[ROOM(N_MODES)], rates[ROOM(N_MODES)];
-    if (!inside_at(self, at, inside, rates) || !(rates[relation] < 0)) return 0;
-    return -(inside[relation] - self->state.switching.slack) / rates[relation];
+    const int i = crossing->relation;
+    if (!inside_at(self, at, inside, rates)) return false;
+    crossing->time = better_time(bounds, at->t, inside[i] - self->state.switching.slack, rates[i]);
+    return crossing->time != at->t;
 }
 
 #else

@@ -18,9 +18,8 @@ INSIDE_BEGIN
 
 Crossing first_crossing(Instance *self, const Motion *motion, double begin, double end);
 
-/* By how much a crossing is later than a time near it, at a state of that time; 0 where its rate
-   does not tell. */
-double crossing_delay(Instance *self, int relation, const Point *at);
+/* Correct the time of a crossing by a state at that time; false once it is known. */
+bool correct_crossing(Instance *self, Crossing *crossing, Bounds *bounds, const Point *at);
 
 INSIDE_END
 #endif

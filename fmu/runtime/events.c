@@ -61,6 +61,15 @@ Status begin_events(Instance *self) {
                           "true later",
                           events[i].message);
 
+    for (const int *place = pulse_parameters; N_PULSES > 0 && *place >= 0; place++) {
+        const VariableInfo *parameter = &variables[FIRST_PARAMETER + *place];
+        if (state->values[FIRST_PARAMETER + *place] != parameter->start)
+            log_text(self, WARNING,
+                     "%s moves a short pulse of the equations, which a solver may step over; "
+                     "export the model with the new value",
+                     parameter->name);
+    }
+
     /* a sample may be due at the start itself */
     const double t = state->values[TIME];
     memcpy(here, modes, N_MODES * sizeof *modes);

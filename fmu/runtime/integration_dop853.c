@@ -24,7 +24,6 @@
    step costs 1.8 times the right-hand sides, and brings the error of a run near the tolerance. */
 static const double OF_TOLERANCE = 0.01;
 static const double TIGHTEST = 1e-13; /* about 500 rounding errors */
-enum { MOST_CORRECTIONS = 40 };       /* of the time of a crossing */
 static const double ABSOLUTE = 0.01;  /* what is allowed at 0, in nominal values */
 
 typedef struct {
@@ -154,23 +153,28 @@ static void within_step(void *step, double t, double x[], double z[], double u[]
     inputs_at(self->problem->fmu, t, u);
 }
 
-/* Step to where a relation leaves its mode, by Newton's method on the ends of such steps. */
+/* Step to where a relation leaves its mode: where the ends of such steps cross. False where the
+   last one is not accurate, as what happens just before the crossing was stepped over. */
 static bool step_to(const Ode *ode, Problem *self, const SolverMemory *memory, Slopes k,
                     Crossing *crossing, double latest, double x[]) {
-    const double t = memory->until;
-    for (int n = 0; n < MOST_CORRECTIONS; n++) {
-        double u[ROOM(NU)] = {0}, *when = &crossing->time;
+    const double begin = memory->until;
+    Bounds bounds = {begin, latest, 0};
+    double error = 0;
+    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; n++) {
+        double u[ROOM(NU)] = {0};
+        const double t = crossing->time;
         memcpy(x, memory->end, sizeof memory->end);
-        if (*when > t && stages(ode, t, *when - t, memory->end, k, x)) return false;
-        if (!keep_to_constraints(self, *when, x)) return false;
-        inputs_at(self->fmu, *when, u);
-        const Point at = {*when, x, self->z, u};
-        const double delay = crossing_delay(self->fmu, crossing->relation, &at);
-        const double better = fmin(fmax(*when + delay, t), latest);
-        if (fabs(better - *when) <= 2 * DBL_EPSILON * fabs(better)) break;
-        *when = better;
+        error = 0;
+        if (t > begin) {
+            if (stages(ode, begin, t - begin, memory->end, k, x)) return false;
+            error = error_of(ode, t - begin, memory->end, x, k);
+        }
+        if (!keep_to_constraints(self, t, x)) return false;
+        inputs_at(self->fmu, t, u);
+        const Point at = {t, x, self->z, u};
+        if (!correct_crossing(self->fmu, crossing, &bounds, &at)) break;
     }
-    return true;
+    return error <= 1;
 }
 
 /* End an accepted step from `until` to `after` at x where a relation leaves its mode. */

@@ -52,7 +52,6 @@ static bool advance(Instance *self, double end) {
 }
 
 #if HAS_EVENTS
-enum { MOST_CORRECTIONS = 30 };
 
 /* The cubic through both ends of a step. */
 typedef struct {
@@ -74,17 +73,15 @@ static void on_cubic(void *cubic, double t, double x[], double z[], double u[]) 
 
 /* Repeat a step so that it ends where a relation leaves its mode; nothing on failure. */
 static bool step_to(Instance *self, const State *from, Crossing *crossing) {
-    double *values = self->state.values, latest = values[TIME];
-    for (int n = 0; n < MOST_CORRECTIONS; n++) {
+    double *values = self->state.values;
+    Bounds bounds = {from->values[TIME], values[TIME], 0};
+    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; n++) {
         self->state = *from;
         if (crossing->time > from->values[TIME] && !advance(self, crossing->time)) return false;
         if (refresh(self, ALGEBRAICS) != OK) return false;
         const Point at = {crossing->time, values + FIRST_STATE, values + FIRST_ALGEBRAIC,
                           values + FIRST_INPUT};
-        const double delay = crossing_delay(self, crossing->relation, &at);
-        const double better = fmin(fmax(crossing->time + delay, from->values[TIME]), latest);
-        if (fabs(better - crossing->time) <= 2 * DBL_EPSILON * fabs(better)) break;
-        crossing->time = better;
+        if (!correct_crossing(self, crossing, &bounds, &at)) break;
     }
     return true;
 }

@@ -76,8 +76,8 @@ Status choose_categories(Instance *self, bool on, size_t count, const char *cons
         while (k < N_CATEGORIES && (!names[i] || strcmp(names[i], categories[k]) != 0)) k++;
         if (k == N_CATEGORIES)
             return refuse(self, ERROR, "log category %.80s is unknown; known: %s, %s, %s, %s",
-                          names[i] ? names[i] : "NULL", categories[0], categories[1],
-                          categories[2], categories[3]);
+                          names[i] ? names[i] : "NULL", categories[0], categories[1], categories[2],
+                          categories[3]);
         chosen |= UINT32_C(1) << k;
     }
     const uint32_t kept = self->host.fmi_version == 2 ? 0 : self->categories;

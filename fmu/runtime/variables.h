@@ -20,6 +20,9 @@
 #define N_EVENTS 0
 #define N_ASSIGNED 0
 #endif
+#if !defined N_PULSES
+#define N_PULSES 0
+#endif
 
 typedef enum { TIME, STATE, DERIVATIVE, ALGEBRAIC, INPUT, MODE, PARAMETER, OUTPUT } Role;
 
@@ -76,6 +79,8 @@ extern const char *const limits[]; /* what is true while the model holds; N_LIMI
 extern const RelationInfo relations[];
 extern const EventInfo events[];
 extern const int assigned[];
+extern const double pulses[];        /* times at which steps end, so that none spans a pulse */
+extern const int pulse_parameters[]; /* on which these times depend; -1 ends the list */
 
 INSIDE_END
 

@@ -19,6 +19,7 @@ typedef struct {
     double t, h;
     Interpolant piece;
     int known;
+    double error; /* of the last fresh step */
 } Accepted;
 
 static inline int interpolated(Accepted *self) {
@@ -37,11 +38,15 @@ static inline int within_accepted(void *accepted, double t, double *x, double *d
 }
 
 static inline int step_afresh(void *accepted, double t, double *x) {
-    const Accepted *self = accepted;
+    Accepted *self = accepted;
     Slopes k;
     memcpy(k[0], self->k[0], sizeof k[0]);
     memcpy(x, self->x, NX * sizeof *x);
-    if (t > self->t && stages(self->ode, self->t, t - self->t, self->x, k, x)) return 1;
+    self->error = 0;
+    if (t > self->t) {
+        if (stages(self->ode, self->t, t - self->t, self->x, k, x)) return 1;
+        self->error = error_of(self->ode, t - self->t, self->x, x, k);
+    }
     return restore(self->ode->context, t, x);
 }
 
@@ -51,7 +56,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
     const Ode ode = {problem_slope, problem_scale, self};
     Slopes k;
     double x[NX], end[NX], found[NX], t = grid->times[0];
-    Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0};
+    Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
     Step step = {self, t, 0, &accepted, within_accepted, step_afresh};
     Place here, ahead;
     const double stop = grid->times[grid->points - 1];
@@ -92,7 +97,15 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
                 look(self, after, end, z_end, k[END], &ahead))
                 return NOT_FINITE;
             crossing = crossing_of(&step, grid->times + next, &here, &ahead);
-            if (crossing.relation >= 0 && end_at(&step, &crossing, found)) return NOT_FINITE;
+            if (crossing.relation >= 0) {
+                if (end_at(&step, &crossing, found)) return NOT_FINITE;
+                if (!(accepted.error <= 1)) { /* what happens just before it was stepped over */
+                    h = (crossing.time - t) * growth(accepted.error, 1);
+                    rejected = 1;
+                    --self->steps;
+                    continue;
+                }
+            }
             after = crossing.time;
             here = ahead;
         }

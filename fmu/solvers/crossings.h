@@ -5,13 +5,14 @@
 #ifndef CROSSINGS_H
 #define CROSSINGS_H
 
+#include <float.h>
 #include <math.h>
 
 #ifndef RELATIONS
 #error "define RELATIONS, the number of margins, before solvers are included"
 #endif
 
-enum { PLACES = 9, MOST_HALVINGS = 100 };
+enum { PLACES = 9, MOST_HALVINGS = 100, MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
 
 /* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
    step, and of a part of it. */
@@ -34,6 +35,26 @@ static inline int outside(const Place *place) {
     for (int i = 0; i < RELATIONS; ++i)
         if (place->inside[i] < 0) return i;
     return -1;
+}
+
+/* A time at which a margin falls below 0: after it at `low`, no later than `high`. */
+typedef struct {
+    double low, high;
+    int trials;
+} Bounds;
+
+/* The time to try after one with this margin and rate, by Newton's method and at last by halving;
+ * the same time once it is known to rounding. */
+static inline double better_time(Bounds *self, double t, double inside, double rate) {
+    double better = t - inside / rate;
+    if (inside < 0)
+        self->high = t;
+    else
+        self->low = t;
+    if (!(rate < 0 && better >= self->low && better <= self->high) ||
+        ++self->trials > MOST_OF_NEWTON)
+        better = self->low + (self->high - self->low) / 2;
+    return fabs(better - t) <= 2 * DBL_EPSILON * fabs(better) ? t : better;
 }
 
 /* Between a place within all modes and one that is not, to the rounding of time. */

@@ -7,12 +7,8 @@
 #ifndef WATCH_H
 #define WATCH_H
 
-#include <float.h>
-
 #include "crossings.h"
 #include "projection.h"
-
-enum { MOST_TRIALS_OF_A_TIME = 40 };
 
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
 typedef struct {
@@ -82,36 +78,32 @@ static inline Crossing crossing_of(Step *self, const double *times, const Place 
     return (Crossing){end->t, -1};
 }
 
-/* By how much the first crossing is later than a place near it. */
-static inline double delay_at(const Place *place, Crossing *crossing) {
-    double least = 0;
-    int first = -1;
+/* The relation that crosses first, near a place: the one that was found, or one that is beyond. */
+static inline int first_at(const Place *place, int found) {
+    double least = INFINITY;
+    int first = found;
     for (int i = 0; i < RELATIONS; ++i) {
         const double rate = place->rates[i], delay = -place->inside[i] / rate;
-        const int earlier = place->inside[i] < 8 * DBL_EPSILON * fabs(place->t) * rate;
-        if (!(rate < 0) || !(i == crossing->relation || earlier)) continue;
-        if (first < 0 || delay < least) {
-            least = delay;
-            first = i;
-        }
+        const int beyond = place->inside[i] < 8 * DBL_EPSILON * fabs(place->t) * rate;
+        if (!(rate < 0) || !(i == found || beyond) || !(delay < least)) continue;
+        least = delay;
+        first = i;
     }
-    if (first >= 0) crossing->relation = first;
-    return least;
+    return first;
 }
 
-/* Ends a step at a crossing, by Newton's method on the ends of such steps. */
+/* Ends a step at a crossing: where the ends of such steps cross. */
 static inline int end_at(const Step *self, Crossing *crossing, double *x) {
-    const double latest = self->t + self->h;
+    Bounds bounds = {self->t, self->t + self->h, 0};
     double dx[NX];
     Place place;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
-        double *when = &crossing->time;
-        if (self->step_to(self->motion, *when, x) ||
-            look_afresh(self->problem, *when, x, dx, &place))
+        const double t = crossing->time;
+        if (self->step_to(self->motion, t, x) || look_afresh(self->problem, t, x, dx, &place))
             return 1;
-        const double better = fmin(fmax(*when + delay_at(&place, crossing), self->t), latest);
-        if (fabs(better - *when) <= 2 * DBL_EPSILON * fabs(better)) break;
-        *when = better;
+        const int i = crossing->relation = first_at(&place, crossing->relation);
+        crossing->time = better_time(&bounds, t, place.inside[i], place.rates[i]);
+        if (crossing->time == t) break;
     }
     return 0;
 }

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import event_models
+from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import cosim
@@ -131,6 +132,42 @@ def test_sampled_stop_ends_the_impacts():
     assert run.time[-1] == pytest.approx(np.ceil(quiet * 10) / 10, rel=1e-14)
     assert "the ball is slow" in run.stats.stop
     assert run.status == "complete"
+
+
+def sliding_block():
+    """Return a block whose dry friction rises within 1 mm/s before it comes to rest."""
+    model = Model("slide", stop_time=2.0)
+    v = model.state("v", "m/s", 5.0, "speed")
+    model.derivative(v, cosim.contact.friction(v, G, 0.4, sticking=0.6))
+    return model.freeze()
+
+
+def sliding_time(speed=5.0):
+    """Return how long the block slides from a speed on."""
+
+    def slowness(v):
+        return 1 / (G * (0.4 + 0.2 * np.exp(-((v / 1e-3) ** 2))))
+
+    points = [v for v in (1e-3, 3e-3, 6e-3) if v < speed] or None
+    return quad(slowness, 0, speed, points=points, limit=500, epsabs=1e-15)[0]
+
+
+@pytest.mark.parametrize("solver", [s for s in SOLVERS if s not in FIXED])
+def test_friction_that_rises_just_before_the_rest_is_not_stepped_over(solver):
+    run = simulate(sliding_block(), solver)
+    assert run.events[0].time == pytest.approx(sliding_time(), abs=1e-9)  # measured 1e-10, cvodes
+    assert np.abs(run["v"][run.time > 1.3]).max() < 1e-14
+
+
+def test_fmu_does_not_step_over_friction_that_rises_just_before_the_rest(tmp_path):
+    path = cosim.export_fmu(sliding_block(), tmp_path / "x.fmu")
+    options = {"output_interval": 1e-3, "relative_tolerance": 1e-9}
+    run = cosim.simulate_fmu(path, interface="CoSimulation", **options)
+    last = int(np.searchsorted(run.time, sliding_time())) - 1
+    ahead = sliding_time() - run.time[last]
+    speed = brentq(lambda v: sliding_time(v) - ahead, 0, 0.1, xtol=1e-12)
+    assert run["v"][last] == pytest.approx(speed, abs=1e-8)
+    assert np.abs(run["v"][run.time > 1.3]).max() < 1e-14
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -424,6 +461,31 @@ def test_forward_derivatives_jump_at_events():
         for output in names:
             slope = (ends[0].final[output] - ends[1].final[output]) / (2 * step)
             assert found[output, name][-1] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+
+
+def test_derivatives_of_a_relay_jump_at_its_events():
+    model = Model("relay", stop_time=5.0)
+    x = model.state("x", "1", 0.0, "level")
+    on = model.discrete("on", "1", 1.0, "whether it heats")
+    k = model.parameter("k", "1", 2.0, "strength")
+    model.derivative(x, -x + k * on)
+    model.when(x > 1.2, {on: 0}, name="off")
+    model.when(x < 0.8, {on: 1}, name="on")
+    dae = model.freeze()
+    found = cosim.sensitivity(dae, outputs=["x"], with_respect_to=["k"])  # checks itself
+    step = 1e-5
+    ends = [simulate(dae, tolerance=1e-12, start_values={"k": 2 + s}) for s in (step, -step)]
+    assert len(ends[0].events) == 11
+    slope = (ends[0].final["x"] - ends[1].final["x"]) / (2 * step)
+    assert found["x", "k"][-1] == pytest.approx(slope, rel=1e-6)
+
+
+def test_derivative_by_the_time_of_the_only_switch_is_the_jump():
+    model = Model("switch", stop_time=2.0)
+    x, p = model.state("x", "1", 0.0, "x"), model.parameter("p", "s", 1.0, "time of the switch")
+    model.derivative(x, ca.if_else(model.t < p, 0, 1))
+    found = cosim.sensitivity(model.freeze(), with_respect_to=["p"])
+    assert found["x", "p"][-1] == pytest.approx(-1.0, abs=1e-12)
 
 
 def test_integrator_refuses_a_model_with_events():

@@ -16,6 +16,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
+from cosim.codegen.pulses import pulse_times
 from cosim.errors import InitialConditionError, SolverError, UsageError
 from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
 from cosim.integrate.engine import Counts, Problem
@@ -31,7 +32,6 @@ from cosim.integrate.modes import (
     sliding,
 )
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.integrate.pulses import pulse_times
 from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
+from warnings import warn
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,7 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.functions import CALL, equations, symbols_like
 from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import (
     dop853_method,
     explicit_function,
@@ -238,6 +240,14 @@ def integrator(
             f"{dae.full_name} has events (relations in its equations, or declared ones), at which "
             "no CasADi integrator stops; use cosim.simulate and cosim.sensitivity, or mark what is "
             "smooth with Model.smooth"
+        )
+    span = float(times[0]), float(times[-1])
+    if len(found := pulse_times(dae, assign(dae, {}).p, *span, span[1] - span[0])):
+        warn(
+            f"{dae.full_name}: a term of time changes from {found[0]:.6g} to {found[-1]:.6g} s, in "
+            "short pulses that CasADi's integrators may step over; divide the grid there into "
+            "several integrators, or use cosim.simulate",
+            stacklevel=2,
         )
     chosen, _ = chosen_solver(dae, requested)
     if isinstance(chosen, FixedStep) and chosen.step_size is None:

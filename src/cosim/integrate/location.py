@@ -21,7 +21,7 @@ from cosim.model.values import Values
 
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
 _MOST_TRIALS = 40
-_CLOSE = 1e-3  # share of an interval beyond which the solver, not the interpolant, tells the state
+_CLOSE = 1e-5  # share of an interval beyond which the solver, not the interpolant, tells the state
 _PLACES = 32  # at which the cubic of an interval is looked at, as many as one call evaluates
 _ZOOMS = 5  # into the place where a margin is least
 _NARROW = 1e-6  # share of an interval within which the solver, not the interpolant, tells the time

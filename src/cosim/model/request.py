@@ -152,6 +152,11 @@ class RunRequest:
         """Relative tolerance of the solver; None where there is no `tolerance`."""
         return None if self.tolerance is None else self.tolerance.relative
 
+    @property
+    def max_step(self) -> float | None:
+        """Longest step of the solver, s; None if the request sets none."""
+        return getattr(self.solver, "max_step", None)
+
     def reduced(self) -> "RunRequest":
         """Return the request with the model reduced to the equations that its outputs require."""
         if self.outputs is None:

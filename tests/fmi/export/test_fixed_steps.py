@@ -88,7 +88,8 @@ def test_without_derivatives_the_results_have_the_same_bits(fmi, tmp_path):
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        ({"step_size": 0.01}, "step_size is for the solvers rk4 and ode8"),
+        ({"step_size": 0.01}, "step_size is for other solvers: rk4 and ode8"),
+        ({"solver": "rk4", "max_step": 0.1}, "max_step is for other solvers: the adaptive ones"),
         ({"solver": "rk4", "step_size": -1.0}, "step_size = -1"),
         ({"fmi": 3, "adjoint": True, "derivatives": False}, "adjoint needs derivatives"),
     ],

@@ -62,6 +62,8 @@ def _options(args: argparse.Namespace, name: str) -> FmuKeywords:
         "fmi": int(args.fmi),
         "identifier": name,
         "solver": args.fmu_solver,
+        "step_size": args.fmu_step_size,
+        "max_step": args.fmu_max_step,
         "platforms": names_in(args.platform),
         "adjoint": args.adjoint,
         "derivatives": args.derivatives,
@@ -69,8 +71,6 @@ def _options(args: argparse.Namespace, name: str) -> FmuKeywords:
         "names": args.names,
         "about": {name: text for name, text in about.items() if text is not None},
     }
-    if args.fmu_step_size is not None:
-        options["step_size"] = args.fmu_step_size
     if args.tunable is not None:
         options["tunable"] = () if args.tunable == "none" else names_in(args.tunable)
     if args.tolerance is not None:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from math import inf
 
 import casadi as ca
 
@@ -12,11 +13,9 @@ from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
 from cosim.fmi.export.co_simulation import most_trials, uses_dop853
 from cosim.fmi.export.equations import has_rank
-from cosim.fmi.export.events import event_sizes, event_tables, literal
+from cosim.fmi.export.events import LEAST_STEPS, event_sizes, event_tables, literal
 from cosim.fmi.export.model_description import Identity
 from cosim.fmi.export.variables import FmuVariable, Role
-
-LEAST_STEPS = 50  # of the solver in a model's span, so that it does not miss short events
 
 
 def model_header(
@@ -27,11 +26,12 @@ def model_header(
     *,
     valid: bool,
     step_size: float | None,
+    max_step: float | None = None,
     derivatives: bool = True,
     system: Hybrid | None = None,
 ) -> str:
     """Return `model.h`: sizes and names for compiling the runtime; `step_size`: of fixed steps."""
-    span = dae.experiment.stop_time
+    longest = min(max_step or inf, dae.experiment.stop_time / LEAST_STEPS)
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
 #define MODEL_H
@@ -53,7 +53,7 @@ def model_header(
 #define NO_DERIVATIVES {int(not derivatives)}
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
 #define FIXED_STEPS {int(step_size is not None)}
-#define LARGEST_STEP {span / LEAST_STEPS if step_size is None else step_size!r}
+#define LARGEST_STEP {longest if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae)}
 {event_sizes(system)}#endif
 """

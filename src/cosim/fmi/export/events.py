@@ -3,16 +3,28 @@
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.hybrid import Hybrid, hybrid
 from casadi_models.dae.relations import COMPARISONS
+from cosim.arrays import Vector
+from cosim.codegen.pulses import pulse_parameters, pulse_times
 from cosim.errors import UsageError
+
+LEAST_STEPS = 50  # of the solver in a model's span
+
+
+def fmu_pulses(dae: Dae) -> Vector:
+    """Return the times at which steps must end for a solver to see all terms of time, s."""
+    p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
+    span = dae.experiment.stop_time
+    return pulse_times(dae, p, 0.0, span, span / LEAST_STEPS)
 
 
 def fmu_events(dae: Dae) -> Hybrid | None:
-    """Return the frozen equations of a model; None if it has no events.
+    """Return the frozen equations of a model; None if it has neither events nor pulses.
 
     Their last outputs are the event indicators: how far each argument is within its mode.
 
@@ -24,7 +36,7 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     except ValueError as error:
         raise UsageError(f"{dae.full_name}: {error}; give one of them another size") from None
     if system is None:
-        return None
+        return Hybrid(dae, (), (), ()) if len(fmu_pulses(dae)) else None
     system = system.blended()
     smooth, modes = system.dae, ca.vertsplit(system.modes)
     rows, more = list[SX](), list[Variable]()
@@ -69,13 +81,17 @@ def event_sizes(system: Hybrid | None) -> str:
 #define N_WATCHED {system.of_time.count(False)}
 #define N_EVENTS {len(system.events)}
 #define N_ASSIGNED {sum(len(event.states) for event in system.events)}
+#define N_PULSES {len(fmu_pulses(system.dae))}
 """
 
 
 def event_tables(system: Hybrid | None) -> str:
-    """Return the tables of relations and events for model.c; empty without events."""
+    """Return the tables of relations, events and pulses for model.c; empty without events."""
     if system is None:
         return ""
+    pulses = [*map(repr, fmu_pulses(system.dae).tolist()), "0.0"]
+    moving = pulse_parameters(system.dae)
+    places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
     relations, events, assigned = "", "", list[int]()
     for i, relation in enumerate(system.relations):
         flags = (relation.floor, system.of_time[i], system.linear[i])
@@ -97,6 +113,8 @@ const EventInfo events[] = {{
 }};
 
 const int assigned[] = {{{", ".join(map(str, [*assigned, -1]))}}};
+const double pulses[] = {{{", ".join(pulses)}}};
+const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
 """
 
 

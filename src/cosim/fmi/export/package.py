@@ -106,6 +106,7 @@ class FmuKeywords(TypedDict, total=False):
     tolerance: float
     solver: str | None
     step_size: float | None
+    max_step: float | None
     tunable: Sequence[str] | None
     adjoint: bool
     derivatives: bool
@@ -125,6 +126,7 @@ class FmuOptions:
     tolerance: float = TOLERANCE
     solver: str | None = None
     step_size: float | None = None
+    max_step: float | None = None
     tunable: Sequence[str] | None = None
     adjoint: bool = False
     derivatives: bool = True
@@ -142,12 +144,14 @@ class FmuOptions:
             raise ParameterError(
                 f"export: tolerance = {self.tolerance:g} is not within 1e-13 ... 0.1"
             )
-        if self.step_size is not None:
-            number("export", "step_size", self.step_size, positive=True)
-            if self.solver not in FIXED_STEPS:
-                raise UsageError(
-                    f"export: step_size is for the solvers {' and '.join(FIXED_STEPS)}; name one"
-                )
+        for name in ("step_size", "max_step"):
+            value, fixed = getattr(self, name), self.solver in FIXED_STEPS
+            if value is None:
+                continue
+            number("export", name, value, positive=True)
+            if fixed != (name == "step_size"):
+                other = "the adaptive ones" if fixed else " and ".join(FIXED_STEPS)
+                raise UsageError(f"export: {name} is for other solvers: {other}; name one")
         for key in self.about or {}:
             if key not in ABOUT:
                 raise UnknownName.among("export", "fact about an FMU", key, ABOUT)
@@ -180,6 +184,7 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
             order 5, for ODEs), or with fixed steps "rk4" or "ode8".
         step_size: Longest step of "rk4" and "ode8", s; equal steps divide each communication step.
             The output interval of the model by default.
+        max_step: Longest step of the other solvers, s; a 50th of the model's span by default.
         tunable: Names of the parameters that may change during a run, or `["all"]`; by default all
             but inertias and those that start values are calculated from.
         adjoint: Whether the FMU declares adjoint derivatives (FMI 3.0). CasADi up to 3.8.2
@@ -286,7 +291,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         dialect=DIALECTS[fmi],
     )
     digest = hashlib.sha256()
-    settings = repr(step_size).encode()
+    settings = repr((step_size, options.max_step)).encode()
     for part in (describe(identity=unsigned), *code.values(), *runtime.values(), settings):
         digest.update(part)
     identity = replace(unsigned, guid=f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}")
@@ -297,6 +302,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         solver,
         valid=options.valid,
         step_size=step_size,
+        max_step=options.max_step,
         derivatives=options.derivatives,
         system=system,
     ).encode()

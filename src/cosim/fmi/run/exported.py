@@ -17,8 +17,8 @@ def run(request: RunRequest, interface: str) -> Trajectory:
     """Export the model with the request's values, and simulate the FMU.
 
     Args:
-        request: What to compute. Of its solver only the tolerance counts: the FMU, or the importer,
-            has a solver of its own.
+        request: What to compute. Of its solver only the tolerance and the longest step count: the
+            FMU, or the importer, has a solver of its own.
         interface: "ModelExchange" or "CoSimulation".
 
     Raises:
@@ -27,9 +27,9 @@ def run(request: RunRequest, interface: str) -> Trajectory:
     """
     reject_native_features(request)
     with temporary_folder() as folder:
-        return run_file(
-            request, export_fmu(request.configured(), Path(folder) / "model.fmu"), interface
-        )
+        path = Path(folder) / "model.fmu"
+        export_fmu(request.configured(), path, max_step=request.max_step)
+        return run_file(request, path, interface)
 
 
 def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:
@@ -45,7 +45,8 @@ def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:
             inputs=request.inputs,
             outputs=request.outputs,
         )
-        return fmu.run(replace(found, may_end=any(e.message for e in request.dae.events)))
+        may_end = any(event.message for event in request.dae.events)
+        return fmu.run(replace(found, may_end=may_end, max_step=request.max_step))
 
 
 def reject_native_features(request: RunRequest) -> None:

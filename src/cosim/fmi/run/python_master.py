@@ -191,7 +191,7 @@ def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Seq
         set_time=clock.set,
         input=clock,
         startTime=start,
-        maxStep=(request.stop - start) / _STEPS_OF_A_RUN,
+        maxStep=min(request.max_step or inf, (request.stop - start) / _STEPS_OF_A_RUN),
         relativeTolerance=tolerance,
     )
 

@@ -46,6 +46,7 @@ class FmuRequest:
         inputs: Inputs that follow a time series.
         tolerance: Relative tolerance; None if neither user nor FMU gives one.
         may_end: Whether a run that the FMU itself ends is complete.
+        max_step: Longest step in model exchange, s.
     """
 
     description: Any
@@ -58,6 +59,7 @@ class FmuRequest:
     inputs: InputSeries | None = None
     tolerance: float | None = None
     may_end: bool = False
+    max_step: float | None = None
 
     @classmethod
     def of(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import Interrupted, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
@@ -112,6 +113,9 @@ def _lane_solver(request: RunRequest) -> Dop853 | None:
     explicit = not dae.algebraics and bool(dae.states) and fits_lanes(dae) and hybrid(dae) is None
     plain = request.inputs is None and policy.drift_control is None and policy.compiled is not False
     if not (explicit and plain and end > begin and has_compiler()):
+        return None
+    longest = request.max_step or end - begin
+    if len(pulse_times(dae, request.numbers.p, begin, end, longest)):
         return None
     if isinstance(solver, Dop853):
         return solver

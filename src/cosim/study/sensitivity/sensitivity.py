@@ -12,7 +12,7 @@ can be integrated at once.
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -312,10 +312,11 @@ def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarge
 
 @dataclass(frozen=True)
 class _Task:
-    """A request without a solver, and the name of its solver."""
+    """A request without a solver, the name of its solver, and times of events of changed runs."""
 
     request: RunRequest
     solver: str
+    events: list[Vector] = field(default_factory=list)
 
     def at(self, tolerance: float) -> RunRequest:
         """Return the request at a relative tolerance."""
@@ -351,12 +352,12 @@ class _Task:
         return replace(plain, stats=stats), np.moveaxis(values_of, 0, -1)
 
     def between_events(self, times: Vector) -> NDArray[np.bool_]:
-        """Return at which times the run has derivatives: at no event, (n,)."""
-        if hybrid(self.request.dae) is None:
-            return np.ones(len(times), dtype=bool)
-        events = np.array([event.time for event in run(self.at(CHECK_TOLERANCE)).events])
-        near = np.isclose(times[:, None], events[None], rtol=1e-9, atol=1e-9)
-        found: NDArray[np.bool_] = ~near.any(axis=1)
+        """Return at which times all changed runs have passed equally many events, (n,)."""
+        found = np.ones(len(times), dtype=bool)
+        for events in self.events:
+            passed = np.searchsorted(events, times)
+            found &= passed == np.searchsorted(self.events[0], times)
+            found &= ~np.isclose(times[:, None], events[None], rtol=1e-9, atol=1e-9).any(axis=1)
         return found
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:
@@ -364,6 +365,11 @@ class _Task:
         request = self.at(CHECK_TOLERANCE)
         own = {name: float(request.dae.variable(name).start or 0.0) for name, _ in changes}
         base = {**own, **request.values}
+        if hybrid(request.dae) is not None:
+            quiet = replace(request, policy=replace(request.policy, on_invalid=OnInvalid.IGNORE))
+            runs = [run(replace(quiet, values={**base, name: x})) for name, x in changes]
+            self.events.extend(np.array([event.time for event in r.events]) for r in runs)
+            return np.stack([r.values for r in runs])
         given = {name: np.full(len(changes), value) for name, value in base.items()}
         for i, (name, value) in enumerate(changes):
             given[name][i] = value

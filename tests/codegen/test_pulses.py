@@ -1,12 +1,15 @@
 """Pulses of time alone that lie between the stages of every solver."""
 
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
 
 import cosim
 from casadi_models.dae import Model
-from cosim.integrate.pulses import pulse_times
+from cosim.api import execute, requested
+from cosim.backend import Backend
+from cosim.codegen.pulses import pulse_times
 
 ERRORS = {"dop853": 1e-7, "erk": 1e-6, "rosenbrock": 1e-5, "cvodes": 1e-5, "cvodes_adams": 1e-5,
           "idas": 1e-5, "ode8": 1e-4, "rk4": 2e-3}  # fmt: skip
@@ -98,3 +101,50 @@ def test_terms_of_states_are_no_terms_of_time():
     x = model.state("x", "1", 0.0, "x")
     model.derivative(x, gauss(x, 5.0, 1e-3) * ca.sin(x))
     assert ends_of(model.freeze()).size == 0
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_no_gauss_pulse_is_stepped_over_by_an_fmu(fmi, tmp_path):
+    dae = spring(lambda t, width: gauss(t, 5.0, width), width=1e-3)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu", fmi=fmi)
+    for interface, bound in (("CoSimulation", 1e-11), ("ModelExchange", 1e-7)):
+        for master in ("fmpy", "c"):
+            run = cosim.simulate_fmu(path, interface=interface, master=master)
+            late = run.time > 5.01
+            exact = moved(run.time[late], 5.0, 1e-3)
+            assert np.abs(run["x"][late] - exact).max() < bound  # measured 1e-13, 4e-8
+
+
+def test_fmu_warns_of_a_parameter_that_moves_a_pulse(tmp_path):
+    dae = spring(lambda t, middle: gauss(t, middle, 1e-3), middle=5.0)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    said = []
+    fmpy.simulate_fmu(
+        path,
+        start_values={"middle": 6.0},
+        debug_logging=True,
+        logger=lambda *message: said.append(message[-1]),
+    )
+    assert any(b"middle moves a short pulse" in message for message in said)
+
+
+def test_variants_see_pulses():
+    dae = spring(lambda t, strength: strength * gauss(t, 5.0, 1e-3), strength=1.0)
+    many = cosim.simulate_many(dae, {"strength": [1.0, 2.0]}, relative_tolerance=1e-9)
+    exact = moved(10.0, 5.0, 1e-3)
+    np.testing.assert_allclose(many["x"][:, -1], [exact, 2 * exact], rtol=1e-4)
+
+
+def test_integrator_warns_of_pulses():
+    dae = spring(lambda t: gauss(t, 5.0, 1e-3))
+    with pytest.warns(UserWarning, match="changes from 4.99"):
+        cosim.integrator(dae, [0.0, 10.0], solver="erk", compiled=False)
+
+
+def test_longest_step_of_an_fmu_is_kept():
+    dae = spring(lambda t: gauss(t, 5.0, 0.02))
+    request = requested(dae, max_step=1e-3, relative_tolerance=1e-3)
+    run = execute(request, Backend.CO_SIMULATION)
+    exact = moved(run.time[run.time > 5.2], 5.0, 0.02)
+    assert np.abs(run["x"][run.time > 5.2] - exact).max() < 1e-5  # otherwise 1e-3
+    assert execute(request, Backend.MODEL_EXCHANGE).stats["rhs_calls"] >= 10_000  # in 10 s

@@ -13,7 +13,6 @@ from casadi import SX
 from casadi_models.dae import Dae
 from casadi_models.dae.time_terms import time_terms
 from cosim.arrays import Vector
-from cosim.integrate.call import call_on_arrays
 from cosim.memo import cached_per_thread
 
 SAMPLES = 100_000  # of a run; a shorter pulse may lie between two of them
@@ -40,6 +39,11 @@ def pulse_times(dae: Dae, p: Vector, begin: float, end: float, longest: float) -
     if not terms.numel() or not longest > 0:
         return np.empty(0)
     return _pulse_times(dae, p[list(rows)].tobytes(), begin, end, longest)
+
+
+def pulse_parameters(dae: Dae) -> tuple[str, ...]:
+    """Return the parameters on which the terms of time depend."""
+    return tuple(dae.parameters[i].name for i in _terms(dae)[1])
 
 
 @cached_per_thread(64)
@@ -97,9 +101,7 @@ def _parted(t: Vector, values: Vector, size: float) -> Vector:
 def _sampled(dae: Dae, p: bytes, begin: float, end: float, count: int) -> tuple[Vector, Vector]:
     """Return equidistant times and the terms there, (count,) and (count, n)."""
     t = np.linspace(begin, end, count)
-    values = np.empty((count, _terms(dae)[0].numel()))
-    call_on_arrays(_sampler(dae, count), [t, np.frombuffer(p)], [values])
-    return t, values
+    return t, np.array(_sampler(dae, count)(t[None], np.frombuffer(p))).T
 
 
 def _places(values: Vector, large: float, count: int) -> list[tuple[int, int]]:
