@@ -526,3 +526,12 @@ def test_jumps_of_a_python_function_are_located(solver):
     ends = [np.log(np.cosh(50 * (t - 1))) / 50 for t in (0, 0.5037, 1.2541, 2)]
     exact = ends[1] - ends[0] + 2 * (1.2541 - 0.5037) + ends[3] - ends[2]
     assert run.final["v"] == pytest.approx(exact, abs=1e-9)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0.3, 0.7), (0.3, 0.57), (0.5051, 0.5071), (0.5, 0.51)])
+def test_pulses_of_a_python_function_are_seen(begin, end):
+    model = Model("mass", stop_time=1.0)
+    v, force = model.state("v", "m/s", 0.0, "speed"), model.input("f", "N", 0.0, "force")
+    model.derivative(v, force)
+    run = simulate(model.freeze(), inputs={"f": lambda t: float(begin <= t < end)})
+    assert run.final["v"] == pytest.approx(end - begin, abs=1e-12)

@@ -22,6 +22,8 @@ from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
 
 _STEEP = 0.02  # share of a function's range within a sampling interval that may be a jump
+_LOOKS = 7  # at a function between two output times
+_PEAK = 0.1  # departure from the line between two samples that matters, as a share of the range
 _TRIALS = 5  # bisections after which only a jump is still half as high
 Law = str | Callable[[Any], Any]
 
@@ -238,8 +240,21 @@ def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
             f"{len(grid)} output times; give as many, or an InputSeries"
         )
     if callable(value):
-        grid, array = _with_jumps(value, grid, array)
+        grid, array = _with_jumps(value, *_with_peaks(value, grid, array))
     return InputSeries((name,), grid, array[:, None])
+
+
+def _with_peaks(
+    law: Callable[[float], Any], times: Vector, samples: Vector
+) -> tuple[Vector, Vector]:
+    """Return samples of a function with more of them where it departs from the line between two."""
+    shares = np.linspace(0, 1, _LOOKS + 2)[1:-1]
+    inner = times[:-1, None] + np.diff(times)[:, None] * shares
+    found = np.array([[float(law(float(t))) for t in row] for row in inner])
+    apart = np.abs(found - samples[:-1, None] - np.diff(samples)[:, None] * shares)
+    odd = (apart > _PEAK * np.ptp(np.append(samples, found))).any(axis=1)
+    times, order = np.unique(np.append(times, inner[odd]), return_index=True)
+    return times, np.append(samples, found[odd])[order]
 
 
 def _with_jumps(
@@ -260,9 +275,12 @@ def _with_jumps(
             else:
                 low, before = middle, value
         if steep:
-            more = [before] if high == times[k + 1] else [before, after]
+            near = 4 * np.spacing(abs(high))  # the time of a sample itself
+            begins, ends = low - times[k] < near, times[k + 1] - high < near
+            more = [after] if begins else [before] if ends else [before, after]
             samples = np.insert(samples, k + 1, more)
-            times = np.insert(times, k + 1, [high] * len(more))
+            at = times[k] if begins else times[k + 1] if ends else high
+            times = np.insert(times, k + 1, [at] * len(more))
     return times, samples
 
 
