@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 import cosim
 from casadi_models.dae import Model
@@ -87,3 +87,69 @@ def test_discontinuous_problems_of_detest(number, solver):
     scale = max(1.0, abs(run["y"]).max())
     error = 1e-7 if solver == "cvodes" else 2e-9
     assert run.final["y"] == pytest.approx(smooth_pieces(number), abs=error * scale)
+
+
+def brake(decay):
+    """Return a shaft under 5 N.m, braked by 40 N at 1 m from 0.5 to 2 s, as Rotational.Brake."""
+    model = Model("brake", stop_time=3.0)
+    w = model.state("w", "rad/s", 10.0, "speed")
+    pressed = ca.logic_and(model.t >= 0.5, model.t < 2)
+    normal = 40 * ca.if_else(pressed, 1, 0)
+    torque = cosim.contact.friction(w, normal, 0.5, sticking=0.55, decay=decay)
+    model.derivative(w, 5 + torque)
+    model.output("torque", "N.m", torque, "braking torque")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["dop853", "erk", "rosenbrock", "cvodes", "idas"])
+@pytest.mark.parametrize("decay", [1e-3, 0.1])
+def test_brake_holds_a_shaft_from_its_closed_form_on(decay, solver):
+    def slowness(w):
+        return 1 / (15 + 2 * np.exp(-((w / decay) ** 2)))
+
+    points = [decay, 2 * decay, 5 * decay, 10 * decay]
+    rest = 0.5 + quad(slowness, 0, 12.5, points=points, epsabs=1e-15, limit=500)[0]
+    run = cosim.simulate(brake(decay), solver=solver, relative_tolerance=1e-10)
+    stop = next(event for event in run.events if event.name.startswith("sign"))
+    assert stop.time == pytest.approx(rest, abs=1e-9)  # measured 1e-10
+    held = (run.time > rest) & (run.time < 2)
+    assert np.abs(run["w"][held]).max() < 1e-13
+    np.testing.assert_allclose(run["torque"][held], -5, rtol=0, atol=1e-9)
+    assert run.final["w"] == pytest.approx(5.0, abs=1e-12)
+
+
+def clutches():
+    """Return four inertias of 1 kg.m2 with three clutches, as Rotational CoupledClutches."""
+    model = Model("clutches", stop_time=1.5, output_interval=0.003)
+    t = model.t
+    w = [model.state(f"w{i}", "rad/s", 10.0 if i == 1 else 0.0, "speed") for i in (1, 2, 3, 4)]
+    normal = [20 * ca.fmax(0, ca.sin(0.4 * np.pi * t + 1.57))]
+    normal += [20 * ca.if_else(t >= begin, 1, 0) for begin in (0.4, 0.9)]
+    torques = [10 * ca.sin(10 * np.pi * t)]
+    for i, force in enumerate(normal):
+        friction = cosim.contact.friction(w[i] - w[i + 1], force, 0.5, sticking=0.55, decay=0.05)
+        torques[i] += friction
+        torques.append(-friction)
+    for speed, torque in zip(w, torques, strict=True):
+        model.derivative(speed, torque)
+    return model.freeze()
+
+
+# by scipy's DOP853 at 1e-12 with a state machine of sliding and sticking clutches
+LOCKED = [0.709365, 0.790992, 0.831167, 0.898230, 1.000333, 1.143869]
+SPEEDS = [3.24038813, 2.46541055, 2.46541055, 2.46541055]
+
+
+@pytest.mark.parametrize(
+    "solver", ["dop853", "rk4", "ode8", "erk", "cvodes", "cvodes_adams", "idas"]
+)
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
+def test_clutches_lock_and_slip_in_the_same_order(tolerance, solver):
+    own = {} if solver in ("rk4", "ode8") else {"relative_tolerance": tolerance}
+    run = cosim.simulate(clutches(), solver=solver, **own)
+    times = [event.time for event in run.events if event.name.startswith("sign")]
+    np.testing.assert_allclose(times, LOCKED, rtol=0, atol=50 * tolerance + 1e-6)  # 26
+    speeds = [run.final[f"w{i}"] for i in (1, 2, 3, 4)]
+    np.testing.assert_allclose(speeds, SPEEDS, rtol=0, atol=300 * tolerance)  # 114
+    turned = 10 + (1 - np.cos(10 * np.pi * 1.5)) / np.pi  # momentum, by the torque from outside
+    assert sum(speeds) == pytest.approx(turned, abs=600 * tolerance)

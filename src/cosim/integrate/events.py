@@ -21,7 +21,7 @@ from cosim.errors import InitialConditionError, SolverError, UsageError
 from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.initial_values import algebraic_values
+from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.location import Piece, located, next_of_time
 from cosim.integrate.modes import (
     MOST_ROUNDS,
@@ -34,7 +34,6 @@ from cosim.integrate.modes import (
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
-from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values
 
@@ -132,17 +131,6 @@ def _summed(found: Sequence[Reached]) -> Counts:
         total(counts.jacobian_calls for counts in every),
         every[-1].cause if every else "",
     )
-
-
-def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
-    """Return every input at the output times, (nu, n); (nu, 1) where all are constant."""
-    if inputs is None:
-        return values.u[:, None]
-    table = np.tile(values.u[:, None], len(grid))
-    known = [variable.name for variable in dae.inputs]
-    for name, row in zip(inputs.names, inputs.with_jumps_at(grid).at(grid), strict=True):
-        table[known.index(name)] = row
-    return table
 
 
 @cached_per_thread(16)
@@ -277,7 +265,10 @@ class _Course:
             return ""
         if piece.reason:
             self._accept(piece, np.inf)
-            return piece.reason
+            if piece.reason == INTERRUPTED or len(piece.times) < 2:
+                return piece.reason
+            self.at, self.window = piece.at_end(), self.least_window
+            return ""  # a fresh start may succeed
         self._accept(piece, end)
         self.window *= 2
         arrived = piece.at_end()

@@ -13,6 +13,7 @@ from cosim.codegen.initialization import (
 )
 from cosim.errors import InitialConditionError
 from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
 
 DEPENDENT = 1e-14  # ratio of the smallest and the largest singular value, for rows of length 1
@@ -144,3 +145,14 @@ def _closest(dae: Dae, rule: StartRule, t: float, x: Vector, values: Values) -> 
     return (
         f"the closest found leaves a residual of {best:.3g} at {dae.states[first].name} = {at:.4g}"
     )
+
+
+def input_values(dae: Dae, grid: Vector, values: Values, inputs: InputSeries | None) -> Vector:
+    """Return every input at the output times, (nu, n); (nu, 1) where all are constant."""
+    if inputs is None:
+        return values.u[:, None]
+    table = np.tile(values.u[:, None], len(grid))
+    known = [variable.name for variable in dae.inputs]
+    for name, row in zip(inputs.names, inputs.with_jumps_at(grid).at(grid), strict=True):
+        table[known.index(name)] = row
+    return table

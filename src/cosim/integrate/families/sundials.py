@@ -13,6 +13,8 @@ from cosim.integrate.families.plugin import COMMON, plugin_engine, restarted_eng
 from cosim.model.solver import AdaptiveSolver
 
 _SUNDIALS_COUNTERS = ("nsteps", "nfevals", "nlinsetups")
+# CasADi's default "qr" gives NaN where an element of the Jacobian is as small as 1e-155
+_COMMON = COMMON | {"linear_solver": "csparse"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +28,7 @@ class Cvodes(AdaptiveSolver):
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
-        grid, options = problem.grid, COMMON | tolerances(self) | self.plugin_options
+        grid, options = problem.grid, _COMMON | tolerances(self) | self.plugin_options
         restarted = problem.piecewise and bool(problem.dae.inputs)
         # without a limit, steps shrink until h^2 underflows, and the results are wrong
         span = 1.0 if restarted else float(grid[-1] - grid[0])
@@ -78,7 +80,7 @@ class Idas(AdaptiveSolver):
 
     @property
     def _options(self) -> dict[str, Any]:
-        return COMMON | tolerances(self) | {"suppress_algebraic": self.suppress_algebraic}
+        return _COMMON | tolerances(self) | {"suppress_algebraic": self.suppress_algebraic}
 
     def _engine(self, problem: Problem, start: Mapping[str, Any]) -> Engine:
         return plugin_engine(problem, "idas", self._options | dict(start), _SUNDIALS_COUNTERS)

@@ -11,8 +11,7 @@ from casadi_models.dae import Dae
 from cosim.codegen.functions import equations
 from cosim.errors import ParameterError, SolverError
 from cosim.integrate.call import RunStats
-from cosim.integrate.events import input_values
-from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.initial_values import consistent_values, input_values
 from cosim.integrate.outputs import watching
 from cosim.integrate.preparation import compilation_of
 from cosim.integrate.run import run

@@ -28,7 +28,7 @@ from cosim.codegen.initialization import start_function
 from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import simulate_many
-from cosim.integrate.events import input_values
+from cosim.integrate.initial_values import input_values
 from cosim.integrate.keywords import requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.run import run
