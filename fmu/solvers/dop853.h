@@ -23,11 +23,6 @@ typedef struct {
 
 static const Pair pair;
 
-/* By square roots, which every computer rounds alike. */
-static inline double eighth_root(double x) {
-    return sqrt(sqrt(sqrt(x)));
-}
-
 static inline double norm(const Ode *ode, const double *values, const double *x) {
     double sum = 0;
     for (int i = 0; i < NX; ++i) {
@@ -50,7 +45,7 @@ static inline double first_step(const Ode *ode, double t, double span, const dou
     if (slope(ode, t + h, y, k[1]) || !is_finite(k[1])) return h;
     for (int i = 0; i < NX; ++i) change[i] = k[1][i] - k[0][i];
     const double steepest = fmax(rate, norm(ode, change, x) / h);
-    const double next = steepest > 1e-15 ? eighth_root(0.01 / steepest) : fmax(1e-6, 1e-3 * h);
+    const double next = steepest > 1e-15 ? pow(0.01 / steepest, 1.0 / 8) : fmax(1e-6, 1e-3 * h);
     return fmin(fmin(100 * h, next), span);
 }
 
@@ -109,7 +104,7 @@ static inline int interpolate(const Ode *ode, double t, double h, const double *
 /* What the size of a step is multiplied by after an error. */
 static inline double growth(double error, int rejected) {
     const double most = error > 1 || rejected ? 1.0 : 6.0;
-    return fmin(most, fmax(1.0 / 3, 0.9 / eighth_root(error)));
+    return fmin(most, fmax(1.0 / 3, 0.9 * pow(error, -1.0 / 8)));
 }
 
 #endif
