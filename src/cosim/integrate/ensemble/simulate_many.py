@@ -6,6 +6,7 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Unpack
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
@@ -115,8 +116,10 @@ def _lane_solver(request: RunRequest) -> Dop853 | None:
     if not (explicit and plain and end > begin and has_compiler()):
         return None
     longest = request.max_step or end - begin
-    if len(pulse_times(dae, request.numbers.p, begin, end, longest)):
-        return None
+    times = pulse_times(dae, request.numbers.p, begin, end, longest)
+    groups = np.split(times, np.flatnonzero(np.diff(times) > longest) + 1)
+    if any(0 < np.ptp(group) < longest for group in groups if len(group)):
+        return None  # a pulse within a step
     if isinstance(solver, Dop853):
         return solver
     if solver is None or isinstance(solver, Tolerance):
