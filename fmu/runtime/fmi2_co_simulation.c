@@ -2,6 +2,7 @@
 #include "events.h"
 #include "fmi2_modes.h"
 #include "fmi2_status.h"
+#include "output_rates.h"
 #include "stepping.h"
 
 /* -- inputs and outputs between communication points ------------------------------------------ */

@@ -2,6 +2,7 @@
 #include "events.h"
 #include "fmi3_modes.h"
 #include "fmi3_status.h"
+#include "output_rates.h"
 #include "stepping.h"
 
 /* A step that fails is discarded: the instance is as it was before, and a shorter one may do. It

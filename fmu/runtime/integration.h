@@ -11,6 +11,9 @@ INSIDE_BEGIN
    where it went as far as was wanted: `Host.step_finished` may bring the end forward. */
 bool integrate_to(Instance *self, double end);
 
+/* A step that is short enough for the motion at the present state. */
+double typical_step(Instance *self);
+
 INSIDE_END
 
 #endif

@@ -294,6 +294,15 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
 }
 #endif
 
+double typical_step(Instance *self) {
+    SolverMemory memory = self->state.memory;
+    Problem problem = {.fmu = self, .tolerance = TIGHTEST};
+    const Ode ode = {problem_slope, problem_scale, &problem};
+    memcpy(problem.z, self->state.values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
+    if (memory.next > 0 || begin(&ode, self, &memory, self->state.stop_time)) return memory.next;
+    return LARGEST_STEP;
+}
+
 bool integrate_to(Instance *self, double end) {
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     const State *state = &self->state;

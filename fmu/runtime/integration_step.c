@@ -51,6 +51,19 @@ static bool advance(Instance *self, double end) {
     return true;
 }
 
+/* A tenth of the time in which the states change by their sizes. */
+double typical_step(Instance *self) {
+    const double *values = self->state.values;
+    double size = 0, rate = 0;
+    if (refresh(self, DERIVATIVES) != OK) return LARGEST_STEP;
+    for (int i = 0; i < NX; i++) {
+        const double nominal = variables[FIRST_STATE + i].nominal;
+        size = fmax(size, fabs(values[FIRST_STATE + i]) / nominal);
+        rate = fmax(rate, fabs(values[FIRST_DERIVATIVE + i]) / nominal);
+    }
+    return fmin(LARGEST_STEP, 0.1 * fmax(size, 0.01) / fmax(rate, DBL_MIN));
+}
+
 #if HAS_EVENTS
 
 /* The cubic through both ends of a step. */

@@ -173,17 +173,23 @@ Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
     return status == OK ? gather(self, unknowns, n_unknowns, along, sensitivity) : status;
 }
 
-/* Derivatives of unknowns with respect to time along the solution, inputs moving as declared. */
+/* Derivatives of everything with respect to time along the solution, inputs moving as declared. */
+Status all_rates(Instance *self, double rates[]) {
+    const Status status = refresh(self, DERIVATIVES);
+    if (status != OK) return status;
+    memset(rates, 0, N_VARIABLES * sizeof *rates);
+    rates[TIME] = 1;
+    memcpy(rates + FIRST_STATE, self->state.values + FIRST_DERIVATIVE, NX * sizeof *rates);
+    memcpy(rates + FIRST_INPUT, self->state.motion[0], NU * sizeof *rates);
+    return push_forward(self, rates);
+}
+
 Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]) {
+    double along[N_VARIABLES];
     Status status = check_roles(self, unknowns, count, NULL, 0);
-    if (status == OK) status = refresh(self, DERIVATIVES);
+    if (status == OK) status = all_rates(self, along);
     if (status != OK) return status;
     if (!rates) return refuse(self, ERROR, "there is no room for the values");
-
-    double along[N_VARIABLES] = {[TIME] = 1};
-    memcpy(along + FIRST_STATE, self->state.values + FIRST_DERIVATIVE, NX * sizeof(double));
-    memcpy(along + FIRST_INPUT, self->state.motion[0], NU * sizeof(double));
-    status = push_forward(self, along);
-    return status == OK ? gather(self, unknowns, count, along, rates) : status;
+    return gather(self, unknowns, count, along, rates);
 }
 #endif

@@ -19,6 +19,7 @@ Status spread_to_starts(Instance *self, double seed[]);
 Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
                    const uint32_t knowns[], size_t n_knowns, const double seed[],
                    double sensitivity[]);
+Status all_rates(Instance *self, double rates[]);
 Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count, double rates[]);
 
 INSIDE_END

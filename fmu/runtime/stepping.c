@@ -10,7 +10,6 @@
 #include "input_motion.h"
 #include "integration.h"
 #include "logging.h"
-#include "sensitivity.h"
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
@@ -61,14 +60,6 @@ Status do_step(Instance *self, double from, double length) {
                   end, reached, hint.joint, hint.limit);
 }
 
-static Status check_orders(Instance *self, size_t count, const int32_t orders[]) {
-    if (!orders) return refuse(self, ERROR, "the orders are missing");
-    for (size_t i = 0; i < count; i++)
-        if (orders[i] < 1)
-            return refuse(self, ERROR, "there is no derivative of order %d", (int)orders[i]);
-    return OK;
-}
-
 /* Time derivatives of inputs for the next communication step; those of higher orders are dropped,
    as an importer may offer whatever its own side knows. */
 Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
@@ -96,16 +87,4 @@ Status set_motion(Instance *self, const uint32_t references[], size_t count, con
                             "is dropped",
                             MOST_INPUT_ORDER, (int)orders[i], variables[references[i]].name);
     return status;
-}
-
-/* Time derivatives of outputs along the solution; those of higher order are given as 0. */
-Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
-                 double values[]) {
-    if (count == 0) return OK;
-    if (check_orders(self, count, orders) != OK) return ERROR;
-    const Status status = time_derivatives(self, references, count, values);
-    if (status != OK) return status;
-    for (size_t i = 0; i < count; i++)
-        if (orders[i] > 1) values[i] = 0.0;
-    return OK;
 }

@@ -11,8 +11,6 @@ INSIDE_BEGIN
 Status do_step(Instance *self, double from, double length);
 Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                   const double values[]);
-Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
-                 double values[]);
 
 INSIDE_END
 

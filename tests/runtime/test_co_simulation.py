@@ -127,11 +127,45 @@ def test_output_derivatives_are_the_total_derivatives_along_the_solution(cs):
     assert error < 1e-6  # of the central difference; measured 1.1e-7
 
 
-def test_output_derivatives_of_higher_order_are_zero(cs):
+def test_output_derivatives_of_each_order_are_those_of_the_order_below(cs):
+    names = ("energy", "wave", "v")
+
+    def derivatives_at(time, order):
+        cs("Reset")
+        cs.initialize({"tolerance": 1e-12})
+        motion = (c_int * 3)(1, 2, 3)
+        cs("SetRealInputDerivatives", cs.refs(*["push"] * 3), 3, motion, reals(2.0, -3.0, 4.0))
+        assert cs("DoStep", 0.0, time, 1) == OK
+        values, orders = reals(0, 0, 0), (c_int * 3)(order, order, order)
+        assert cs("GetRealOutputDerivatives", cs.refs(*names), 3, orders, values) == OK
+        return np.array(values)
+
+    for order in (2, 3):
+        after, before = (derivatives_at(0.7 + side, order - 1) for side in (1e-3, -1e-3))
+        found = derivatives_at(0.7, order)
+        # of the central difference; measured 2e-5
+        np.testing.assert_allclose(found, (after - before) / 2e-3, rtol=1e-4, atol=1e-4)
+
+
+def test_output_derivatives_do_not_change_the_run(cs):
+    def end(order):
+        cs("Reset")
+        cs.initialize()
+        walk(cs, 0.5, 0.25)
+        orders = (c_int * 1)(order)
+        assert cs("GetRealOutputDerivatives", cs.refs("v"), 1, orders, reals(0.0)) == OK
+        assert cs("DoStep", 0.5, 0.25, 1) == OK
+        return cs.get("q", "v", "w", "s")
+
+    assert end(3) == end(1)
+
+
+@pytest.mark.parametrize("order", [0, 4, -1])
+def test_output_derivatives_of_other_orders_are_rejected(cs, order):
     cs.initialize()
-    value = reals(7.0)
-    assert cs("GetRealOutputDerivatives", cs.refs("v"), 1, (c_int * 1)(2), value) == OK
-    assert list(value) == [0.0]
+    orders = (c_int * 1)(order)
+    assert cs("GetRealOutputDerivatives", cs.refs("v"), 1, orders, reals(7.0)) == ERROR
+    assert cs.said.endswith(f"derivatives have orders 1 to 3, not {order}")
 
 
 def test_repeating_a_step_from_a_saved_state_gives_the_same_bits(cs):
