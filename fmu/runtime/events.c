@@ -175,6 +175,9 @@ static Status iterate(Instance *self, bool zero[], const char **name, Outcome *o
         memcpy(self->state.switching.conditions, rules.conditions, N_EVENTS * sizeof(double));
         if (first < 0) return OK;
         *name = events[first].name;
+        for (int i = 0; i < N_EVENTS; i++)
+            if (risen[i])
+                log_text(self, OK, "at %.17g s: %s", self->state.values[TIME], events[i].name);
         if (round == MOST_ROUNDS)
             return refuse(self, ERROR,
                           "'%s' happens again and again at %.12g s, more than %d times", *name,
@@ -225,14 +228,16 @@ Status happen(Instance *self, int crossing, Outcome *outcome) {
     if (status != OK) return status;
 
     bool replan = !(s->next > t);
+    const char *switched = NULL;
     for (int i = 0; i < N_MODES; i++) {
         if (modes[i] == modes_before[i]) continue;
         replan |= relations[i].of_time;
-        if (!name) name = relations[i].name;
+        if (!switched || relations[i].in_equations) switched = relations[i].name;
+        if (!name && relations[i].in_equations) log_text(self, OK, "at %.17g s: %s", t, switched);
     }
+    if (!name) name = switched;
     if (replan) plan_time_events(self, t);
     outcome->states_changed = memcmp(x, state->values + FIRST_STATE, NX * sizeof *x) != 0;
-    if (name) log_text(self, OK, "at %.17g s: %s", t, name);
     return name ? reject_zeno(self, name, way) : OK;
 }
 

@@ -43,9 +43,10 @@ typedef struct {
 typedef struct {
     const char *name;
     bool floor;
-    bool of_time; /* its argument depends on time and parameters alone ... */
-    bool linear;  /* ... and is linear in time */
-    int at_zero;  /* mode while the argument stays 0; 0: the one that it has */
+    bool of_time;      /* its argument depends on time and parameters alone ... */
+    bool linear;       /* ... and is linear in time */
+    int at_zero;       /* mode while the argument stays 0; 0: the one that it has */
+    bool in_equations; /* not only in conditions of events */
 } RelationInfo;
 
 /* What happens where a condition becomes true. */

@@ -46,7 +46,8 @@ class Event:
     Attributes:
         time: s.
         name: Name of the event, or the operation of the equations that switched.
-        before, after: States and recorded variables just before and after it, SI.
+        before, after: States and recorded variables just before and after it, SI; empty in runs
+            of FMUs.
     """
 
     time: float

@@ -297,7 +297,8 @@ class _Course:
         for before, after, which in piece.passed:
             self._accept(piece, before.t, before.modes)
             was, self.at = self.at.t, after
-            self._record([self.system.events[i].name for i in which], before.zero, before.x)
+            switched = before.zero | before.switched(after)
+            self._record([self.system.events[i].name for i in which], switched, before.x)
             self.instants.append((before, after))
             self._reject_zeno(was)
 
@@ -321,7 +322,7 @@ class _Course:
             at = replace(at, modes=modes, sliding=at.sliding - {i})
         was = self.at.t
         self.at = settled(self.system, replace(at, zero=zero), self.values.p, left)
-        self._happen(before, zero | left, x, dt)
+        self._happen(before, zero | left | begin.switched(self.at), x, dt)
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))

@@ -150,6 +150,11 @@ class Instant:
     sliding: frozenset[int] = frozenset()
     zero: frozenset[int] = frozenset()
 
+    def switched(self, later: "Instant") -> frozenset[int]:
+        """Return the relations that have another mode later, without those that slide."""
+        changed = np.flatnonzero(self.modes != later.modes).tolist()
+        return frozenset(changed) - self.sliding - later.sliding
+
     def watched(self, system: Hybrid, p: Vector) -> Watched:
         """Evaluate the relations here, in the present modes."""
         own = sliding(system, self.sliding)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.backend import Backend
 from cosim.errors import UsageError
 from cosim.model.values import number
@@ -62,6 +63,12 @@ class Comparison:
     def agrees(self) -> bool:
         """Whether the difference of every variable is within the bound."""
         return self.worst.scaled <= self.bound
+
+    @property
+    def event_times(self) -> tuple[Vector, Vector]:
+        """Instants with events of both runs, s."""
+        first, second = (np.unique([event.time for event in run.events]) for run in self.runs)
+        return first, second
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per variable; `largest` and `rms` residual are in display units."""
@@ -311,6 +318,8 @@ class Check:
         """Return the check as a row of a table, for JSON too."""
         compared = self.comparison
         worst = compared and compared.worst
+        ours, others = compared.event_times if compared else (np.empty(0), np.empty(0))
+        same = len(ours) == len(others)
         return {
             "model": self.model,
             "backend": self.backend,
@@ -319,6 +328,10 @@ class Check:
             "worst": worst and worst.name,
             "difference": worst and worst.scaled,
             "at": worst and worst.time,
+            "events": (f"{len(ours)}" if same else f"{len(ours)}, {len(others)}")
+            if len(ours) or len(others)
+            else None,
+            "event_shift": float(np.abs(ours - others).max()) if same and len(ours) else None,
             "bound": compared and compared.bound,
             "verdict": str(self.verdict),
             "wall_time": self.wall_time,

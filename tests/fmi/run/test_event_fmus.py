@@ -219,3 +219,23 @@ def test_events_of_random_models_are_those_of_native_simulation(seed, tmp_path):
         names = [variable.name for variable in dae.states]
         # measured 1e-9 in co-simulation, 1e-5 by fmpy's CVODE
         assert np.abs(run[names].values - native[names].values)[apart].max() < 1e-4
+
+
+@VERSIONS
+@EACH_RUN
+def test_events_are_those_of_native_simulation(exported, fmi, interface, master, bound):
+    for name in ("ball", "block", "square_wave"):
+        native = cosim.simulate(getattr(event_models, name)(), relative_tolerance=1e-10)
+        options = {"interface": interface, "master": master, "relative_tolerance": 1e-9}
+        run = cosim.simulate_fmu(exported(name, fmi), **options)
+        names = [[event.name for event in found.events] for found in (native, run)]
+        assert names[0] == names[1]
+        ours, others = ([event.time for event in found.events] for found in (native, run))
+        np.testing.assert_allclose(ours, others, rtol=0, atol=max(bound, 1e-7))
+
+
+def test_crosscheck_compares_times_of_events():
+    scene = cosim.Scene("ball", requested(event_models.ball()))
+    rows = cosim.crosscheck(scene).rows()
+    assert [row["events"] for row in rows] == ["4", "4"]
+    assert all(row["event_shift"] < 1e-8 for row in rows)  # measured 4e-10

@@ -48,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
                     print(f"  not compared: {names} ({why})", file=sys.stderr, flush=True)
     finally:  # also after an error or Ctrl-C
         if not args.json:
-            empty = {k for k in ("left_out", "reason") if not any(row[k] for row in rows)}
+            optional = ("events", "event_shift", "left_out", "reason")
+            empty = {k for k in optional if all(row[k] is None for row in rows)}
             rows = [{k: v for k, v in row.items() if k not in empty} for row in rows]
         show_table(rows, as_json=args.json)
     verdicts = {row["verdict"] for row in rows}

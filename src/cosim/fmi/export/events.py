@@ -95,8 +95,14 @@ def event_tables(system: Hybrid | None) -> str:
     relations, events, assigned = "", "", list[int]()
     for i, relation in enumerate(system.relations):
         flags = (relation.floor, system.of_time[i], system.linear[i])
+        used = str(system.in_laws[i]).lower()
         at_zero = relation.at_zero if relation.operation in COMPARISONS else 0
-        facts = [literal(system.described(i)), *(str(flag).lower() for flag in flags), str(at_zero)]
+        facts = [
+            literal(system.described(i)),
+            *(str(flag).lower() for flag in flags),
+            str(at_zero),
+            used,
+        ]
         relations += f"    {{{', '.join(facts)}}},\n"
     for event in system.events:
         message = literal(event.message) if event.message else "NULL"
@@ -105,7 +111,7 @@ def event_tables(system: Hybrid | None) -> str:
         assigned += event.states
     return f"""
 const RelationInfo relations[] = {{
-{relations}    {{NULL, false, false, false, 0}},
+{relations}    {{NULL, false, false, false, 0, false}},
 }};
 
 const EventInfo events[] = {{

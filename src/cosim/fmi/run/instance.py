@@ -36,6 +36,7 @@ _FEWER_STEPS = (
 _ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # no message says why
 _CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
 _MESSAGES = 3  # of an FMU's log, in an error
+_EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
 _OK, _FATAL = 0, 4  # a status after which no function of the FMU may be called
 
 
@@ -205,14 +206,16 @@ def instantiated(
     Raises:
         FmuError: The library cannot be loaded, or rejects the instantiation.
     """
-    log: list[str] = []
+    log, events = list[str](), list[tuple[float, str]]()
 
     def collect(*arguments: Any) -> None:
         """Keep the message, the last argument in every version of the FMI, unless all is well."""
         *_, status, _category, text = arguments
-        if status == _OK:
-            return
-        log.append(text.decode(errors="replace") if isinstance(text, bytes) else str(text))
+        words = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+        if status != _OK:
+            log.append(words)
+        elif event := _EVENT.search(words):
+            events.append((float(event[1]), event[2]))
 
     def explained(error: Exception) -> FmuError:
         reason = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
@@ -228,6 +231,7 @@ def instantiated(
             instance = _instance(folder, description, Interface(kind), collect, **callback)
         except Exception as error:
             raise explained(error) from error
+    instance.logged_events = events
     try:
         yield instance, explained
     finally:

@@ -25,7 +25,7 @@ from cosim.fmi.run.python_master import run_in_python
 from cosim.fmi.run.request import FmuRequest, MasterRun
 from cosim.fmi.trust import is_made_here
 from cosim.memo import cached_per_thread
-from cosim.trajectory import Trajectory
+from cosim.trajectory import Event, Trajectory
 
 
 class Master(StrEnum):
@@ -70,6 +70,7 @@ class OpenedFmu:
                 "intermediateUpdate": lambda _, time, asks, *__: asks and instance.answer(time),
             }
         instance, explained = self.ready()
+        instance.logged_events.clear()
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
@@ -93,6 +94,7 @@ class OpenedFmu:
             found.rows,
             stats,
             numbers=request.numbers,
+            events=tuple(Event(time, name, {}, {}) for time, name in instance.logged_events),
         )
 
     def close(self) -> None:
