@@ -7,6 +7,7 @@ import pytest
 from helpers.oscillators import K, oscillator
 
 import cosim
+from casadi_models.dae.variational import variational
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, SolverError, UnknownName, UsageError
 from cosim.model.inputs import InputSeries
@@ -15,7 +16,6 @@ from cosim.study.sensitivity.sensitivity import (
     SensitivityTarget,
     sensitivity,
     start_slopes,
-    variational,
 )
 
 SHORT = {"stop_time": 1.0, "output_interval": 0.1}

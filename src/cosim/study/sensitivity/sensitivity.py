@@ -1,13 +1,9 @@
 """`sensitivity`: derivatives of a run, checked by finite differences of runs.
 
-With x' = f(t, x, z, p) and 0 = g(t, x, z, p), the derivatives s and w of x and z along a direction
-q of the parameters follow the variational equations
-
-    s' = f_x s + f_z w + f_p q,    0 = g_x s + g_z w + g_p q
-
-A solver of the whole system controls the error of s and w in the same way as that of x. The
-direction is a parameter, so that one compiled model serves every derivative, and many directions
-can be integrated at once.
+The derivatives follow from the variational equations, see `casadi_models.dae.variational`. A solver
+of the whole system controls their errors in the same way as those of x. The direction is a
+parameter, so that one compiled model serves every derivative, and many directions can be integrated
+at once.
 """
 
 import warnings
@@ -17,10 +13,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from casadi import SX
 from numpy.typing import NDArray
 
-from casadi_models.dae import Dae, Start, Variable
+from casadi_models.dae import Dae, Variable
+from casadi_models.dae.variational import derivative, direction, variational
 from cosim.arrays import Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.functions import symbols_like
@@ -40,6 +36,8 @@ from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.values import Values, assign, checked, listed, number, plain_values
 from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.trajectory import Column, Trajectory
+
+_variational = cached_per_thread(8)(variational)
 
 
 @dataclass(frozen=True)
@@ -69,54 +67,6 @@ class SensitivityTarget:
         return None
 
 
-def derivative(name: str) -> str:
-    """Return the name of the derivative of a variable."""
-    return f"derivative_of_{name}"
-
-
-def direction(name: str) -> str:
-    """Return the name of the component of the direction along a parameter or an input."""
-    return f"direction_of_{name}"
-
-
-@cached_per_thread(8)
-def variational(dae: Dae) -> Dae:
-    """Return the DAE together with the derivatives of everything along a direction.
-
-    The variables of the model come first, then the `derivative` of each. Each parameter and input
-    has a component of the `direction`, 0 by default. The initial values of the derivatives are 0
-    by default; `start_slopes` computes them.
-    """
-    (s, w, by_u, by_p) = (
-        SX.sym(n, v.numel()) for n, v in zip("swuq", (dae.x, dae.z, dae.u, dae.p), strict=True)
-    )
-    rows = ca.vertcat(dae.ode, dae.alg, dae.outputs)
-    symbols = ca.vertcat(dae.x, dae.z, dae.u, dae.p)
-    moved = ca.densify(ca.jtimes(rows, symbols, ca.vertcat(s, w, by_u, by_p)))
-    nx, nz = dae.x.numel(), dae.z.numel()
-    ode, alg, outputs = ca.vertsplit(moved, [0, nx, nx + nz, rows.numel()])
-    return replace(
-        dae,
-        x=ca.vertcat(dae.x, s),
-        z=ca.vertcat(dae.z, w),
-        p=ca.vertcat(dae.p, by_u, by_p),
-        ode=ca.vertcat(dae.ode, ode),
-        alg=ca.vertcat(dae.alg, alg),
-        outputs=ca.vertcat(dae.outputs, outputs),
-        states=dae.states + _derived(dae.states, derivative, Start.EXACT),
-        algebraics=dae.algebraics + _derived(dae.algebraics, derivative, Start.GUESS),
-        parameters=dae.parameters
-        + _derived((*dae.inputs, *dae.parameters), direction, Start.EXACT),
-        output_variables=dae.output_variables
-        + _derived(dae.output_variables, derivative, Start.CALCULATED),
-        x_start=dae.x_start + (0.0,) * nx,
-        invariants=(),
-        closing=None,
-        monitors=(),
-        derived=nx,
-    )
-
-
 def start_slopes(
     dae: Dae, t: float, values: Values, targets: Sequence[SensitivityTarget]
 ) -> Vector:
@@ -137,22 +87,6 @@ def _start_jacobians(dae: Dae) -> ca.Function:
     start, _ = start_function(dae)(t, x, u, p)
     blocks = [ca.densify(ca.jacobian(start, symbol)) for symbol in (x, u, p)]
     return ca.Function("start_jacobians", [t, x, u, p], blocks)
-
-
-def _derived(
-    variables: Sequence[Variable], name: Callable[[str], str], kind: Start
-) -> tuple[Variable, ...]:
-    return tuple(
-        Variable(
-            name(variable.name),
-            variable.unit if variable.unit != "rad" else "1",  # no angle, whatever its size
-            f"{name('this').replace('_', ' ')}: {variable.meaning}",
-            start=None if kind is Start.CALCULATED else 0.0,
-            start_kind=kind,
-            nominal=variable.nominal,
-        )
-        for variable in variables
-    )
 
 
 STEP = 1e-4  # step of the finite differences, relative to the size of the target
@@ -343,7 +277,7 @@ class _Task:
                 row[j] = target.size
                 rows[direction(target.variable.name)] = row
         outputs = (*names, *map(derivative, names))
-        with_slopes = replace(self.at(tolerance), dae=variational(dae), outputs=outputs, values={})
+        with_slopes = replace(self.at(tolerance), dae=_variational(dae), outputs=outputs, values={})
         many = self._runs(with_slopes, rows)
         plain = many.run(0).select(names)
         calls = {"steps": int(many.steps.sum()), "rhs_calls": int(many.rhs_calls.sum())}
