@@ -16,16 +16,6 @@ def refused(reason: str):
     return note
 
 
-@refused("has events")
-def ball():  # CasADi, `when`
-    dae = ca.DaeBuilder("ball")
-    h, v = dae.add("h", {"start": 5}), dae.add("v", {"start": 0})
-    dae.eq(dae.der(h), v)
-    dae.eq(dae.der(v), -9.81)
-    dae.when(h < 0, [dae.reinit("v", -0.8 * v)])
-    return dae
-
-
 @refused("'n' is a discrete state")
 def discrete_state():
     dae, x = decay()

@@ -15,6 +15,7 @@ from cosim.model.foreign.scalar_graph import reject_calls, scalar_graph
 
 SYMBOLS = ("t", "x", "z", "u", "p")
 LAWS = ("ode", "alg", "quad")
+EVENTS = ("zero", "transition")  # as of `casadi.integrator`
 REDUCED = ("x_impl", "dx_impl", "I")  # what dae_reduce_index adds
 
 
@@ -26,6 +27,7 @@ class System:
         symbols: Of t, x, z, u, p.
         laws: ode, alg, quad: columns; I: invariants.
         outputs: By name.
+        transition: From (event, t, x, z, p, u) to new states, where a row of `zero` falls below 0.
         starts: That come with a Function: its own `default_in`, where it is not 0.
     """
 
@@ -33,6 +35,17 @@ class System:
     laws: dict[str, Any]
     outputs: dict[str, Any] = field(default_factory=dict)
     starts: dict[str, float] = field(default_factory=dict)
+    transition: ca.Function | None = None
+
+    def jumps(self) -> list[Any]:
+        """Return the new states after each event."""
+        count = self.laws["zero"].numel() if "zero" in self.laws else 0
+        columns: list[Any] = [[s.symbol for s in self.symbols[k]] for k in SYMBOLS]
+        t, x, z, u, p = (ca.veccat(*column) for column in columns)
+        if self.transition is None:
+            return []
+        given = [t if t.numel() else 0.0, x, z, p, u]
+        return [self.transition.call([i, *given])[0] for i in range(count)]
 
 
 def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
@@ -46,8 +59,11 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
     if not isinstance(system, Mapping):
         raise UsageError.of_type("from_casadi", system, "a dict of expressions or a Function")
     for key in system:
-        if key not in (*SYMBOLS, *LAWS, *REDUCED):
-            raise UnknownName.among(who, "key", key, (*SYMBOLS, *LAWS, *REDUCED))
+        if key not in (every := (*SYMBOLS, *LAWS, *EVENTS, *REDUCED)):
+            raise UnknownName.among(who, "key", key, every)
+    transition = system.get("transition")
+    if ("zero" in system) != isinstance(transition, ca.Function):
+        raise UsageError(f"{who}: give 'zero' and the Function 'transition' together, or neither")
     given = {
         key: value
         for key, value in system.items()
@@ -59,12 +75,13 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
             symbols[kind] += named_symbols(who, extra, given[extra])
     symbols = dict(zip(symbols, named_apart([*symbols.values()]), strict=True))
     reject_duplicates(who, [*symbols.values()])
-    laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "I") if key in given}
+    laws = {key: _stacked(who, key, given[key]) for key in (*LAWS, "zero", "I") if key in given}
     if "x_impl" in given:
         laws["ode"] = ca.vertcat(
             laws.get("ode", SX(0, 1)), _stacked(who, "dx_impl", given["dx_impl"])
         )
-    return System(symbols, laws, {n: _expression(who, n, e) for n, e in outputs.items()})
+    found = {n: _expression(who, n, e) for n, e in outputs.items()}
+    return System(symbols, laws, found, transition=transition)
 
 
 def is_reduction(value: Any) -> bool:

@@ -12,6 +12,7 @@ from casadi_models.dae import Dae, Model
 from casadi_models.units import known as known_unit
 from cosim.errors import UsageError
 from cosim.model.foreign.casadi_system import System, evaluated
+from cosim.model.foreign.from_casadi import declare_jump
 from cosim.model.foreign.named_symbols import Symbol, identifier
 
 _DEPTH = 1000  # of definitions that use definitions
@@ -47,8 +48,6 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
         raise UsageError(
             f"{who}: it holds an FMU, whose equations lie in its library; run that by simulate_fmu"
         )
-    if builder.nzero():
-        raise UsageError(f"{who}: it has events, which cannot be exported")
     try:
         return _converted(_Builder(builder, who))
     except ValueError as error:  # begins with the name
@@ -173,12 +172,20 @@ def _converted(builder: _Builder) -> Dae:
     laws = {f"rate of {name}": rate for name, rate in rates.items()}
     laws |= {f"equation {i}": law for i, law in enumerate(own.alg(), start=1)}
     laws |= {f"start of {name}": law for name, law in init.items()}
+    given: list[Any] = [own.time() if own.has_t() else MX(0, 1)]
+    given += [ca.veccat(*map(own.var, kind)) for kind in (own.x(), own.z(), own.p(), own.u())]
+    for i, zero in enumerate(own.zero() if own.nzero() else []):
+        laws[f"zero {i}"] = zero
+        laws[f"jump {i}"], *_ = own.transition("transition").call([i, *given])
     results = _in_the_models_symbols(builder, model, declared, definitions, laws | outputs)
 
     for name in rates:
         model.derivative(declared[name], results[f"rate of {name}"])
     for i in range(len(own.alg())):
         model.equation(results[f"equation {i + 1}"])
+    x = ca.vertcat(SX(0, 1), *(declared[name] for name in own.x()))
+    for i in range(own.nzero()):
+        declare_jump(model, results[f"zero {i}"], x, results[f"jump {i}"], f"event {i + 1}")
     for name in shown:
         builder.declare(model.output, name, ca.vertsplit(results[name]))
     for name in init:

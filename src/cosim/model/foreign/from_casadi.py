@@ -208,8 +208,9 @@ def from_casadi(
     every mapping below takes the name of a variable, or that of its symbol for all its variables.
 
     Args:
-        system: A mapping of `x`, `ode`, and where needed `t`, `z`, `u`, `p`, `alg`, `quad` to SX or
-            MX (a list of symbols counts as their column); a `casadi.Function` from inputs to
+        system: A mapping of `x`, `ode`, and where needed `t`, `z`, `u`, `p`, `alg`, `quad`, `zero`
+            to SX or MX (a list of symbols counts as their column), with `zero` also the Function
+            `transition` of `casadi.integrator`; a `casadi.Function` from inputs to
             outputs of these names, other outputs being outputs; the path of a saved Function
             (.casadi); or what `casadi.dae_reduce_index` returns. A quadrature becomes a state.
         start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters,
@@ -299,9 +300,12 @@ def declare_system(system: System, facts: Facts, model: Model) -> tuple[SX, dict
 
     values = _declared(system, facts, starts, model)
     expressions = system.laws | system.outputs | {f"start of {n}": e for n, e in rules.items()}
+    expressions |= {f"jump {i}": states for i, states in enumerate(system.jumps())}
     results = evaluated(who, system, values, expressions)
     model.derivative(values["x"], results.get("ode", SX(0, 1)))
     model.equation(results.get("alg", SX(0, 1)))
+    for i, zero in enumerate(ca.vertsplit(results.get("zero", SX(0, 1)))):
+        declare_jump(model, zero, values["x"], results[f"jump {i}"], f"event {i + 1}")
     quad = results.get("quad", SX(0, 1))
     begin = facts.start(Symbol("quad", quad.shape, quad), "x")
     for (entry, rate), start in zip(scalars("quad", quad), begin, strict=True):
@@ -318,6 +322,12 @@ def declare_system(system: System, facts: Facts, model: Model) -> tuple[SX, dict
         results["I"] = results["I"][list(consistent.rows)]
         model.start_equation(values["x"][list(consistent.states)], results["I"], CONSTRAINTS)
     return values["x"], results
+
+
+def declare_jump(model: Model, zero: SX, x: SX, new: SX, name: str) -> None:
+    """Declare an event at which an expression falls below 0, with the states that it changes."""
+    rows = zip(ca.vertsplit(x), ca.vertsplit(new), strict=True)
+    model.when(zero < 0, {s: value for s, value in rows if not ca.is_equal(s, value)}, name=name)
 
 
 def _declared(
