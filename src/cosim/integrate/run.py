@@ -142,8 +142,11 @@ def _failure(
 ) -> SolverError:
     """Return the error of a run that stopped early, with the time, the cause and the remedies."""
     dae, solver = prepared.problem.dae, prepared.solver
+    what = f"{dae.full_name}: {solver.name} {found.status}"
     if PROJECTION in solution.reason:
-        return SolverError(f"{dae.full_name}: {solver.name} {found.status}", found)
+        return SolverError(what, found)
+    if solution.reason in solution.invalid:
+        return SolverError(f"{what}; on_invalid='warn' goes on from there", found)
     others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
     which = f" ({', '.join(others)})" if dae.algebraics else ""
     if dae.algebraics and dae.invariants and not prepared.problem.project:
@@ -152,7 +155,7 @@ def _failure(
     if any(words in solution.reason for words in _TOO_MANY_STEPS):
         closer = f", or closer output times (for {MOST_STEPS:,} steps from one to the next)"
     return SolverError(
-        f"{dae.full_name}: {solver.name} {found.status} ({solver.settings}); look for a "
+        f"{what} ({solver.settings}); look for a "
         "singularity near that state, or use another tolerance or step, formulation or "
         f"solver{which}{closer}",
         found,
