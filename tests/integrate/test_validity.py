@@ -39,7 +39,8 @@ def test_run_within_its_limits_says_nothing():
 
 
 def test_run_stops_at_a_limit_when_asked_and_keeps_what_is_valid():
-    with pytest.raises(SolverError, match="the ball is above.*; on_invalid=.warn. goes on") as caught:
+    reason = r"the ball is above.*; on_invalid='warn' goes on"
+    with pytest.raises(SolverError, match=reason) as caught:
         cosim.simulate(falling_ball(), on_invalid="stop")
     partial = caught.value.partial
     assert partial.time[-1] == pytest.approx(0.45)
