@@ -14,6 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "figures"
 QUICK = {
+    "bicycle_jump": "animate examples/bicycle_jump.py:build --at 0.1,0.34,0.52,0.9 -o",
     "eigenvalues": "linearize bicycle -p phi_dot=0 --outputs speed --along thetaR_dot=-3:-30:100"
     " --figure",
     "scene_bicycle": "animate bicycle --at 0,0.5,1,1.5 --stop-time 2 -o",
@@ -40,7 +41,7 @@ def draw(name: str, target: Path) -> None:
     else:
         call = [f"-m cosim {(QUICK | LONG)[name]}", str(target), "-q"]
     words = [word for part in call for word in shlex.split(part)]
-    subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
 
 
 def main(names: list[str]) -> None:
