@@ -11,6 +11,9 @@ from casadi import SX
 
 from casadi_models.dae import Model
 
+_NEVER_ZERO = 1e-100  # m/s; below every velocity, and its square is not zero
+_BACKWARD = 1e-3  # of the slow speed; at this speed backward, sliding has ended
+
 
 def impact(
     model: Model,
@@ -50,8 +53,7 @@ def impact(
         )
     along = ca.solve(m, w)
     impulses = ca.solve(w.T @ along, -(1 + e) * (w.T @ speeds))
-    after = ca.vertsplit(speeds + along @ impulses)
-    model.when(condition, dict(zip(ca.vertsplit(speeds), after, strict=True)), name=name)
+    model.when(condition, _values(speeds, speeds + along @ impulses), name=name)
 
 
 def friction(
@@ -73,3 +75,98 @@ def friction(
     if sticking is not None:
         coefficient += (SX(sticking) - sliding) * ca.exp(-((speed / decay) ** 2))
     return SX(-coefficient * normal * ca.sign(speed))
+
+
+def friction_in_plane(  # noqa: PLR0913 (a contact's data, four of them with defaults)
+    model: Model,
+    speeds: SX,
+    mass: Any,
+    velocity: Any,
+    load: Any,
+    normal: Any,
+    sliding: Any,
+    *,
+    sticking: Any = None,
+    bias: Any = 0.0,
+    slow_speed: Any = 1e-7,
+    name: str = "friction",
+) -> SX:
+    """Return the force of dry friction in a plane (or along a line); it sticks and slides.
+
+    Sliding, the force opposes the velocity. When the velocity becomes zero, the contact sticks: the
+    force is the one that keeps the velocity zero, until it would exceed the largest sticking force.
+    The equations of motion are then M u' = load + W F, with W^T the derivative of the velocity by
+    u. This declares discrete variables and events, whose names begin with `name`.
+
+    Args:
+        model: The model.
+        speeds: The generalized speeds u, states of the model, (n, 1).
+        mass: Their mass matrix M, (n, n).
+        velocity: Of the sliding point against the surface, linear in u, (k, 1), m/s.
+        load: The other generalized forces, (n, 1).
+        normal: Normal force, N; not negative, and not a function of the friction.
+        sliding: Coefficient of sliding friction (1).
+        sticking: Coefficient at rest (1), at least that of sliding, which it is when None.
+        bias: Rate of the velocity while the speeds are constant, (k, 1), m/s2.
+        slow_speed: Speed below which the direction of sliding counts as constant, m/s; if the path
+            is curved, the time of rest is wrong by up to this speed over the deceleration.
+        name: For messages, `Trajectory.events` and the discrete variables.
+
+    Raises:
+        ValueError: A shape does not fit.
+    """
+    v, m, f = SX(velocity), SX(mass), SX(load)
+    n, k = speeds.numel(), v.numel()
+    if m.shape != (n, n) or f.shape != (n, 1):
+        raise ValueError(
+            f"'{name}': {n} speeds, but a mass matrix of shape {m.shape} and loads of shape "
+            f"{f.shape}; give ({n}, {n}) and ({n}, 1)"
+        )
+    w = ca.jacobian(v, speeds).T
+    along = ca.solve(m, w)
+    apparent = w.T @ along
+    holding = -ca.solve(apparent, along.T @ f + bias)
+    most = SX(sliding if sticking is None else sticking) * normal
+    excess = ca.sumsqr(holding) - most**2
+
+    sticks = model.discrete(f"{name}_sticks", "1", 0.0, "1 if the contact sticks, else 0")
+    slow = model.discrete(
+        f"{name}_slow", "1", 0.0, "1 if it slides in a constant direction, else 0"
+    )
+    meaning = "direction of slow sliding, within 45 deg of that of fast sliding"
+    d = ca.vertcat(*(model.discrete(f"{name}_{i + 1}", "1", 0.0, meaning) for i in range(k)))
+    size = ca.sumsqr(v) / SX(slow_speed) ** 2
+    at_rest = size <= 0
+    starts = ca.vertcat(ca.logic_and(at_rest, excess <= 0), size <= 1)
+    model.start(ca.vertcat(sticks, slow), starts, f"{name}: mode")
+    model.start(d, ca.if_else(at_rest, -_direction(holding), _direction(v)), f"{name}: direction")
+
+    # v/|v| is singular where sliding ends. Written by its slant to d, it is even in v, so constant
+    # on a straight path to rest and beyond, where solvers step before they know of the event. From
+    # 80 deg on, which is never reached, the slant goes to zero, to be smooth.
+    ahead = ca.dot(v, d)
+    aside = v - ahead * d
+    slant = aside * ahead / (ahead**2 + SX(slow_speed) ** 2)
+    slant /= 1 + (ca.sumsqr(slant) / 100) ** 8
+    fast = (d + slant) / ca.sqrt(1 + ca.sumsqr(slant))
+    turned = (ca.sumsqr(aside) - ahead**2) / SX(slow_speed) ** 2 - 1
+    new = {**_values(speeds, speeds - along @ ca.solve(apparent, v)), sticks: 1, slow: 1}
+    model.when(ahead + sticks < -_BACKWARD * SX(slow_speed), new, name=f"{name} sticks")
+    new = {**_values(d, -_direction(holding)), sticks: 0}
+    model.when(sticks * (excess + 1) - 1 > 0, new, name=f"{name} slides")
+    new = _values(d, _direction(v))
+    model.when(size - 1 + 2 * slow < 0, {**new, slow: 1}, name=f"{name} slows down")
+    model.when(slow * (size - 3) - 1 > 0, {**new, slow: 0}, name=f"{name} speeds up")
+    model.when((1 - slow) * (turned + 1) - 1 > 0, new, name=f"{name} turns by 45 deg")
+    opposed = -SX(sliding) * normal * (slow * d + (1 - slow) * fast)
+    return SX(sticks * holding + (1 - sticks) * opposed)
+
+
+def _direction(vector: SX) -> SX:
+    """Return the unit vector; zero for zero."""
+    return SX(vector / (ca.norm_2(vector) + _NEVER_ZERO))
+
+
+def _values(states: SX, column: SX) -> dict[SX, Any]:
+    """Return new values by state."""
+    return dict(zip(ca.vertsplit(states), ca.vertsplit(column), strict=True))

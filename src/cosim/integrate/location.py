@@ -366,7 +366,8 @@ def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Loc
     earlier = inside[0] < -8 * np.spacing(abs(t)) * np.abs(towards[0])
     earlier[i] = False
     if earlier.any() and t > begin and trials < _MOST_TRIALS:
-        delays = np.where(earlier & (towards[0] < 0), -inside[0] / towards[0], 0.0)
+        earlier &= towards[0] < 0
+        delays = np.where(earlier, -inside[0] / np.where(earlier, towards[0], -1.0), 0.0)
         j = int(np.argmin(delays))
         if delays[j] < 0:
             share = max(0.0, (t + float(delays[j]) - begin) / (end - begin))
