@@ -40,6 +40,14 @@ def test_examples_of_a_module_hold(module):
     assert doctest.testmod(import_module(module)).failed == 0
 
 
+@pytest.mark.parametrize("module", MODULES)
+def test_a_public_module_can_be_imported_from(module):
+    imported = import_module(f"cosim.{module}")
+    offered = getattr(cosim, module)
+    public = [name for name in vars(offered) if not name.startswith("_")]
+    assert all(getattr(imported, name) is getattr(offered, name) for name in public)
+
+
 def test_public_names_are_the_only_ones():
     assert {*dir(cosim)} == {*cosim.__all__, "__version__"}
     assert all(getattr(cosim, name) is not None for name in dir(cosim))

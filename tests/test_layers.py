@@ -34,7 +34,7 @@ cosim.verify
 cosim.study
 cosim.api
 cosim.present
-cosim cosim.solvers | cosim.cli
+cosim cosim.solvers cosim.contact cosim.kane cosim.rotations | cosim.cli
 cosim.__main__
 """
 LAYERS = {

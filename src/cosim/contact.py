@@ -1,0 +1,3 @@
+"""The public import path of `casadi_models.mechanics.contact`."""
+
+from casadi_models.mechanics.contact import *  # noqa: F403 (the whole module)

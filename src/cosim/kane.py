@@ -1,0 +1,3 @@
+"""The public import path of `casadi_models.mechanics.kane`."""
+
+from casadi_models.mechanics.kane import *  # noqa: F403 (the whole module)
