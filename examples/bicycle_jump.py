@@ -78,11 +78,8 @@ def build() -> Dae:
         wheel: model.state(f"spin{wheel}", "rad/s", SPEED / RADIUS[wheel], f"spin of the {name}")
         for wheel, name in NAMES.items()
     }
-<<<<<<< HEAD
-=======
     for wheel, radius in RADIUS.items():
         model.start(spin[wheel], u[0] / radius, f"the {NAMES[wheel]} rolls on level ground")
->>>>>>> bike
     u = ca.vertcat(u, *spin.values())
     q = ca.vertcat(x, z, theta, *s.values())
 

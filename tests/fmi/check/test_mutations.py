@@ -37,7 +37,7 @@ MUTATIONS = {  # wrapped functions, what is found
     ),
     "input derivatives without effect": (
         HELD,
-        {(ADVICE, "motion")},
+        {(WRONG, "motion")},
     ),
     "derivatives of outputs": ({"fmi2GetRealOutputDerivatives": TWICE}, {(WRONG, "slopes")}),
     "standard output": (

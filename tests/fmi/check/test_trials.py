@@ -243,3 +243,10 @@ def test_file_that_cannot_run_keeps_its_other_findings(exported, tmp_path, capsy
     path = str(with_description(exported(NAME), tmp_path / "old.fmu", edit))
     assert main(["check", path, "--run", "--trust", "--json", "-q"]) == 4
     assert [row["rule"] for row in json.loads(capsys.readouterr().out)] == ["version", "run"]
+
+
+def test_time_limit_holds_for_reading_the_file(exported, capsys):
+    path = exported("crank_shaft", 2)
+    assert main(["check", str(path), "--timeout", "0.001"]) == 1
+    expected = f"FmuError: {path}: its description was not read within 0.001 s; use --timeout\n"
+    assert capsys.readouterr().err == expected

@@ -9,11 +9,18 @@ from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
 from cosim.fmi.check.isolated import try_apart
 from cosim.fmi.trust import require_trust
+from cosim.host.signals import TimeLimitReached, time_limit
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the findings; return 4 if something is wrong, else 0."""
-    findings = list(examine(args.file))
+    limit = args.trial_timeout
+    try:
+        with time_limit(limit):
+            findings = list(examine(args.file))
+    except TimeLimitReached:
+        reason = f"{args.file}: its description was not read within {limit:g} s; use --timeout"
+        raise FmuError(reason) from None
     if args.trials:
         findings += _trials(args)
     show_table([finding.row() for finding in findings], as_json=args.json)

@@ -89,7 +89,8 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     for matrix in _matrices(bench, kind, unknowns, knowns):
         largest = np.where(np.abs(matrix) > np.abs(largest), matrix, largest)
         points += 1
-    rounding = _ROUNDING[offers_directional(bench, kind)]
+    exact = offers_directional(bench, kind)  # differences lose small influences in rounding
+    rounding = _ROUNDING[exact]
     idle: list[str] = []
     for row, (unknown, needs) in enumerate(zip(unknowns, needed, strict=True)):
         for column, known in enumerate(knowns):
@@ -101,7 +102,7 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                     value = slope * unknown.nominal / known.variable.nominal
                     found = f"it does not list '{name}', its derivative to which is {value:.3g}"
                     yield TRIAL_RULES["unlisted"].at(unknown.name, found)
-            elif slope == 0 and known.required and unknown.variability == "continuous":
+            elif exact and slope == 0 and known.required and unknown.variability == "continuous":
                 idle.append(f"'{unknown.name}' of '{name}'")
     if idle and points >= _FEWEST:
         found = f"{len(idle)} that are listed have no influence at {points} points: "
