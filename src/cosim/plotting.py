@@ -39,6 +39,13 @@ def shade_invalid(axis: Axes, time: Vector, invalid_from: float) -> None:
     end = max(float(time[-1]), invalid_from)
     axis.axvspan(invalid_from, end, color=INVALID, alpha=0.12, linewidth=0, zorder=0)
     axis.axvline(invalid_from, color=INVALID, linewidth=0.8, zorder=1)
+    drawn = (np.array(line.get_data(), dtype=float) for line in axis.get_lines())
+    curves = [data for data in drawn if data.shape[1] > 2]  # no marks of instants
+    points = np.hstack([np.empty((2, 0)), *curves])
+    valid = points[1, (points[0] < invalid_from) & np.isfinite(points[1])]
+    if valid.size and (span := float(np.ptp(valid))):  # what is invalid may be of any size
+        low, high = axis.get_ylim()
+        axis.set_ylim(max(low, valid.min() - 0.5 * span), min(high, valid.max() + 0.5 * span))
 
 
 def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> str:

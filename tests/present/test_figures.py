@@ -330,3 +330,13 @@ def test_file_next_to_a_model_is_drawn_in_the_units_of_the_label(path_run, tmp_p
     for curve in curves(axis):
         own = path_run["phi"] / (DEGREE if unit == "deg" else 1)
         np.testing.assert_allclose(curve, own, rtol=1e-12)
+
+
+def test_axes_are_scaled_by_the_valid_part_of_a_run():
+    run = cosim.simulate("bicycle", start_values={"phi_dot": 2.5}, stop_time=1.0, compiled=False)
+    start, _ = run.validity
+    (axis, *_) = run.select(["fy_P"]).plot().axes
+    valid = run["fy_P"][run.time < start]
+    low, high = axis.get_ylim()
+    assert low <= valid.min() < valid.max() <= high
+    assert high - low <= 2.01 * np.ptp(valid)
