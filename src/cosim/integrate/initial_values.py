@@ -120,7 +120,7 @@ def _no_start(dae: Dae, t: float, x: Vector, values: Values) -> InitialCondition
     rule = missing[0] if missing else max(implicit, key=lambda r: _residual(dae, r, t, x, values))
     names = ", ".join(dae.states[i].name for i in rule.states)
     near = _closest(dae, rule, t, x, values) if rule.implicit else "its formula has no value"
-    what = rule.meaning.removeprefix("the ")
+    what = rule.meaning.removeprefix("the ").removesuffix(" hold")
     return InitialConditionError(
         f"{dae.full_name}: no start value of {names} satisfies the {what}; "
         f"{near}; change the other start values, parameters or inputs"

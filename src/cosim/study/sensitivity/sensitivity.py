@@ -128,7 +128,7 @@ CHECK_TOLERANCE = 1e-12  # of the runs for finite differences
 
 
 def sensitivity(
-    dae: Dae,
+    dae: Dae | str,
     *,
     outputs: Sequence[str] | None = None,
     with_respect_to: Sequence[str] | None = None,
@@ -146,7 +146,7 @@ def sensitivity(
     (forward mode). Finite differences of runs at 1e-12 then check every derivative.
 
     Args:
-        dae: The model.
+        dae: The model, or its name.
         outputs: Names of states, algebraic unknowns or outputs; all states when None.
         with_respect_to: Names of parameters, constant inputs or states; a state stands for its
             initial value. All parameters when None. Calculated initial values depend on them.
@@ -175,6 +175,7 @@ def sensitivity(
         0.5
     """
     number("sensitivity", "bound", bound, positive=True)
+    dae = requested(dae).dae
     start_values = plain_values(dae, start_values or {})
     values = assign(dae, start_values)
     names = [v.name for v in dae.states]
