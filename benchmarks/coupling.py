@@ -12,11 +12,16 @@ import statistics
 import sys
 from pathlib import Path
 
+import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import cosim
+from cosim.colors import CURVES
 from cosim.coupling.files import read_system
 from cosim.errors import SolverError
+from cosim.plotting import STYLE
 
 FOLDER = Path(__file__).parents[1] / "examples" / "coupled"
 NAMES = [
@@ -148,20 +153,20 @@ def libcosim() -> None:
 
 
 def figure(path: str) -> None:
-    import matplotlib
+    with matplotlib.rc_context(STYLE):
+        _figure(np.geomspace(2e-3, 0.1, 11)).savefig(path, dpi=120)
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    steps = np.geomspace(2e-3, 0.1, 11)
-    drawing, axes = plt.subplots(1, 2, figsize=(9, 4.2), sharey=True, layout="constrained")
+def _figure(steps: np.ndarray) -> Figure:
+    drawing = Figure(figsize=(9, 4.2), layout="constrained")
+    axes = drawing.subplots(1, 2, sharey=True)
     titles = {"ride": "Bicycle and rider", "cut_pendulum": "Stiff hinge"}
     for axis, (name, title) in zip(axes, titles.items(), strict=True):
-        for method, errors in by_step(name, steps).items():
+        looks = zip(by_step(name, steps).items(), CURVES, "osD^", strict=False)
+        for (method, errors), color, marker in looks:
             shown = np.where(errors < 10, errors, np.nan)
             label = f"{method.replace('_', '-')} (order {METHODS[method]})"
-            axis.loglog(steps * 1e3, shown, "o-", ms=4, label=label)
+            axis.loglog(steps * 1e3, shown, f"{marker}-", color=color, ms=4, label=label)
         for order, start in ((1, 0.3), (4, 3e-9)):
             slope = start * (steps / steps[0]) ** order
             axis.loglog(steps * 1e3, slope, ":", color="gray", lw=1)
@@ -179,7 +184,7 @@ def figure(path: str) -> None:
     axes[0].set_ylabel("largest error of an output (nominal values)")
     axes[1].annotate("held inputs: unstable", (2.5, 3), fontsize=8)
     axes[0].legend(frameon=False, fontsize=8, loc="lower right")
-    drawing.savefig(path, dpi=120)
+    return drawing
 
 
 if __name__ == "__main__":

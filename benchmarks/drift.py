@@ -10,17 +10,18 @@ from dataclasses import dataclass, field
 from functools import cache
 from statistics import median
 
+import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 import cosim
 from casadi_models.dae import Dae
-from cosim.plotting import save
+from cosim.colors import CURVES
+from cosim.plotting import STYLE, save
 from cosim.trajectory import Trajectory
 
 REPEATS = 25
 SLOW = 1.0  # s
-_COLORS = ("#d62728", "#4c78a8", "#f2b134", "#2a9d5c")  # one per drift control
 MONITORS = ("position_drift", "velocity_drift")
 
 
@@ -82,7 +83,8 @@ CONTROLS = (
 
 def main() -> None:
     if "--figure" in sys.argv:
-        save([_figure()], sys.argv[sys.argv.index("--figure") + 1])
+        with matplotlib.rc_context(STYLE):
+            save([_figure()], sys.argv[sys.argv.index("--figure") + 1])
         return
     for cases, tolerances in ((SHORT, (1e-6, 1e-8)), (LONG, (1e-8,))):
         print(
@@ -106,7 +108,7 @@ def _figure() -> Figure:
     for axis, case in zip(axes, LONG[:2], strict=True):
         dae = cosim.load(case.model)
         for solver, style in (("idas", "--"), ("dop853", "-")):
-            for (name, *control), color in zip(CONTROLS, _COLORS, strict=True):
+            for (name, *control), color in zip(CONTROLS, CURVES, strict=False):
                 if solver == "idas" and name == "projection":
                     continue
                 run = _run(case, dae, solver, 1e-8, *control)

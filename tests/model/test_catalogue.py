@@ -182,7 +182,6 @@ def test_function_that_builds_no_model_is_refused_with_the_reason(body, told, wr
     ("change", "told"),
     [
         ("d.add('spare')", "equations for"),
-        ("d.when(x < 0, [d.reinit('x', 1)])", "it has events, which cannot be exported"),
         ("d.set_start('x', float('nan'))", "x: start nan is not finite"),
         ("d.set_min('x', 3.0)", "x: start 0.0 is not within 3.0"),
         ("raise RuntimeError('Error in\\nFunction')", "RuntimeError: Error in Function"),

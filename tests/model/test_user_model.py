@@ -67,13 +67,14 @@ def test_dae_builder_takes_both_backends(file, tmp_path):
         assert cosim.compare(native, again).agrees
 
 
-def test_builder_with_an_event_is_refused():
-    builder = ca.DaeBuilder("ball")
-    h = builder.add("h")
+def test_state_of_a_builder_jumps_at_its_events():
+    builder = ca.DaeBuilder("sawtooth")
+    h = builder.add("h", {"start": 0.5})
     builder.eq(builder.der(h), -1)
     builder.when(h < 0, [builder.reinit("h", 1)])
-    with pytest.raises(UsageError, match="events"):
-        cosim.from_dae_builder(builder)
+    run = cosim.simulate(cosim.from_dae_builder(builder), stop_time=3, compiled=False)
+    np.testing.assert_allclose([e.time for e in run.events], [0.5, 1.5, 2.5], rtol=0, atol=1e-9)
+    assert run.final["h"] == pytest.approx(0.5, abs=1e-9)
 
 
 @pytest.mark.parametrize(
