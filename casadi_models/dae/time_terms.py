@@ -17,6 +17,8 @@ def time_terms(dae: Dae) -> SX:
     Returns:
         Expressions of `dae.t` and `dae.p`, (n, 1).
     """
+    if not ca.depends_on(ca.vertcat(dae.ode, dae.alg), dae.t):
+        return SX(0, 1)
     function = ca.Function("laws", dae.arguments, [dae.ode, dae.alg], {"cse": True})
     symbols = [ca.vertsplit(column) for column in dae.arguments]
     # by place of the work vector: value, its terms, whether it depends on time, on other variables
