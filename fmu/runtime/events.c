@@ -241,14 +241,35 @@ Status happen(Instance *self, int crossing, Outcome *outcome) {
     return name ? reject_zeno(self, name, way) : OK;
 }
 
+bool event_waits(const Instance *self) {
+    return self->state.switching.waits > 0;
+}
+
+bool leave_to_importer(Instance *self, int crossing) {
+    Switching *s = &self->state.switching;
+    const double t = self->state.values[TIME];
+    if (!self->host.event_mode || !self->host.may_return_early) return false;
+    bool due = crossing >= 0; /* ends of parts of a pulse are no events to others */
+    for (int i = 0; i < N_MODES; i++)
+        due |= relations[i].of_time && s->due[i] <= t + 8 * DBL_EPSILON * fabs(t);
+    if (due) s->waits = 2 + crossing;
+    return due;
+}
+
+int take_waiting(Instance *self) {
+    const double waits = self->state.switching.waits;
+    self->state.switching.waits = 0;
+    return waits > 0 ? (int)waits - 2 : -1;
+}
+
 /* What inputs and parameters that have just been set make happen. */
 bool start_over(Instance *self) {
     double inside[ROOM(N_WATCHED)];
     Outcome outcome = {.ends = run_stopped(self)};
     if (outcome.ends || get_insides(self, inside) != OK) return false;
-    bool any = next_event(self) == NOT_PLANNED;
+    bool any = next_event(self) == NOT_PLANNED || event_waits(self);
     for (int i = 0; i < N_WATCHED; i++) any |= inside[i] < 0;
-    if (any && happen(self, -1, &outcome) != OK) return false;
+    if (any && happen(self, take_waiting(self), &outcome) != OK) return false;
     return !outcome.ends && refresh(self, ALGEBRAICS) == OK;
 }
 

@@ -23,9 +23,17 @@ Status happen(Instance *self, int crossing, Outcome *outcome);
 double next_event(const Instance *self);
 bool run_stopped(const Instance *self);
 
-/* What inputs and parameters that have just been set make happen before a step of co-simulation;
-   false where it fails or ends the run. */
+/* What inputs and parameters that have just been set make happen before a step of co-simulation, or
+   an event that the importer has not handled; false where it fails or ends the run. */
 bool start_over(Instance *self);
+
+/* Whether a step of co-simulation ends at an event, which the importer handles in event mode; then
+   it waits. `crossing` is the relation whose argument is 0, or -1. */
+bool leave_to_importer(Instance *self, int crossing);
+
+/* The event that waits, as for `happen`; it waits no longer. */
+int take_waiting(Instance *self);
+bool event_waits(const Instance *self);
 
 INSIDE_END
 #else
@@ -39,6 +47,14 @@ static inline Status happen(Instance *self, int crossing, Outcome *outcome) {
     return OK;
 }
 static inline bool run_stopped(const Instance *self) {
+    (void)self;
+    return false;
+}
+static inline int take_waiting(Instance *self) {
+    (void)self;
+    return -1;
+}
+static inline bool event_waits(const Instance *self) {
     (void)self;
     return false;
 }

@@ -68,8 +68,9 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
     return create(&host, __func__, instanceName, instantiationToken, INTERFACE_ME, loggingOn);
 }
 
-/* No event mode: events happen within a communication step. All variables can be read between
-   communication points; inputs are asked for if one of them is among the required variables. */
+/* Without event mode, or early return, events happen within a communication step. All variables can
+   be read between communication points; inputs are asked for if one of them is among the required
+   variables. */
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath,
     fmi3Boolean visible, fmi3Boolean loggingOn, fmi3Boolean eventModeUsed,
@@ -92,10 +93,9 @@ fmi3Instance fmi3InstantiateCoSimulation(
         if (reference < N_VARIABLES && variables[reference].role == INPUT && intermediateUpdate)
             host.ask_inputs = ask_inputs;
     }
-    if (eventModeUsed) {
-        log_text(&draft, ERROR, "%s: instantiate with eventModeUsed = false",
-                 HAS_EVENTS ? "the model handles events within its steps"
-                            : "the model has no events");
+    host.event_mode = eventModeUsed;
+    if (eventModeUsed && N_MODES == 0) {
+        log_text(&draft, ERROR, "the model has no events: instantiate with eventModeUsed = false");
         return NULL;
     }
     return create(&host, __func__, instanceName, instantiationToken, INTERFACE_CS, loggingOn);

@@ -6,8 +6,8 @@
 #include "stepping.h"
 
 /* A step that fails is discarded: the instance is as it was before, and a shorter one may do. It
-   returns early where the importer has asked for it in an intermediate update, and where an event
-   ends the simulation. */
+   returns early where the importer has asked for it in an intermediate update, where an event ends
+   the simulation, and at any event that the importer handles in event mode. */
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
                       fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
@@ -20,7 +20,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
         return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     const Status status = do_step(self, currentCommunicationPoint, communicationStepSize);
     const double reached = self->state.values[TIME];
-    *eventHandlingNeeded = fmi3False;
+    *eventHandlingNeeded = status == OK && event_waits(self);
     *terminateSimulation = status == OK && run_stopped(self);
     *earlyReturn = status == OK && !*terminateSimulation &&
                    reached < currentCommunicationPoint + communicationStepSize;
@@ -38,8 +38,9 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance,
     return fmi3_status(get_rates(self, valueReferences, nValueReferences, orders, values));
 }
 
-/* Out of an event mode that co-simulation here does not enter. */
 fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
-    allowed(instance, NEVER, __func__);
-    return fmi3Error;
+    Instance *self = instance;
+    if (!allowed(self, IN_ENTER_STEP_MODE, __func__)) return fmi3Error;
+    self->state.mode = STEP_MODE;
+    return fmi3OK;
 }

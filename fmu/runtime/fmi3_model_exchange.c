@@ -15,7 +15,9 @@ static fmi3Status enter(Instance *self, unsigned modes, const char *function, ui
 }
 
 fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
-    return enter(instance, IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+    const Instance *self = instance;
+    const bool never = self && self->state.interface == INTERFACE_CS && !self->host.event_mode;
+    return enter(instance, never ? NEVER : IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
 }
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
@@ -44,7 +46,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
     *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
     *nextEventTime = 0.0;
     Outcome outcome;
-    const Status status = happen(self, -1, &outcome);
+    const Status status = happen(self, take_waiting(self), &outcome);
     *terminateSimulation = outcome.ends;
     *valuesOfContinuousStatesChanged = outcome.states_changed;
 #if HAS_EVENTS

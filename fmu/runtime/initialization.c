@@ -35,7 +35,8 @@ Status finish_initialization(Instance *self) {
     if (refresh(self, START_VALUES | ALGEBRAICS) != OK)
         return refuse(self, ERROR, "initialization failed; change start values or parameters");
     if (begin_events(self) != OK) return ERROR;
-    self->state.mode = self->state.interface == INTERFACE_ME ? EVENT_MODE : STEP_MODE;
+    const bool events = self->state.interface == INTERFACE_ME || self->host.event_mode;
+    self->state.mode = events ? EVENT_MODE : STEP_MODE;
     if (self->state.interface == INTERFACE_ME) return OK;
     Outcome outcome; /* what happens at the start */
     return happen(self, -1, &outcome);

@@ -157,17 +157,17 @@ static void within_step(void *step, double t, double x[], double z[], double u[]
    last one is not accurate, as what happens just before the crossing was stepped over. */
 static bool step_to(const Ode *ode, Problem *self, const SolverMemory *memory, Slopes k,
                     Crossing *crossing, double latest, double x[]) {
-    const double begin = memory->until;
-    Bounds bounds = {begin, latest, 0};
+    const double from = memory->until;
+    Bounds bounds = {from, latest, 0};
     double error = 0;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; n++) {
         double u[ROOM(NU)] = {0};
         const double t = crossing->time;
         memcpy(x, memory->end, sizeof memory->end);
         error = 0;
-        if (t > begin) {
-            if (stages(ode, begin, t - begin, memory->end, k, x)) return false;
-            error = error_of(ode, t - begin, memory->end, x, k);
+        if (t > from) {
+            if (stages(ode, from, t - from, memory->end, k, x)) return false;
+            error = error_of(ode, t - from, memory->end, x, k);
         }
         if (!keep_to_constraints(self, t, x)) return false;
         inputs_at(self->fmu, t, u);
@@ -277,7 +277,7 @@ static bool show(const Problem *self, const SolverMemory *memory, double *end) {
 }
 
 #if HAS_EVENTS
-enum { WENT_ON, HAPPENED, FAILED };
+enum { WENT_ON, HAPPENED, WAITS, FAILED };
 
 /* All that happens where the last step ended, if anything does; then the solver starts afresh. */
 static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, double ahead) {
@@ -285,6 +285,10 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
     if (memory->crossing == 0 && next_event(fmu) > memory->until) return WENT_ON;
     Outcome outcome;
     settle(self, memory, memory->until);
+    if (leave_to_importer(fmu, (int)memory->crossing - 1)) {
+        memset(memory, 0, sizeof *memory);
+        return WAITS;
+    }
     if (happen(fmu, (int)memory->crossing - 1, &outcome) != OK || outcome.ends) return FAILED;
     if (refresh(fmu, ALGEBRAICS) != OK) return FAILED;
     memcpy(self->z, fmu->state.values + FIRST_ALGEBRAIC, NZ * sizeof *self->z);
@@ -337,6 +341,7 @@ bool integrate_to(Instance *self, double end) {
 #if HAS_EVENTS
         const int how = memory->until <= end ? pass_event(&ode, &problem, memory, ahead) : WENT_ON;
         if (how == FAILED) return false;
+        if (how == WAITS) return true;
         if (how == HAPPENED) continue;
         until = fmin(ahead, next_event(self));
 #endif

@@ -130,6 +130,7 @@ bool integrate_to(Instance *self, double end) {
     for (int n = 0; n < MOST_TRIALS && failed < MOST_FAILED; n++) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
+            if (leave_to_importer(self, relation)) return true;
             if (happen(self, relation, &outcome) != OK || outcome.ends) return false;
             length = fmin(end - *time, LARGEST_STEP);
             relation = -1;

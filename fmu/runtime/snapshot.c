@@ -67,17 +67,17 @@ static const char *foreign(const Instance *self, const Header *header) {
     return NULL;
 }
 
-static bool is_mode(uint32_t mode, uint32_t interface) {
+static bool is_mode(const Instance *self, uint32_t mode) {
+    const bool exchange = self->state.interface == INTERFACE_ME;
     const uint32_t common = INSTANTIATED | INITIALIZATION_MODE | TERMINATED | FAULTY;
-    const uint32_t own =
-        interface == INTERFACE_ME ? EVENT_MODE | CONTINUOUS_TIME_MODE : STEP_MODE | STEP_FAILED;
-    return mode & (common | own) && !(mode & (mode - 1));
+    const uint32_t events = exchange || self->host.event_mode ? EVENT_MODE : 0;
+    const uint32_t own = exchange ? CONTINUOUS_TIME_MODE : STEP_MODE | STEP_FAILED;
+    return mode & (common | events | own) && !(mode & (mode - 1));
 }
 
 /* Could this instance have come to hold such a state? */
 static bool plausible(const Instance *self, const State *state) {
-    if (state->interface != self->state.interface || !is_mode(state->mode, state->interface))
-        return false;
+    if (state->interface != self->state.interface || !is_mode(self, state->mode)) return false;
     if (state->stale > EVERYTHING || state->experiment_set > 1 || state->motion_spent > 1 ||
         state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS || state->step_status > ERROR)
         return false;
@@ -89,7 +89,9 @@ static bool plausible(const Instance *self, const State *state) {
     if (!all_finite((const double *)&state->watch, WATCH_SIZE)) return false;
 #endif
 #if HAS_EVENTS
+    const double waits = state->switching.waits;
     if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
+    if (!(waits >= 0 && waits <= N_MODES + 1 && waits == floor(waits))) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;

@@ -71,6 +71,7 @@ typedef struct {
         close;      /* time of the last event; how many in succession were close to each other */
     double slack;   /* by which an argument passes 0 before that is an event */
     double stopped; /* 1: an event has ended the run */
+    double waits;   /* 1: a time event waits for the importer; 2 + i: a crossing of relation i */
 } Switching;
 
 enum { SWITCHING_SIZE = sizeof(Switching) / sizeof(double) };
@@ -115,8 +116,8 @@ typedef struct {
     void *environment;
     bool (*step_finished)(Instance *self, double *end); /* may bring the end forward; or NULL */
     bool (*ask_inputs)(Instance *self, double time);    /* for those of a time ahead; or NULL */
-    void (*update)(void); /* the importer's, of a type that these two know */
-    bool may_return_early;
+    void (*update)(void);              /* the importer's, of a type that these two know */
+    bool may_return_early, event_mode; /* of co-simulation */
 } Host;
 
 struct Instance {

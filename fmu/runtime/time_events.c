@@ -81,8 +81,10 @@ void plan_time_events(Instance *self, double now) {
         const bool further = !relations[i].linear && s->due[i] == NO_EVENT && end != stop;
         s->next = fmin(s->next, further ? end : s->due[i]);
     }
+#if N_PULSES > 0
     for (int k = 0; k < N_PULSES && pulses[k] < s->next; k++)
         if (pulses[k] > now + 4 * DBL_EPSILON * fabs(now)) s->next = pulses[k];
+#endif
 }
 
 #else

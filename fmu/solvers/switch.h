@@ -89,7 +89,7 @@ static inline int settle(Problem *self, double t, const double *x, const int *ze
             modes[i] = back = mode;
             changed = 1;
             if (!at_zero || switches.floors[i]) continue;
-            Decision other;
+            Decision other = {{0}, {0}, 0, {0}, {0}, 0, {0}};
             if (decision_at(self, t, x, &other) || required(&other, i, &back, &at_zero) ||
                 back != mode)
                 return 1; /* it slides */
@@ -102,7 +102,7 @@ static inline int settle(Problem *self, double t, const double *x, const int *ze
 /* Assigns the new values of events that have risen. Returns 0 where the run can go on. */
 static inline int assign(Problem *self, double t, double *x, const Decision *at, const int *risen,
                          int *zero) {
-    Decision after;
+    Decision after = {{0}, {0}, 0, {0}, {0}, 0, {0}};
     for (int i = 0, k = 0; i < EVENTS; k += switches.rules[i++].count)
         for (int j = k; risen[i] && j < k + switches.rules[i].count; ++j)
             x[switches.assigned[j]] = at->values[j];
@@ -150,7 +150,7 @@ static inline int pass_event(Problem *self, const Crossing *crossing, double *x)
     double *modes = self->u + NU - MODES, before[MODES + 1], dx[NX], state[NX], order[EVENTS + 1];
     int zero[MODES + 1] = {0}, zero_before[MODES + 1];
     const double t = crossing->time;
-    Decision at;
+    Decision at = {{0}, {0}, 0, {0}, {0}, 0, {0}};
     Place place;
     if (!switches.evaluate || self->records == self->last_record) return 1;
     if (look_afresh(self, t, x, dx, &place) || decision_at(self, t, x, &at)) return 1;

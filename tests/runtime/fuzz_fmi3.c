@@ -4,7 +4,8 @@
 
 static _Thread_local struct {
     fmi3Instance instance;
-    int steps; /* co-simulation */
+    int steps;  /* co-simulation */
+    int events; /* with event mode */
     fmi3FMUState snapshots[SNAPSHOTS];
 } pool[INSTANCES];
 
@@ -13,7 +14,11 @@ static _Thread_local long spoken;
 static void logger(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category,
                    fmi3String message) {
     (void)environment;
-    demand(status != fmi3OK && strchr(message, '%') == NULL, "message is a plain text");
+    demand(strchr(message, '%') == NULL, "message is a plain text");
+    if (status == fmi3OK) {
+        demand(strcmp(category, "logEvents") == 0, "what is no event has a reason");
+        return;
+    }
     spoken += (long)(strlen(category) + strlen(message) > 0);
 }
 
@@ -43,11 +48,13 @@ static void create(unsigned k) {
     if (one_in(50))
         pool[k].instance = fmi3InstantiateScheduledExecution(name, token, NULL, false, true, NULL,
                                                              log, NULL, NULL, NULL);
-    else if (pool[k].steps)
-        pool[k].instance = fmi3InstantiateCoSimulation(
-            name, token, NULL, false, one_in(2), one_in(30), one_in(2), one_in(50) ? NULL : wanted,
-            below(3), (void *)(size_t)k, log, one_in(2) ? update : NULL);
-    else
+    else if (pool[k].steps) {
+        pool[k].events = one_in(N_MODES > 0 ? 2 : 30);
+        pool[k].instance =
+            fmi3InstantiateCoSimulation(name, token, NULL, false, one_in(2), pool[k].events,
+                                        one_in(2), one_in(50) ? NULL : wanted, below(3),
+                                        (void *)(size_t)k, log, one_in(2) ? update : NULL);
+    } else
         pool[k].instance =
             fmi3InstantiateModelExchange(name, token, NULL, false, one_in(2), NULL, log);
 }
@@ -87,6 +94,7 @@ static void lead_on(unsigned k) {
     fmi3EnterInitializationMode(c, one_in(2), 1e-6, 0.0, false, 0.0);
     if (one_in(4) || fmi3ExitInitializationMode(c) != fmi3OK) return;
     if (!pool[k].steps && !one_in(4)) fmi3EnterContinuousTimeMode(c);
+    if (pool[k].steps && pool[k].events && !one_in(4)) fmi3EnterStepMode(c);
 }
 
 static fmi3Status read_values(fmi3Instance c, Arguments *a) {
@@ -105,7 +113,8 @@ static fmi3Status step(fmi3Instance c) {
         fmi3DoStep(c, one_in(9) ? some_real() : now, one_in(3) ? some_real() : uniform(0.001, 0.2),
                    one_in(2), &event, &end, one_in(40) ? NULL : &early, &reached);
     if (status == fmi3OK)
-        demand(!event && (!end || N_EVENTS) && !(early && end) && reached >= now, "a plain step");
+        demand((!event || N_MODES) && (!end || N_EVENTS) && !(early && end) && reached >= now,
+               "a plain step");
     if (status == fmi3Discard) demand(reached == now, "a discarded step leaves time alone");
     return status;
 }

@@ -239,3 +239,23 @@ def test_crosscheck_compares_times_of_events():
     rows = cosim.crosscheck(scene).rows()
     assert [row["events"] for row in rows] == ["4", "4"]
     assert all(row["event_shift"] < 1e-8 for row in rows)  # measured 4e-10
+
+
+@pytest.mark.parametrize("name", ["ball", "block", "square_wave", "sampled", "stopping"])
+def test_event_mode_of_co_simulation_gives_the_same_run(exported, name):
+    path = str(exported(name, 3))
+    options = {"fmi_type": "CoSimulation", "relative_tolerance": 1e-9, "output_interval": 0.01}
+    within = fmpy.simulate_fmu(path, **options)
+    beside = fmpy.simulate_fmu(path, use_event_mode=True, early_return_allowed=True, **options)
+    assert len(beside) > len(within)  # fmpy adds rows at events
+    times, last = np.unique(beside["time"][::-1], return_index=True)  # with what is after them
+    after = beside[::-1][last]
+    for column in within.dtype.names[1:]:
+        found = np.interp(within["time"], times, after[column])
+        np.testing.assert_allclose(found, within[column], rtol=0, atol=1e-9, err_msg=column)
+
+
+def test_event_mode_is_declared_where_there_are_events(exported, tmp_path):
+    assert fmpy.read_model_description(exported("ball", 3)).coSimulation.hasEventMode
+    path = cosim.export_fmu(cosim.load("crank_shaft"), tmp_path / "x.fmu", fmi=3)
+    assert not fmpy.read_model_description(path).coSimulation.hasEventMode

@@ -29,6 +29,7 @@ class Identity:
         about: Author, license and generationDateAndTime, if given.
         indicators: Number of event indicators.
         watches_steps: Whether the FMU needs a call after every step in model exchange.
+        event_mode: Whether co-simulation of FMI 3.0 can leave events to the importer.
     """
 
     identifier: str
@@ -42,6 +43,7 @@ class Identity:
     about: Mapping[str, str] = field(default_factory=dict)
     indicators: int = 0
     watches_steps: bool = False
+    event_mode: bool = False
 
 
 def model_description(
@@ -246,6 +248,8 @@ def _interfaces(identity: Identity, dialect: Dialect) -> list[ET.Element]:
     ]
     if identity.step_size is not None and not second:
         elements[1].set("fixedInternalStepSize", shortest(identity.step_size))
+    if identity.event_mode and not second:
+        elements[1].set("hasEventMode", "true")
     for element in () if identity.derivatives else elements:
         for name in _OF_DERIVATIVES.intersection(element.attrib):
             del element.attrib[name]

@@ -281,6 +281,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         indicators=(len(dae.limits) if options.valid else 0)
         + (system.of_time.count(False) if system else 0),
         watches_steps=has_rank(dae),
+        event_mode=modes > 0,
     )
     depends = structural_dependencies(dae)
     describe = partial(
