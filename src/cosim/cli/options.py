@@ -58,9 +58,10 @@ class Parser(argparse.ArgumentParser):
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return the hint on the nearest name, or nothing."""
-    near = get_close_matches(word, list(known), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    """Return the hint on the nearest name, else on names that begin with the word, or nothing."""
+    names = list(known)
+    near = get_close_matches(word, names, n=1) or [n for n in names if word and n.startswith(word)]
+    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def seconds(text: str) -> float:
