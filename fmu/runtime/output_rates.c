@@ -12,6 +12,13 @@
 #include "logging.h"
 #include "sensitivity.h"
 
+#if NO_DERIVATIVES
+Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
+                 double values[]) {
+    (void)references, (void)orders, (void)values;
+    return count ? refuse(self, ERROR, "the FMU was exported without derivatives") : OK;
+}
+#else
 enum { MOST_ORDER = 3, POINTS = 5, HERE = 2 };
 
 static const double PART = 0.01; /* of a step, between two points */
@@ -27,13 +34,6 @@ static Status check_orders(Instance *self, size_t count, const int32_t orders[],
     return OK;
 }
 
-#if NO_DERIVATIVES
-static Status higher_rates(Instance *self, const uint32_t references[], size_t count,
-                           const int32_t orders[], double values[]) {
-    (void)references, (void)count, (void)orders, (void)values;
-    return refuse(self, ERROR, "the FMU was exported without derivatives");
-}
-#else
 /* dx/dt at a state and a time after that of `from`, which the instance then has. */
 static Status slope_at(Instance *self, const State *from, double since, const double x[],
                        double dx[]) {
@@ -85,7 +85,6 @@ static Status higher_rates(Instance *self, const uint32_t references[], size_t c
         return refuse(self, DISCARD, "a derivative is not finite");
     return status;
 }
-#endif
 
 Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                  double values[]) {
@@ -96,3 +95,4 @@ Status get_rates(Instance *self, const uint32_t references[], size_t count, cons
     if (status != OK || highest < 2) return status;
     return higher_rates(self, references, count, orders, values);
 }
+#endif

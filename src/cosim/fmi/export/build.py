@@ -17,6 +17,8 @@ from cosim.fmi.shared_library import fat_library
 from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 
+_LONG = 200_000  # characters; longer code is made 6 % smaller, and at most 4 % slower
+
 
 def binaries(
     sources: Mapping[str, bytes], name: str, chosen: Mapping[str, tuple[Target, ...]]
@@ -57,6 +59,8 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
     given = target.command()
     command = given or find_compiler()
     options = target.options(library, command)
+    if max(map(len, sources.values())) > _LONG:
+        options = (*options, "-Os")
     maker = version("ziglang") if given else ""
     digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
     for file in sorted(sources):
