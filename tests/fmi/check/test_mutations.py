@@ -5,6 +5,7 @@ from helpers.fmu_files import set_attributes, with_description
 from helpers.small_models import decay
 from helpers.wrapped import wrapped
 
+from casadi_models.dae import Model
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import TRIALS, try_apart
@@ -90,6 +91,16 @@ def test_solver_that_is_too_coarse_is_advice_unless_its_step_is_declared(tmp_pat
     for fmi, rules in ((2, {(ADVICE, "motion")}), (3, set())):
         path = wrapped(tmp_path, {**options, "fmi": fmi}, model)
         assert found(with_description(path, tmp_path / "a.fmu", large)) == rules
+
+
+def test_coarse_solver_of_a_model_at_rest_is_not_blamed_for_input_derivatives(tmp_path):
+    model = Model("decay", description="decay", source="a test", stop_time=1.0)
+    x, force = model.state("x", "m", 0.0, "place"), model.input("force", "m/s", 0.0, "push")
+    model.derivative(x, force - 20 * x)
+    model.output("y", "m", 2 * x, "twice")
+    path = wrapped(tmp_path, {"solver": "rk4", "step_size": 0.1}, model.freeze())
+    large = set_attributes("DefaultExperiment", stepSize="0.1")
+    assert found(with_description(path, tmp_path / "a.fmu", large)) == {(ADVICE, "motion")}
 
 
 @pytest.mark.parametrize(
