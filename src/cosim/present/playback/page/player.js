@@ -193,8 +193,9 @@ async function begin() {
     $("csv").disabled = !latest;
     $("cost").textContent = [`computed in ${shown(performance.now() - start)} ms`, settings.trouble]
       .filter(Boolean).join("; ");
-    if (latest) window.player.take([latest]);
-    else window.player.fail(result.reasons.join("; ") || "the model cannot start with these values");
+    if (!window.player) window.player = new Player(data, [latest || solver.run(new Map())]);
+    else if (latest) window.player.take([latest]);
+    if (!latest) window.player.fail(result.reasons.join("; ") || "the model cannot start with these values");
   };
   const settings = new Settings(data.live, $("live"), () => {
     if (waiting) return;
@@ -205,7 +206,6 @@ async function begin() {
     });
   });
   $("live").hidden = false;
-  window.player = new Player(data, [solver.run(new Map())]);
   window.solver = solver;
   compute();
   $("reset").addEventListener("click", () => settings.reset());
