@@ -463,31 +463,6 @@ def test_forward_derivatives_jump_at_events():
             assert found[output, name][-1] == pytest.approx(slope, rel=1e-6, abs=1e-6)
 
 
-def test_derivatives_of_a_relay_jump_at_its_events():
-    model = Model("relay", stop_time=5.0)
-    x = model.state("x", "1", 0.0, "level")
-    on = model.discrete("on", "1", 1.0, "whether it heats")
-    k = model.parameter("k", "1", 2.0, "strength")
-    model.derivative(x, -x + k * on)
-    model.when(x > 1.2, {on: 0}, name="off")
-    model.when(x < 0.8, {on: 1}, name="on")
-    dae = model.freeze()
-    found = cosim.sensitivity(dae, outputs=["x"], with_respect_to=["k"])  # checks itself
-    step = 1e-5
-    ends = [simulate(dae, tolerance=1e-12, start_values={"k": 2 + s}) for s in (step, -step)]
-    assert len(ends[0].events) == 11
-    slope = (ends[0].final["x"] - ends[1].final["x"]) / (2 * step)
-    assert found["x", "k"][-1] == pytest.approx(slope, rel=1e-6)
-
-
-def test_derivative_by_the_time_of_the_only_switch_is_the_jump():
-    model = Model("switch", stop_time=2.0)
-    x, p = model.state("x", "1", 0.0, "x"), model.parameter("p", "s", 1.0, "time of the switch")
-    model.derivative(x, ca.if_else(model.t < p, 0, 1))
-    found = cosim.sensitivity(model.freeze(), with_respect_to=["p"])
-    assert found["x", "p"][-1] == pytest.approx(-1.0, abs=1e-12)
-
-
 def test_integrator_refuses_a_model_with_events():
     with pytest.raises(UsageError, match=r"ball has events .*use cosim.simulate and cosim.sens"):
         cosim.integrator(ball()[0].freeze(), [0.0, 1.0])
@@ -505,14 +480,6 @@ def test_reduction_keeps_events_that_outputs_depend_on():
     np.testing.assert_allclose(simulate(small, stop_time=2.0)["h"], plain["h"], atol=1e-12)
 
 
-def test_variants_with_events_run_one_by_one():
-    dae, options = ball()[0].freeze(), {"solver": "dop853", "stop_time": 1.0}
-    many = cosim.simulate_many(dae, {"h": [1.0, 2.0]}, **options)
-    for start, row in zip((1.0, 2.0), many["h"], strict=True):
-        run = cosim.simulate(dae, start_values={"h": start}, **options)
-        np.testing.assert_array_equal(row, run["h"])
-
-
 @pytest.mark.parametrize("solver", ["cvodes", "dop853", "rk4"])
 def test_jumps_of_a_python_function_are_located(solver):
     model = Model("mass", stop_time=2.0)
@@ -526,12 +493,3 @@ def test_jumps_of_a_python_function_are_located(solver):
     ends = [np.log(np.cosh(50 * (t - 1))) / 50 for t in (0, 0.5037, 1.2541, 2)]
     exact = ends[1] - ends[0] + 2 * (1.2541 - 0.5037) + ends[3] - ends[2]
     assert run.final["v"] == pytest.approx(exact, abs=1e-9)
-
-
-@pytest.mark.parametrize(("begin", "end"), [(0.3, 0.7), (0.3, 0.57), (0.5051, 0.5071), (0.5, 0.51)])
-def test_pulses_of_a_python_function_are_seen(begin, end):
-    model = Model("mass", stop_time=1.0)
-    v, force = model.state("v", "m/s", 0.0, "speed"), model.input("f", "N", 0.0, "force")
-    model.derivative(v, force)
-    run = simulate(model.freeze(), inputs={"f": lambda t: float(begin <= t < end)})
-    assert run.final["v"] == pytest.approx(end - begin, abs=1e-12)

@@ -163,3 +163,17 @@ def test_run_at_other_times_keeps_the_steps_of_a_driven_run():
 def test_largest_step_that_makes_no_sense_is_rejected(solver, step):
     with pytest.raises(CosimError, match="max_step"):
         simulate(resting_spring(), solver=solver, max_step=step)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(0.3, 0.7), (0.3, 0.57), (0.5051, 0.5071), (0.5, 0.51)])
+def test_pulses_of_a_python_function_are_seen(begin, end):
+    model = Model("mass", stop_time=1.0)
+    v, force = model.state("v", "m/s", 0.0, "speed"), model.input("f", "N", 0.0, "force")
+    model.derivative(v, force)
+    run = simulate(
+        model.freeze(),
+        solver="dop853",
+        relative_tolerance=1e-10,
+        inputs={"f": lambda t: float(begin <= t < end)},
+    )
+    assert run.final["v"] == pytest.approx(end - begin, abs=1e-12)

@@ -8,6 +8,7 @@ import time
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import event_models
 from helpers.oscillators import bad_output, blow_up, emptying, oscillator
 
 import cosim
@@ -265,3 +266,11 @@ def test_an_output_that_lanes_cannot_compute_takes_the_scalar_backend():
     assert _lane_library(growth(), limits_only=False) is not None
     run = cosim.simulate(dae, compiled=False)  # C has no such function
     assert run["y"][-1] == pytest.approx(0.5951160814, abs=1e-7)  # erf(0.5951160814) = 0.6
+
+
+def test_variants_with_events_run_one_by_one():
+    dae, options = event_models.ball(), {"solver": "dop853", "stop_time": 1.0}
+    many = simulate_many(dae, {"h": [1.0, 2.0]}, **options)
+    for start, row in zip((1.0, 2.0), many["h"], strict=True):
+        run = cosim.simulate(dae, start_values={"h": start}, **options)
+        np.testing.assert_array_equal(row, run["h"])

@@ -2,11 +2,13 @@
 
 import json
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.oscillators import K, oscillator
 
 import cosim
+from casadi_models.dae import Model
 from casadi_models.dae.variational import variational
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, SolverError, UnknownName, UsageError
@@ -169,3 +171,29 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert facts["check"]["bound"] == 1e-5
     assert {row["by"] for row in facts["derivatives"]} == {"alpha", "omega"}
+
+
+def test_derivatives_of_a_relay_jump_at_its_events():
+    model = Model("relay", stop_time=5.0)
+    x = model.state("x", "1", 0.0, "level")
+    on = model.discrete("on", "1", 1.0, "whether it heats")
+    k = model.parameter("k", "1", 2.0, "strength")
+    model.derivative(x, -x + k * on)
+    model.when(x > 1.2, {on: 0}, name="off")
+    model.when(x < 0.8, {on: 1}, name="on")
+    dae = model.freeze()
+    found = cosim.sensitivity(dae, outputs=["x"], with_respect_to=["k"])  # checks itself
+    step = 1e-5
+    exact = {"solver": "dop853", "relative_tolerance": 1e-12}
+    ends = [cosim.simulate(dae, start_values={"k": 2 + s}, **exact) for s in (step, -step)]
+    assert len(ends[0].events) == 11
+    slope = (ends[0].final["x"] - ends[1].final["x"]) / (2 * step)
+    assert found["x", "k"][-1] == pytest.approx(slope, rel=1e-6)
+
+
+def test_derivative_by_the_time_of_the_only_switch_is_the_jump():
+    model = Model("switch", stop_time=2.0)
+    x, p = model.state("x", "1", 0.0, "x"), model.parameter("p", "s", 1.0, "time of the switch")
+    model.derivative(x, ca.if_else(model.t < p, 0, 1))
+    found = cosim.sensitivity(model.freeze(), with_respect_to=["p"])
+    assert found["x", "p"][-1] == pytest.approx(-1.0, abs=1e-12)
