@@ -5,6 +5,8 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const unpacked = async (text) =>
   new Response(new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
 
+const EVENT = /: at (\S+) s: (.*)/; // as the runtime logs one
+
 /* A run of the compiled model; the numbers of `fmu/page/page.c`. */
 class Solver {
   static async of(live) {
@@ -54,9 +56,9 @@ class Solver {
     const values = Array.from({ length: references.length - first }, (_, k) => column(first + k));
     const rounded = (digits) => String(Number(Number(digits).toPrecision(6)));
     const plain = (line) => line.replace(/^\w+: /, "").replace(/\d+\.\d{5,}/g, rounded);
-    const events = messages.map((line) => /: at (\S+) s: (.*)/.exec(line)).filter(Boolean);
+    const events = messages.map((line) => EVENT.exec(line)).filter(Boolean);
     const said = new Map(); // a condition that is left again and again is one reason
-    for (const line of messages.filter((text) => !/: at \S+ s: /.test(text)).map(plain)) {
+    for (const line of messages.filter((text) => !EVENT.test(text)).map(plain)) {
       const fact = line.replace(/^from time \S+ on /, "");
       if (!said.has(fact)) said.set(fact, line);
     }

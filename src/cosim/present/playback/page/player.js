@@ -29,7 +29,7 @@ class Player {
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  /* Without a run: why there is none, beside what the last one showed. */
+  /* Shows why there is no run; what the last run drew stays, faint. */
   fail(reason) {
     this.failure = reason;
     document.body.classList.toggle("failed", Boolean(reason));
