@@ -14,6 +14,7 @@
 #include "interface.h"
 #include "interrupt.h"
 
+enum { MOST_POINTS = 3 }; /* of a prediction */
 enum { MOST_ITERATIONS = 40, MOST_FORCED = 1000, MOST_PIECES = 10000 };
 
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
@@ -188,14 +189,26 @@ static inline int step_parts(Coupling *self, int pass, int recording) {
     return STEPPED;
 }
 
-/* What the cubic of the last step, or the rates at first, give for the next point. */
-static inline void predict(const Coupling *self, Interface *next) {
-    const double h = next->t - self->now.t;
+/* The polynomial through values and rates at the newest points, the present one among them, at the
+ * next point. */
+static inline void predict(const Coupling *self, int points, Interface *next) {
+    const Interface *at[] = {&self->now, &self->past[0], &self->past[1]};
+    const int n = 2 * (int)fmin((double)self->known + 1, points);
     for (long long k = 0; k < self->system->inputs; ++k) {
-        double d[4] = {self->now.u[k] + h * self->now.r[k], self->now.r[k]};
-        if (self->known > 0) cubic_at(&self->past[0], &self->now, k, next->t - self->past[0].t, d);
-        next->u[k] = d[0];
-        next->r[k] = d[1];
+        double d[2 * MOST_POINTS], value = 0, rate = 0; /* divided differences, each point twice */
+        for (int i = 0; i < n; ++i) d[i] = at[i / 2]->u[k];
+        for (int order = 1; order < n; ++order)
+            for (int i = n - 1; i >= order; --i) {
+                const double apart = at[i / 2]->t - at[(i - order) / 2]->t;
+                d[i] = apart != 0 ? (d[i] - d[i - 1]) / apart : at[i / 2]->r[k];
+            }
+        for (int i = n - 1; i >= 0; --i) {
+            const double since = next->t - at[i / 2]->t;
+            rate = value + since * rate;
+            value = d[i] + since * value;
+        }
+        next->u[k] = value;
+        next->r[k] = rate;
     }
 }
 
@@ -270,18 +283,20 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     const double share = system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS : AGREED;
     const int records = is_before(system, system->rows, self->next.t);
     if (system->method >= EXTRAPOLATED)
-        predict(self, &self->next);
+        predict(self, 2, &self->next);
     else
         memcpy(self->next.u, self->now.u, (size_t)m * sizeof *self->next.u);
     double *predicted = self->found + n, *w = self->w;
     as_vector(self, &self->next, predicted);
-    memcpy(w, predicted, (size_t)n * sizeof *w);
+    if (iterates) predict(self, MOST_POINTS, &self->next);
+    as_vector(self, &self->next, w);
     double first = 0;
     int agreed = !iterates;
-    self->mismatch = 0;
     for (int pass = 0; pass < MOST_ITERATIONS; ++pass) {
         ++system->iterations;
-        const int how = step_parts(self, pass, agreed && records);
+        const int recording = records && (agreed || pass >= self->agreed_at);
+        self->mismatch = 0;
+        const int how = step_parts(self, pass, recording);
         if (how != STEPPED) return after_failed_step(self, how);
         const int settled = settled_next(self);
         if (settled != ACCEPTED) return settled;
@@ -293,7 +308,8 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         if (pass == 0) first = left;
         if (!isfinite(left) || (left > DIVERGED * first && may_be_shortened(self))) return REJECTED;
         agreed = left <= fmax(share * correction, ROUNDED);
-        if (agreed && !records) break;
+        if (agreed) self->agreed_at = pass;
+        if (agreed && (recording || !records)) break;
         if (agreed)
             memcpy(w, self->found, (size_t)n * sizeof *w);
         else

@@ -49,6 +49,7 @@ typedef struct {
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
+    int agreed_at;                   /* the pass in which the last step's interface agreed */
     double mismatch;                 /* of outputs and inputs, at output times within the step */
     double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
     FixedPoint iteration;

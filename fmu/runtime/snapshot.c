@@ -13,7 +13,7 @@
 
 #define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 5 };
+enum { LAYOUT_VERSION = 6 };
 
 typedef struct {
     uint64_t magic;
@@ -32,13 +32,15 @@ typedef struct {
 /* FNV-1a (Fowler, Noll, Vo) over words of 64 bits: every change of a single one changes it. */
 static uint64_t hash(const void *data, size_t size) {
     const unsigned char *bytes = data;
-    uint64_t sum = UINT64_C(14695981039346656037);
-    for (size_t i = 0; i < size; i += sizeof(uint64_t)) {
-        uint64_t word = 0;
-        memcpy(&word, bytes + i, size - i < sizeof word ? size - i : sizeof word);
+    const size_t whole = size - size % sizeof(uint64_t);
+    uint64_t sum = UINT64_C(14695981039346656037), word = 0;
+    for (size_t i = 0; i < whole; i += sizeof word) {
+        memcpy(&word, bytes + i, sizeof word);
         sum = (sum ^ word) * UINT64_C(1099511628211);
     }
-    return sum;
+    word = 0;
+    memcpy(&word, bytes + whole, size - whole);
+    return (sum ^ word) * UINT64_C(1099511628211);
 }
 
 static Header header_of(const Instance *self, const State *state) {
