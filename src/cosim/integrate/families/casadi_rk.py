@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 from casadi import MX
 
+from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import add_integrator, cache_key, sources_beside
 from cosim.codegen.casadi_patches import (
@@ -21,6 +22,8 @@ from cosim.codegen.functions import CALL, inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import explicit_function
 from cosim.integrate.engine import Engine, EngineFunctions, Problem, reported
 from cosim.integrate.families.plugin import COMMON, plugin_engine, tolerances
+from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver
 
 _CASADI_COUNTERS = ("n_steps", "n_rhs", "n_jac")
@@ -44,34 +47,8 @@ class _CasadiSolver(AdaptiveSolver):
         """Return the engine of CasADi's generated C code on the unit interval."""
         dae, grid, inputs = problem.dae, problem.grid, problem.inputs
         start, length = grid[0], grid[-1] - grid[0]
-        function, constants = prepared(dae)
-        s, x, z, u, c = symbols_of(function)
-        span = MX.sym("span", 5)  # start, length, relative and absolute tolerance, largest step
-        t = span[0] + span[1] * s
-        ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), c)
-        known = ca.vertcat(c, span)
-        symbols = [s, x, z, u, known]
-        system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
-        original = ca.Function("driven", symbols, [system["ode"], alg])
-        sizes = {"NX": x, "NZ": z, "NU": u, "NC": known}
-        head = "".join(f"#define {name} {symbol.numel()}\n" for name, symbol in sizes.items())
-
-        def generate() -> str:
-            run = ca.integrator("stepper", self.name, system, 0.0, [0.0, 1.0], COMMON)
-            generator = ca.CodeGenerator("code", {"with_header": False})
-            add_integrator(generator, run)
-            first = c.numel() + 2
-            numbers = [f"arg[2][{first + i}]" for i in range(3)]
-            code = run_time_tolerances(str(generator.dump()), *numbers[:2])
-            code = largest_step(smallest_step(code), numbers[2])
-            code = run_time_grid(watched(code), known.numel())
-            return f"{head}#define SETTINGS {_SETTINGS}\n{self.finished(code)}"
-
-        key = cache_key(
-            f"generated-11 {self.name}", original, repr(sorted(COMMON.items())).encode()
-        )
-        path = str(cached_library(key, generate, sources_beside(original)))
         points = len(grid)
+        path, constants = _library(type(self), dae, inputs)
         run, library = explicit_function(path, points, 0, points if problem.piecewise else 1)
         p = MX.sym("p", dae.p.numel())
         settings = (points, 1 if problem.piecewise else points)
@@ -87,6 +64,38 @@ class _CasadiSolver(AdaptiveSolver):
     def finished(code: str) -> str:
         """Return the generated code, edited for the compiler."""
         return code
+
+
+@cached_per_thread(32)
+def _library(
+    method: type[_CasadiSolver], dae: Dae, inputs: InputSeries | None
+) -> tuple[str, ca.Function]:
+    """Return the path of the compiled method for a model, and its constants by parameters."""
+    function, constants = prepared(dae)
+    s, x, z, u, c = symbols_of(function)
+    span = MX.sym("span", 5)  # start, length, relative and absolute tolerance, largest step
+    t = span[0] + span[1] * s
+    ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), c)
+    known = ca.vertcat(c, span)
+    symbols = [s, x, z, u, known]
+    system = dict(zip(CALL, symbols, strict=True)) | {"ode": span[1] * ode, "alg": alg}
+    original = ca.Function("driven", symbols, [system["ode"], alg])
+    sizes = {"NX": x, "NZ": z, "NU": u, "NC": known}
+    head = "".join(f"#define {name} {symbol.numel()}\n" for name, symbol in sizes.items())
+
+    def generate() -> str:
+        run = ca.integrator("stepper", method.name, system, 0.0, [0.0, 1.0], COMMON)
+        generator = ca.CodeGenerator("code", {"with_header": False})
+        add_integrator(generator, run)
+        first = c.numel() + 2
+        numbers = [f"arg[2][{first + i}]" for i in range(3)]
+        code = run_time_tolerances(str(generator.dump()), *numbers[:2])
+        code = largest_step(smallest_step(code), numbers[2])
+        code = run_time_grid(watched(code), known.numel())
+        return f"{head}#define SETTINGS {_SETTINGS}\n{method.finished(code)}"
+
+    key = cache_key(f"generated-11 {method.name}", original, repr(sorted(COMMON.items())).encode())
+    return str(cached_library(key, generate, sources_beside(original))), constants
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,13 @@ import casadi as ca
 import numpy as np
 from casadi import MX
 
+from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.functions import CALL, equations, inputs_at, is_large, symbols_of
 from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
+from cosim.memo import cached_per_thread
 from cosim.model.solver import AdaptiveSolver
 
 MOST_STEPS = 100_000  # from one output time to the next
@@ -34,7 +36,7 @@ def plugin_engine(
     large = is_large(dae) and not problem.sensitivities
     unit = _time_unit(grid)
     if problem.compiled or inputs is not None or large or unit != 1:
-        function = _equations(problem)
+        function = _equations(dae, problem.compiled, problem.sensitivities)
         t, x, z, u, p = symbols = symbols_of(function)
         time = unit * t
         ode, alg = function(time, x, z, inputs_at(dae, inputs, time, u), p)
@@ -77,7 +79,7 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
         plugin, options: See `plugin_engine`; an interval is scaled to times from 0 to 1.
     """
     dae, grid = problem.dae, problem.grid
-    function, n = _equations(problem), len(grid)
+    function, n = _equations(dae, problem.compiled, problem.sensitivities), len(grid)
     s, x, z, u, p = symbols_of(function)
     begin, length = MX.sym("begin"), MX.sym("length")
     ode, alg = function(begin + length * s, x, z, u, p)
@@ -102,11 +104,12 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
     return Engine(lambda: functions, len(problem.grid), True, Counts)
 
 
-def _equations(problem: Problem) -> ca.Function:
-    """Return the model's equations; if compiled, from a library that also has their Jacobian."""
-    complete = problem.sensitivities or not (problem.compiled or is_large(problem.dae))
-    function = equations(problem.dae, sensitivities=complete)
-    if problem.compiled:
+@cached_per_thread(32)
+def _equations(dae: Dae, compiled: bool, sensitivities: bool) -> ca.Function:
+    """Return a model's equations; if compiled, from a library that also has their Jacobian."""
+    complete = sensitivities or not (compiled or is_large(dae))
+    function = equations(dae, sensitivities=complete)
+    if compiled:
         functions = [function, function.jacobian()]
         (function,) = external(functions, cache_key("sundials", function), ["dae"])
     return function
