@@ -478,11 +478,11 @@ class _Course:
         if self.next == len(grid) or grid[self.next] >= end:
             return
         last = min(end, np.nextafter(piece.times[-1], np.inf)) if len(piece.times) else -np.inf
-        count = int(np.searchsorted(grid, last)) - self.next
+        count = int(grid.searchsorted(last)) - self.next
         if count <= 0:
             return
         rows = slice(self.next, self.next + count)
-        first = int(np.searchsorted(piece.times, grid[self.next]))
+        first = int(piece.times.searchsorted(grid[self.next]))
         places = slice(first, first + count)
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
         if modes is not None:

@@ -111,7 +111,7 @@ class Piece:
             names = ("x", "z", "modes", "zero")
             rows = zip(events["time"].tolist(), *(side[name] for name in names), strict=True)
             sides.append([
-                Instant(t, x, z, *self._inputs_at(t), m, zero=frozenset(np.flatnonzero(o).tolist()))
+                Instant(t, x, z, *self._inputs_at(t), m, zero=frozenset(o.nonzero()[0].tolist()))
                 for t, x, z, m, o in rows
             ])  # fmt: skip
         orders = [sorted((n, i) for i, n in enumerate(o) if n) for o in events["order"].tolist()]

@@ -152,7 +152,7 @@ class Instant:
 
     def switched(self, later: "Instant") -> frozenset[int]:
         """Return the relations that have another mode later, without those that slide."""
-        changed = np.flatnonzero(self.modes != later.modes).tolist()
+        changed = (self.modes != later.modes).nonzero()[0].tolist()
         return frozenset(changed) - self.sliding - later.sliding
 
     def watched(self, system: Hybrid, p: Vector) -> Watched:

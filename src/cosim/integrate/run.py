@@ -1,5 +1,6 @@
 """`run`: execute a request natively: integrate a DAE and return a `Trajectory`."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -12,7 +13,6 @@ from cosim.codegen.compiler import time_compiling
 from cosim.errors import CosimError, Interrupted, SolverError
 from cosim.host.progress import doing
 from cosim.integrate.call import INTERRUPTED, RunStats
-from cosim.integrate.events import EventRecord
 from cosim.integrate.fallbacks import next_request
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.plugin import MOST_STEPS
@@ -111,6 +111,7 @@ def _trajectory(
     if solution.reason:
         last = "the start" if solution.reached is None else f"{solution.reached:g} s"
         status = f"stopped after {last}: {solution.reason}"
+    names = [c.name for c in prepared.columns] + [v.name for v in dae.states]
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
     return Trajectory(
         dae.full_name,
@@ -121,20 +122,19 @@ def _trajectory(
         status,
         drawing=drawing,
         numbers=dict(numbers),
-        events=tuple(_event(prepared, record, solution.sides) for record in solution.events),
+        events=tuple(_events(solution, names)),
     )
 
 
-def _event(prepared: Prepared, record: EventRecord, sides: Vector | None) -> Event:
-    assert sides is not None
-    states = [variable.name for variable in prepared.problem.dae.states]
-    recorded = [column.name for column in prepared.columns]
-    before, after = (
-        dict(zip(recorded, side.tolist(), strict=True))
-        | dict(zip(states, row.tolist(), strict=True))
-        for side, row in zip(sides[record.instant], (record.before, record.after), strict=True)
-    )
-    return Event(float(record.time), record.name, before, after)
+def _events(solution: Solution, names: Sequence[str]) -> Iterator[Event]:
+    """Yield the events with all that is recorded, and the states, before and after each."""
+    sides = solution.sides.tolist() if solution.sides is not None else []
+    for record in solution.events:
+        before, after = (
+            dict(zip(names, [*side, *row.tolist()], strict=True))
+            for side, row in zip(sides[record.instant], (record.before, record.after), strict=True)
+        )
+        yield Event(float(record.time), record.name, before, after)
 
 
 def _failure(
