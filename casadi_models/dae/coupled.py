@@ -50,17 +50,18 @@ def joined(name: str, title: str, parts: Mapping[str, Dae], wires: Sequence[Conn
     values, unknowns, residuals = _without_loops(laws, driven, [names[i] for i in places])
     wired = whole.rewritten(lambda all_laws: ca.substitute(all_laws, [driven], [values]))
     left = [i for i in range(len(names)) if i not in places]
+    u = ca.vertcat(SX(0, 1), *(whole.u[i] for i in left))  # whole.u[[]] may be a row
     variables = [replace(whole.inputs[i], minimum=-ca.inf, maximum=ca.inf) for i in places]
     outputs = [(v, row) for v, row in zip(variables, ca.vertsplit(values), strict=True)]
     solved = [v for v in variables if v.name in unknowns]
-    reject_disorder(wired.start_rules, wired.t, wired.x, whole.u[left], wired.p)
+    reject_disorder(wired.start_rules, wired.t, wired.x, u, wired.p)
     shown = [(_output(v), row) for v, row in outputs if v.name not in unknowns]
     closing = wired.closing
     if closing is not None and solved:
         closing = replace(closing, residual=ca.vertcat(closing.residual, *residuals))
     return replace(
         wired,
-        u=whole.u[left],
+        u=u,
         inputs=tuple(whole.inputs[i] for i in left),
         z=ca.vertcat(wired.z, *(driven[i] for i, v in enumerate(variables) if v in solved)),
         alg=ca.densify(ca.vertcat(wired.alg, *residuals)),

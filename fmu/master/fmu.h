@@ -28,6 +28,7 @@ typedef struct {
     int (*get_indicators)(void *, double *, size_t);
     int (*enter_event_mode)(void *);
     int (*enter_continuous_time_mode)(void *);
+    int (*enter_step_mode)(void *);
     int (*new_discrete_states)(void *, EventInfo *);
     int (*update_discrete_states)(void *, bool *, bool *, bool *, bool *, bool *, double *);
     int (*completed_step_2)(void *, int, int *, int *);

@@ -37,6 +37,11 @@ typedef struct {
     double time, mismatch; /* of inputs and outputs at output times, the largest */
 } System;
 
+/* Whether two times are the same but for rounding. */
+static inline int same_time(double a, double b) {
+    return fabs(a - b) <= 1e-12 * fmax(fabs(a), fabs(b));
+}
+
 /* The interface at a communication point: inputs and their rates. */
 typedef struct {
     double t, *u, *r;
@@ -46,6 +51,9 @@ typedef struct {
     System *system;
     Fmu fmu;
     int feedthrough, all_roll_back;
+    int ends_at_events; /* whether macro steps end at events of parts */
+    double event;       /* the time of one that ends a macro step */
+    int standstills;    /* events without a step between */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */

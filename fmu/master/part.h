@@ -17,8 +17,11 @@ typedef struct {
     long long rates;      /* whether it gives derivatives of outputs */
     long long rolls_back; /* whether its state can be saved and restored */
     long long directional;
+    long long event_mode; /* whether its steps end at events, which happen in event mode */
     /* answers */
     long long steps, restored;
+    long long waits; /* whether an event is to happen where it is */
+    double reached;
     void *saved; /* its state at the last communication point; NULL at first */
 } Part;
 
@@ -103,6 +106,7 @@ static inline int part_save(Fmu *fmu, Part *self) {
 
 static inline int part_restore(Fmu *fmu, Part *self) {
     ++self->restored;
+    self->waits = 0;
     return failed(fmu, self->call->version == 2 ? "fmi2SetFMUstate" : "fmi3SetFMUState",
                   self->call->set_fmu_state(self->call->instance, self->saved));
 }
@@ -117,10 +121,10 @@ static inline int part_record(Fmu *fmu, const Part *self, long long row) {
     return record(fmu, self->recording, row);
 }
 
-enum { STEPPED, NOT_STEPPED, PART_ENDED, PART_FAILED };
+enum { STEPPED, NOT_STEPPED, AT_EVENT, PART_ENDED, PART_FAILED };
 
 /* A communication step, after which a state may be restored. A part that ends the run within it
- * says so; one that discards the step may take a shorter one. */
+ * says so; one that discards the step may take a shorter one. It may reach an event only. */
 static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     const Functions *call = self->call;
     bool event = false, terminate = false, early = false;
@@ -142,7 +146,26 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
         return NOT_STEPPED;
     }
     if (failed(fmu, function, status)) return PART_FAILED;
-    return terminate ? PART_ENDED : STEPPED;
+    self->reached = last;
+    self->waits = event && self->event_mode;
+    return terminate ? PART_ENDED : self->waits ? AT_EVENT : STEPPED;
+}
+
+static inline int part_enter_event_mode(Fmu *fmu, const Part *self) {
+    return failed(fmu, "fmi3EnterEventMode", self->call->enter_event_mode(self->call->instance));
+}
+
+static inline int part_enter_step_mode(Fmu *fmu, Part *self) {
+    self->waits = 0;
+    return failed(fmu, "fmi3EnterStepMode", self->call->enter_step_mode(self->call->instance));
+}
+
+/* What happens at an event, in event mode. */
+static inline int part_update(Fmu *fmu, const Part *self) {
+    Events events = {0};
+    fmu->call = self->call;
+    if (update(fmu, &events)) return PART_FAILED;
+    return events.terminate ? PART_ENDED : STEPPED;
 }
 
 #endif

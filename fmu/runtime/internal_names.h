@@ -31,6 +31,7 @@
 #define first_crossing INSIDE_NAME(MODEL_PREFIX, first_crossing)
 #define follow INSIDE_NAME(MODEL_PREFIX, follow)
 #define follow_present INSIDE_NAME(MODEL_PREFIX, follow_present)
+#define forget_motion INSIDE_NAME(MODEL_PREFIX, forget_motion)
 #define gather INSIDE_NAME(MODEL_PREFIX, gather)
 #define get_block INSIDE_NAME(MODEL_PREFIX, get_block)
 #define get_indicators INSIDE_NAME(MODEL_PREFIX, get_indicators)

@@ -18,6 +18,11 @@ static void drop_spent_motion(Instance *self) {
     self->state.motion_spent = false;
 }
 
+/* What comes is unknown, until the importer is asked again. */
+void forget_motion(Instance *self) {
+    memset(self->state.motion, 0, sizeof self->state.motion);
+}
+
 /* One communication step. FMI 2 keeps what was reached when a step fails, and discards; FMI 3
    wants the instance as it was before. */
 Status do_step(Instance *self, double from, double length) {
@@ -36,7 +41,7 @@ Status do_step(Instance *self, double from, double length) {
     const State before = self->state;
     const bool asks = self->host.ask_inputs != NULL;
     const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
-    if (asks) memset(self->state.motion, 0, sizeof self->state.motion); /* what comes is unknown */
+    if (asks && !event_waits(self)) forget_motion(self);
     if (self->state.mode != STEP_MODE) return ERROR; /* by the importer's callback, or an event */
     self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;

@@ -9,6 +9,7 @@
 INSIDE_BEGIN
 
 Status do_step(Instance *self, double from, double length);
+void forget_motion(Instance *self);
 Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                   const double values[]);
 

@@ -74,8 +74,9 @@ class _Part(ctypes.Structure):
         *((name, _LONG) for name in ("inputs", "outputs", "first_input", "first_output")),
         ("input_references", _POINTER),
         ("output_references", _POINTER),
-        *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional")),
-        *((name, _LONG) for name in ("steps", "restored")),
+        *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional", "event_mode")),
+        *((name, _LONG) for name in ("steps", "restored", "waits")),
+        ("reached", _DOUBLE),
         ("saved", _POINTER),
     )
 
@@ -314,6 +315,8 @@ class CoSimulation:
             words = [f"{part.order.name.lower()} inputs"]
             if not part.rates and part.outputs:
                 words.append("output derivatives from values")
+            if method is Method.ITERATED and part.event_mode:
+                words.append("events end macro steps")
             if method is Method.ITERATED and not part.rolls_back:
                 words.append("one step without repetition: it cannot restore its state")
             found[name] = ", ".join(words)
@@ -341,6 +344,8 @@ class CoSimulation:
             return f"the loop of direct feedthrough through {entry} has no solution at {time}"
         if system.how == Ending.NOT_A_NUMBER:
             return f"the inputs are not finite after {time}; give a shorter macro_step"
+        if system.how == Ending.STUCK:
+            return f"events of the parts at {time} cause each other without end"
         if system.how == Ending.ENDED_BY_FMU:
             return f"part '{name}' ended the run after {time}"
         if system.how == Ending.STEP_VANISHED:
@@ -385,6 +390,7 @@ class CoSimulation:
             place.input_references, place.output_references = (r.ctypes.data for r in references)
             place.order, place.rates = int(part.order), part.rates
             place.rolls_back, place.directional = part.rolls_back, part.directional
+            place.event_mode = part.event_mode
         return parts, held
 
     def _scales(self) -> tuple[Vector, NDArray[np.int64]]:

@@ -62,6 +62,9 @@ class OpenedPart:
         self.order = InputOrder.CONSTANT
         if is_second(fmu.description) and abilities.canInterpolateInputs:
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
+        self.event_mode = self.rolls_back and getattr(abilities, "hasEventMode", False)
+        if self.event_mode:
+            fmu.callback |= {"eventModeUsed": True, "earlyReturnAllowed": True}
         if fmu.reset_is_enough and asks_for_inputs(fmu.description):
             self.order = InputOrder.CUBIC
             references = [variable.valueReference for variable in self.inputs]

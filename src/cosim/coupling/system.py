@@ -19,6 +19,7 @@ from cosim.fmi.export.package import export_fmu
 from cosim.fmi.ssp import write_ssp
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import requested
+from cosim.integrate.modes import hybrid
 from cosim.model.quantities import quantity
 from cosim.model.request import choice
 from cosim.model.values import number, plain_values
@@ -180,20 +181,28 @@ class System:
 
     @cached_property
     def files(self) -> dict[str, Path]:
-        """FMUs of the parts by name; models are exported to a temporary folder."""
+        """FMUs of the parts by name; models are exported as FMI 2.0 to a temporary folder."""
+        return self._exported(dict.fromkeys(self.parts, 2))
+
+    def _exported(self, versions: Mapping[str, int]) -> dict[str, Path]:
         held = ExitStack()
         folder = Path(held.enter_context(temporary_folder()))
         self.holds(held)
         return {
             name: part.subject
             if isinstance(part.subject, Path)
-            else export_fmu(part.subject, folder / f"{name}.fmu", valid=False)
+            else export_fmu(part.subject, folder / f"{name}.fmu", fmi=versions[name], valid=False)
             for name, part in self.parts.items()
         }
 
     @cached_property
     def _co_simulation(self) -> CoSimulation:
-        found = CoSimulation(self.name, self.files, self.connections)
+        # events end macro steps by the event mode, which FMI 2.0 does not have
+        versions = {
+            n: 3 if isinstance(p.subject, Dae) and hybrid(p.subject) else 2
+            for n, p in self.parts.items()
+        }
+        found = CoSimulation(self.name, self._exported(versions), self.connections)
         held = ExitStack()
         held.callback(found.close)
         self.holds(held)

@@ -28,6 +28,7 @@ _FUNCTIONS = {
     "get_indicators": ("GetEventIndicators", "GetEventIndicators"),
     "enter_event_mode": ("EnterEventMode", "EnterEventMode"),
     "enter_continuous_time_mode": ("EnterContinuousTimeMode", "EnterContinuousTimeMode"),
+    "enter_step_mode": (None, "EnterStepMode"),
     "new_discrete_states": ("NewDiscreteStates", None),
     "update_discrete_states": (None, "UpdateDiscreteStates"),
     "completed_step_2": ("CompletedIntegratorStep", None),

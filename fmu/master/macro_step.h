@@ -1,0 +1,353 @@
+/* One macro step of coupled parts.
+ *
+ * Each input is a cubic through values and rates at both ends; the parts are rolled back and step
+ * again until the interface at the end agrees with what they were given. What the cubic before the
+ * step predicts for its end differs from that by four powers of the step: that is the estimate of
+ * the error.
+ *
+ * Source  Arnold, Clauss, Schierz, Arch. Mech. Eng. 60, 2013, 75-94 (error of macro steps).
+ */
+#ifndef MACRO_STEP_H
+#define MACRO_STEP_H
+
+#include "interface.h"
+#include "interrupt.h"
+
+enum { MOST_POINTS = 3 }; /* of a prediction */
+enum { MOST_ITERATIONS = 40, MOST_PIECES = 10000 };
+
+/* Differences that iterations leave, of the correction: where the error of a step is estimated, and
+ * where the step is given. */
+static const double AGREED = 1e-2, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double DIVERGED = 1e3; /* times the difference of the first pass */
+
+/* A cubic by its derivatives at the time `since` after the first of two points. */
+static inline void cubic_at(const Interface *a, const Interface *b, long long k, double since,
+                            double derivatives[4]) {
+    const double h = b->t - a->t, chord = (b->u[k] - a->u[k]) / h;
+    const double second = 2 * (3 * chord - 2 * a->r[k] - b->r[k]) / h;
+    const double third = 6 * (a->r[k] + b->r[k] - 2 * chord) / (h * h);
+    derivatives[0] = a->u[k] + since * (a->r[k] + since * (second / 2 + since * third / 6));
+    derivatives[1] = a->r[k] + since * (second + since * third / 2);
+    derivatives[2] = second + since * third;
+    derivatives[3] = third;
+}
+
+/* Give a part its inputs for a step of a length, as well as it takes them. */
+static inline int drive(Coupling *self, const Part *part, double since, double length) {
+    double *u = self->part_u, *by_order = self->given;
+    const long long n = part->inputs, first = part->first_input;
+    for (long long i = 0; i < n; ++i) {
+        double d[4] = {self->next.u[first + i]};
+        if (self->system->method >= EXTRAPOLATED)
+            cubic_at(&self->now, &self->next, first + i, since, d);
+        const double mean = d[0] + length * (d[1] / 2 + length * (d[2] / 6 + length * d[3] / 24));
+        const double chord = d[1] + length * (d[2] / 2 + length * d[3] / 6);
+        u[i] = part->order == MOST_ORDER ? d[0] : mean - (part->order ? chord * length / 2 : 0);
+        by_order[i] = part->order == MOST_ORDER ? d[1] : chord;
+        by_order[n + i] = d[2];
+        by_order[2 * n + i] = d[3];
+    }
+    if (part_set(&self->fmu, part, u)) return 1;
+    if (self->system->method < EXTRAPOLATED) return 0;
+    for (int order = 1; order <= part->order; ++order)
+        if (part_set_derivatives(&self->fmu, part, order, by_order + (order - 1) * n)) return 1;
+    return 0;
+}
+
+/* Give a part the values of the cubics within a step. */
+static inline int set_to_cubics(Coupling *self, const Part *part, double since) {
+    if (self->system->method < EXTRAPOLATED) return 0;
+    for (long long i = 0; i < part->inputs; ++i) {
+        double d[4];
+        cubic_at(&self->now, &self->next, part->first_input + i, since, d);
+        self->part_u[i] = d[0];
+    }
+    return part_set(&self->fmu, part, self->part_u);
+}
+
+/* Which part steps. FMI 3 has no other way to tell the callback that FMPy leaves open. */
+static _Thread_local struct {
+    Coupling *coupling;
+    const Part *part;
+} stepping;
+
+/* The callback of FMI 3: a part asks within its step for the inputs at a time. */
+SHARED void give_inputs(void *environment, double time, bool asks, bool readable, bool finished,
+                        bool may_return, bool *stops, double *until) {
+    Coupling *self = stepping.coupling;
+    (void)environment, (void)readable, (void)finished, (void)may_return, (void)until;
+    *stops = false;
+    if (asks && self) self->refused |= set_to_cubics(self, stepping.part, time - self->now.t);
+}
+
+/* Note by how much the outputs of a part differ from the cubics that they drive, within a step. */
+static inline int compare_with_cubics(Coupling *self, const Part *part, double since) {
+    const System *system = self->system;
+    if (part_get(&self->fmu, part, self->y + part->first_output)) return 1;
+    for (long long k = 0; k < system->inputs; ++k) {
+        const long long output = system->source[k] - part->first_output;
+        if (output < 0 || output >= part->outputs) continue;
+        double d[4];
+        cubic_at(&self->now, &self->next, k, since, d);
+        const double off = fabs(driven(self, k) - d[0]) / size_of(system, k, d[0]);
+        if (!(off <= self->mismatch)) self->mismatch = off;
+    }
+    return 0;
+}
+
+/* Whether a row is that of an output time before a time. */
+static inline int is_before(const System *system, long long row, double t) {
+    return row < system->points && system->times[row] < t && !near(system->times[row], t);
+}
+
+/* Into how many steps a part divides one: if it holds its inputs, into so many that their error
+ * falls like the tolerance. */
+static inline long long pieces_of(const Coupling *self, const Part *part, double since,
+                                  double length) {
+    const System *system = self->system;
+    double change = 0;
+    if (part->order || system->method < EXTRAPOLATED || system->tolerance <= 0) return 1;
+    for (long long i = part->first_input; i < part->first_input + part->inputs; ++i) {
+        double a[4], b[4];
+        cubic_at(&self->now, &self->next, i, since, a);
+        cubic_at(&self->now, &self->next, i, since + length, b);
+        const double rate = fmax(fabs(a[1]), fabs(b[1]));
+        change = fmax(change, rate * length / size_of(system, i, a[0]));
+    }
+    return 1 + (long long)fmin(change / sqrt(system->tolerance), MOST_PIECES);
+}
+
+/* An event of a part that does not end the macro step. */
+static inline int part_passes_event(Coupling *self, Part *part) {
+    if (part_enter_event_mode(&self->fmu, part)) return PART_FAILED;
+    const int how = part_update(&self->fmu, part);
+    if (how != STEPPED) return how;
+    return part_enter_step_mode(&self->fmu, part) ? PART_FAILED : STEPPED;
+}
+
+/* Step a part with one polynomial per input, by way of its events. */
+static inline int step_through(Coupling *self, Part *part, double from, double to) {
+    const double begin = self->now.t;
+    double t = from;
+    for (int n = 0; n < MOST_UPDATES; ++n) {
+        if (drive(self, part, t - begin, to - t)) return PART_FAILED;
+        self->refused = 0;
+        stepping.coupling = self;
+        stepping.part = part;
+        int how = part_step(&self->fmu, part, t, to - t);
+        stepping.coupling = NULL;
+        if (how == AT_EVENT && !self->ends_at_events) how = part_passes_event(self, part);
+        if (how != STEPPED) return how;
+        if (self->refused) return PART_FAILED;
+        t = part->reached;
+        if (t >= to || same_time(t, to)) return STEPPED;
+    }
+    return PART_FAILED;
+}
+
+/* Step a part from one time within the macro step to another. */
+static inline int advance(Coupling *self, Part *part, double from, double to) {
+    const double begin = self->now.t;
+    const long long pieces = pieces_of(self, part, from - begin, to - from);
+    double t = from;
+    for (long long i = 1; i <= pieces; ++i) {
+        const double end = i == pieces ? to : from + (to - from) * (double)i / (double)pieces;
+        const int how = step_through(self, part, t, end);
+        if (how != STEPPED) return how;
+        t = end;
+    }
+    return STEPPED;
+}
+
+/* Step a part to the end of the macro step; if it records, by way of the output times within. */
+static inline int step_part(Coupling *self, Part *part, int recording) {
+    const System *system = self->system;
+    const double begin = self->now.t, end = self->next.t;
+    double t = begin;
+    long long row = system->rows;
+    for (;; ++row) {
+        const int last = !(recording && is_before(system, row, end));
+        const double to = last ? end : system->times[row];
+        const int how = to > t ? advance(self, part, t, to) : STEPPED;
+        if (how == AT_EVENT && last && same_time(part->reached, end)) return STEPPED;
+        if (how != STEPPED) return how;
+        t = to;
+        if (last) return STEPPED;
+        const int differs = part->order < MOST_ORDER; /* from the cubics, at the end of its step */
+        if ((differs && set_to_cubics(self, part, t - begin)) || part_record(&self->fmu, part, row))
+            return PART_FAILED;
+        if (system->method >= EXTRAPOLATED && compare_with_cubics(self, part, t - begin))
+            return PART_FAILED;
+    }
+}
+
+/* Inputs of a part that the parts before it drive, which have stepped already: their values there.
+ */
+static inline int take_new_outputs(Coupling *self, long long p) {
+    const System *system = self->system;
+    const Part *part = system->parts + p;
+    if (get_outputs(self, p)) return 1;
+    for (long long k = part->first_input; k < part->first_input + part->inputs; ++k)
+        if (system->source[k] < part->first_output) self->next.u[k] = driven(self, k);
+    return 0;
+}
+
+/* Step all parts; from the second pass on those that roll back. */
+static inline int step_parts(Coupling *self, int pass, int recording) {
+    System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        Part *part = system->parts + p;
+        system->part = p;
+        if (pass > 0 && !part->rolls_back) continue;
+        if (pass > 0 && part_restore(&self->fmu, part)) return PART_FAILED;
+        if (system->method == GAUSS_SEIDEL && take_new_outputs(self, p)) return PART_FAILED;
+        const int how = step_part(self, part, recording || !part->rolls_back);
+        if (how != STEPPED) return how;
+    }
+    return STEPPED;
+}
+
+/* The polynomial through values and rates at the newest points, the present one among them, at the
+ * next point. */
+static inline void predict(const Coupling *self, int points, Interface *next) {
+    const Interface *at[] = {&self->now, &self->past[0], &self->past[1]};
+    const int n = 2 * (int)fmin((double)self->known + 1, points);
+    for (long long k = 0; k < self->system->inputs; ++k) {
+        double d[2 * MOST_POINTS], value = 0, rate = 0; /* divided differences, each point twice */
+        for (int i = 0; i < n; ++i) d[i] = at[i / 2]->u[k];
+        for (int order = 1; order < n; ++order)
+            for (int i = n - 1; i >= order; --i) {
+                const double apart = at[i / 2]->t - at[(i - order) / 2]->t;
+                d[i] = apart != 0 ? (d[i] - d[i - 1]) / apart : at[i / 2]->r[k];
+            }
+        for (int i = n - 1; i >= 0; --i) {
+            const double since = next->t - at[i / 2]->t;
+            rate = value + since * rate;
+            value = d[i] + since * value;
+        }
+        next->u[k] = value;
+        next->r[k] = rate;
+    }
+}
+
+static inline void copy(const Coupling *self, Interface *to, const Interface *from) {
+    const size_t size = (size_t)self->system->inputs * sizeof *to->u;
+    to->t = from->t;
+    memcpy(to->u, from->u, size);
+    memcpy(to->r, from->r, size);
+}
+
+/* The interface as one vector without units. */
+static inline void as_vector(const Coupling *self, const Interface *at, double *w) {
+    const long long m = self->system->inputs;
+    const double h = self->next.t - self->now.t;
+    for (long long k = 0; k < m; ++k) {
+        const double size = size_of(self->system, k, self->now.u[k]);
+        w[k] = at->u[k] / size;
+        w[m + k] = h * at->r[k] / size;
+    }
+}
+
+static inline void from_vector(const Coupling *self, const double *w, Interface *at) {
+    const long long m = self->system->inputs;
+    const double h = self->next.t - self->now.t;
+    for (long long k = 0; k < m; ++k) {
+        const double size = size_of(self->system, k, self->now.u[k]);
+        at->u[k] = w[k] * size;
+        at->r[k] = w[m + k] * size / h;
+    }
+}
+
+static inline double largest(long long n, const double *a, const double *b) {
+    double found = 0;
+    for (long long i = 0; i < n; ++i) {
+        const double difference = fabs(b ? a[i] - b[i] : a[i]);
+        if (!(difference <= found)) found = difference;
+    }
+    return found;
+}
+
+enum { ACCEPTED, REJECTED, EVENT_WITHIN, BROKEN }; /* a macro step */
+
+static inline int may_be_shortened(const Coupling *self) {
+    return self->all_roll_back && !self->system->macro_step;
+}
+
+/* What a part that did not make its step means for the macro step. */
+static inline int after_failed_step(Coupling *self, int how) {
+    System *system = self->system;
+    if (how == AT_EVENT) {
+        self->event = system->parts[system->part].reached;
+        return EVENT_WITHIN;
+    }
+    if (how == NOT_STEPPED && may_be_shortened(self)) {
+        self->fmu.function = NULL;
+        return REJECTED;
+    }
+    system->how = how == PART_ENDED ? ENDED_BY_FMU : CALL_FAILED;
+    return BROKEN;
+}
+
+static inline int settled_next(Coupling *self) {
+    System *system = self->system;
+    const int how = settle(self, &self->next);
+    if (how == DONE) return ACCEPTED;
+    if (how != CALL_FAILED && may_be_shortened(self)) return REJECTED;
+    system->how = how;
+    return BROKEN;
+}
+
+/* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree. `error` is the
+ * estimate of the interface's error within, in scales. */
+static inline int macro_step(Coupling *self, int iterates, double *error) {
+    System *system = self->system;
+    const long long m = system->inputs, n = 2 * m;
+    const double share = system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS : AGREED;
+    const int records = is_before(system, system->rows, self->next.t);
+    if (system->method >= EXTRAPOLATED)
+        predict(self, 2, &self->next);
+    else
+        memcpy(self->next.u, self->now.u, (size_t)m * sizeof *self->next.u);
+    double *predicted = self->found + n, *w = self->w;
+    as_vector(self, &self->next, predicted);
+    if (iterates) predict(self, MOST_POINTS, &self->next);
+    as_vector(self, &self->next, w);
+    double first = 0;
+    int agreed = !iterates;
+    for (int pass = 0; pass < MOST_ITERATIONS; ++pass) {
+        ++system->iterations;
+        const int recording = records && (agreed || pass >= self->agreed_at);
+        self->mismatch = 0;
+        const int how = step_parts(self, pass, recording);
+        if (how != STEPPED) return after_failed_step(self, how);
+        const int settled = settled_next(self);
+        if (settled != ACCEPTED) return settled;
+        as_vector(self, &self->next, self->found);
+        if (agreed) break;
+        for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
+        const double left = largest(n, self->change, NULL);
+        const double correction = largest(n, self->found, predicted);
+        if (pass == 0) first = left;
+        if (!isfinite(left) || (left > DIVERGED * first && may_be_shortened(self))) return REJECTED;
+        agreed = left <= fmax(share * correction, ROUNDED);
+        if (agreed) self->agreed_at = pass;
+        if (agreed && (recording || !records)) break;
+        if (agreed)
+            memcpy(w, self->found, (size_t)n * sizeof *w);
+        else
+            accelerate(&self->iteration, w, self->change, pass == 0);
+        from_vector(self, w, &self->next);
+    }
+    if (!agreed) {
+        if (may_be_shortened(self)) return REJECTED;
+        ++system->unsettled;
+    }
+    const double h = self->next.t - self->now.t;
+    const double before = self->known ? self->now.t - self->past[0].t : h;
+    *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;
+    *error = fmax(*error, self->mismatch);
+    return ACCEPTED;
+}
+
+#endif

@@ -1,0 +1,142 @@
+"""Events of coupled parts happen at the same time in all parts, against the one model."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import cosim
+
+STOP = 3.0
+
+
+def part(name):
+    return cosim.Model(name, stop_time=STOP, output_interval=0.05)
+
+
+def mass(restoring=1.0):
+    model = part("plant")
+    u = model.input("u", "N", 0.0, "force")
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.3, "speed")
+    model.derivative(x, v)
+    model.derivative(v, u - restoring * x - 0.1 * v)
+    model.output("place", "m", x, "place")
+    model.output("speed", "m/s", v, "speed")
+    return model.freeze()
+
+
+def sampled():
+    """A controller that holds its output between samples."""
+    controller = part("controller")
+    y, w = controller.input("y", "m", 0.0, "place"), controller.input("w", "m/s", 0.0, "speed")
+    held = controller.discrete("held", "N", 0.0, "force")
+    controller.every(0.1, {held: -3 * y - 2 * w}, name="sample")
+    controller.output("u", "N", held, "force")
+    wires = {"plant.u": "c.u", "c.y": "plant.place", "c.w": "plant.speed"}
+    return {"plant": mass(), "c": controller.freeze()}, wires
+
+
+def ball():
+    """A ball that bounces on a table that swings."""
+    model = part("ball")
+    y, w = model.input("y", "m", 0.0, "table"), model.input("w", "m/s", 0.0, "its speed")
+    x, v = model.state("x", "m", 2.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -9.81)
+    model.when(x < y, {v: w - 0.8 * (v - w)}, name="impact")
+    model.output("drag", "N", -0.05 * v, "force on the table")
+    wires = {"ball.y": "plant.place", "ball.w": "plant.speed", "plant.u": "ball.drag"}
+    return {"plant": mass(50.0), "ball": model.freeze()}, wires
+
+
+def relay():
+    """A relay with hysteresis switches a heater, whose part counts the switches."""
+    switch, room = part("relay"), part("room")
+    x = switch.input("x", "1", 0.0, "temperature")
+    on = switch.discrete("on", "1", 1.0, "state")
+    switch.when(x > 1, {on: 0.0}, name="off")
+    switch.when(x < 0.5, {on: 1.0}, name="on")
+    switch.output("u", "1", on, "power")
+    u, t = room.input("u", "1", 0.0, "power"), room.state("t", "1", 0.0, "temperature")
+    count = room.discrete("count", "1", 0.0, "number of switches")
+    room.derivative(t, 3 * u - t)
+    room.when(u > 0.5, {count: count + 1}, name="rise")
+    room.output("y", "1", t, "temperature")
+    parts = {"relay": switch.freeze(), "room": room.freeze()}
+    return parts, {"room.u": "relay.u", "relay.x": "room.y"}
+
+
+def block():
+    """A block with dry friction, pulled by a spring."""
+    model, motor = part("block"), part("motor")
+    pull = model.input("pull", "m", 0.0, "end of the spring")
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, 20 * (pull - x) - 3 * ca.sign(v) - 0.1 * v)
+    model.output("place", "m", x, "place")
+    y = motor.input("y", "m", 0.0, "place of the block")
+    p, q = motor.state("p", "m", 0.0, "place"), motor.state("q", "m/s", 0.4, "speed")
+    motor.derivative(p, q)
+    motor.derivative(q, 2 * (0.4 - q) - 0.5 * (p - y) + 0.4 * motor.t)
+    motor.output("place", "m", p, "place")
+    parts = {"block": model.freeze(), "motor": motor.freeze()}
+    return parts, {"block.pull": "motor.place", "motor.y": "block.place"}
+
+
+SYSTEMS = {
+    sampled: ("plant.x", "plant.v", "c.held"),
+    ball: ("ball.x", "plant.x"),
+    relay: ("room.t", "room.count", "relay.on"),
+    block: ("block.x", "block.v", "motor.p"),
+}
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("make", SYSTEMS)
+def test_events_end_macro_steps_so_that_their_error_is_that_of_the_coupling(make, order):
+    parts, wires = make()
+    system = cosim.couple(dict(list(parts.items())[::order]), wires)
+    exact = cosim.simulate(system.dae, solver="dop853", relative_tolerance=1e-12)
+    assert exact.events
+    for accuracy in (1e-3, 1e-6, 1e-8):
+        run = system.simulate(stop_time=STOP, accuracy=accuracy)
+        for name in SYSTEMS[make]:
+            np.testing.assert_allclose(run[name], exact[name], rtol=0, atol=accuracy)
+    run = system.simulate(stop_time=STOP, macro_step=0.02)
+    for name in SYSTEMS[make]:
+        np.testing.assert_allclose(run[name], exact[name], rtol=0, atol=1e-7)
+    assert any("events end macro steps" in words for words in run.stats["order"].values())
+
+
+def test_an_event_that_another_part_causes_at_an_output_time_is_in_its_row():
+    source, counter = part("source"), part("counter")
+    level = source.discrete("level", "1", 0.0, "level")
+    source.every(0.5, {level: 1 - level}, name="turn")
+    source.output("u", "1", level, "level")
+    u = counter.input("u", "1", 0.0, "level")
+    count = counter.discrete("count", "1", 0.0, "number")
+    counter.when(u > 0.5, {count: count + 1}, name="rise")
+    counter.output("n", "1", count, "number")
+    for parts in ({"a": source, "b": counter}, {"b": counter, "a": source}):
+        frozen = {name: model.freeze() for name, model in parts.items()}
+        system = cosim.couple(frozen, {"b.u": "a.u"})
+        run = system.simulate(stop_time=STOP, macro_step=0.1)
+        exact = cosim.simulate(system.dae)
+        np.testing.assert_array_equal(run["a.level"], exact["a.level"])
+        np.testing.assert_array_equal(run["b.count"], exact["b.count"])
+
+
+def test_events_that_cause_each_other_without_end_are_an_error():
+    def negating(name, sign):
+        model = part(name)
+        u = model.input("u", "1", 0.0, "u")
+        y = model.discrete("y", "1", 0.0, "y")
+        model.when(model.t > 1, {y: 1.0}, name="begin")
+        model.when(u > 0.5, {y: float(sign < 0)}, name="up")
+        model.when(u < 0.5, {y: float(sign > 0)}, name="down")
+        model.output("out", "1", y, "out")
+        return model.freeze()
+
+    parts = {"a": negating("a", 1), "b": negating("b", -1)}
+    system = cosim.couple(parts, {"a.u": "b.out", "b.u": "a.out"})
+    with pytest.raises(cosim.errors.SolverError, match=r"1 s.*(Zeno|without end)"):
+        system.simulate(stop_time=STOP, macro_step=0.1)
