@@ -115,8 +115,8 @@ def _figure() -> Figure:
                 drift = np.maximum.accumulate(np.maximum(*(run[m] for m in MONITORS)))
                 axis.plot(run.time, drift, style, color=color, label=f"{name} ({solver})")
         axis.set(title=case.model, xlabel="time [s]", yscale="log", ylim=(1e-16, 1e-3))
-        axis.grid(visible=True, alpha=0.3)
-    axes[0].set_ylabel("largest drift [m, m/s, 1]")
+        axis.margins(x=0)
+    axes[0].set_ylabel("largest drift so far [m, m/s or 1]")
     axes[1].legend(fontsize=7, ncols=2, loc="center right", bbox_to_anchor=(1, 0.35))
     return figure
 
