@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import chdir
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,8 @@ def live_bicycle(target: Path) -> None:
 QUICK: dict[str, str | Callable[[Path], None]] = {
     "bar_two_body": "cosim plot bar_on_frame.toml --compare two_body --output-file",
     "bicycle_angles": "cosim plot bicycle_model_1.toml -o",
-    "bicycle_jump": "cosim animate examples/bicycle_jump.py:build --at 0.1,0.34,0.52,0.9 -o",
+    "bicycle_jump": "cosim animate examples/bicycle_jump.py:build --at 0.1,0.34,0.52,0.9"
+    " --size 6.4x3.2 -o",
     "bicycle_kick": "cosim plot bicycle_steer_kick.toml --compare fmu-cs -o",
     "bicycle_path_book": "cosim plot bicycle_path.toml --compare book --output-file",
     "coupling": "coupling.py --figure",
@@ -105,12 +106,13 @@ QUICK: dict[str, str | Callable[[Path], None]] = {
     " --along thetaR_dot=-3:-30:100 --figure",
     "fit": fit,
     "furuta": furuta,
-    "scene_bicycle": "cosim animate bicycle --at 0,0.5,1,1.5 --stop-time 2 -o",
+    "scene_bicycle": "cosim animate bicycle --at 0,0.5,1,1.5 --stop-time 1.5 -o",
     "scene_crank_shaft": "cosim animate crank_shaft --at 0.02 --stop-time 0.2"
     " --output-interval 0.001 -o",
     "scene_bar_on_frame": "cosim animate bar_on_frame --at 0,0.1,0.2 --stop-time 2 -o",
-    "scene_disk_two_bars": "cosim animate disk_two_bars --at 1.2 --stop-time 1.2 -o",
-    "scene_double_pendulum": "cosim animate double_pendulum --at 0,0.2,0.4 --stop-time 3 -o",
+    "scene_disk_two_bars": "cosim animate disk_two_bars --at 1.2 --stop-time 1.2 --size 4.8x4.8 -o",
+    "scene_double_pendulum": "cosim animate double_pendulum --at 0,0.2,0.4 --stop-time 3"
+    " --size 4x4.8 -o",
     "sensitivity": "cosim sensitivity bicycle --outputs phi,delta --stop-time 5 --by"
     " IBxx,IBxz,IBzz,mB,zGB,c,phi_dot,steer_torque --figure",
     "sweep_bicycle": sweep_bicycle,
@@ -131,7 +133,8 @@ def draw(name: str, target: Path) -> None:
     """Draw a figure into a file."""
     how = (QUICK | LONG)[name]
     if not isinstance(how, str):
-        how(target)
+        with redirect_stdout(None):  # the programs print their results
+            how(target)
         return
     with tempfile.TemporaryDirectory() as scratch:
         program, *words = shlex.split(how)
