@@ -11,7 +11,7 @@ FIGURES = runpy.run_path(str(ROOT / "benchmarks" / "figures.py"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FIGURES["QUICK"])
+@pytest.mark.parametrize("name", FIGURES["CHECKED"])
 def test_figure_is_what_its_command_draws(name, tmp_path):
     FIGURES["draw"](name, tmp_path / "x.png")
     with (
