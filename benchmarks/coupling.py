@@ -1,11 +1,11 @@
 """Coupled systems: error and cost of co-simulation by each method, against all parts as one model.
 
-    python benchmarks/coupling.py [FIGURE.png]
+    python benchmarks/coupling.py [--figure FILE.png]
 
 Prints, for the systems of examples/coupled, the true error and the estimate for each accuracy,
 macro steps, and the time in units of that of the one model under dop853 (medians, interleaved);
 then the error of each method by macro step with its order; then libcosim, which holds inputs, if
-libcosimpy is installed. With a file name, draws error against macro step.
+libcosimpy is installed. With `--figure FILE` it only draws error against macro step.
 """
 
 import statistics
@@ -176,21 +176,21 @@ def _figure(steps: np.ndarray) -> Figure:
                 color="gray",
                 fontsize=8,
             )
-        axis.set(title=title, xlabel="macro step (ms)", xlim=(1.8, 110), ylim=(1e-10, 10))
+        axis.set(title=title, xlabel="macro step [ms]", xlim=(1.8, 110), ylim=(1e-10, 10))
         axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.grid(alpha=0.3)
-    axes[0].set_ylabel("largest error of an output (nominal values)")
-    axes[1].annotate("held inputs: unstable", (2.5, 3), fontsize=8)
-    axes[0].legend(frameon=False, fontsize=8, loc="lower right")
+    axes[0].set_ylabel("largest error of an output [nominal values]")
+    axes[1].annotate("order 1: unstable", (2.2, 3), fontsize=8)
+    axes[0].legend(loc="lower right")
     return drawing
 
 
 if __name__ == "__main__":
-    accuracies()
-    orders()
-    drift()
-    libcosim()
-    if len(sys.argv) > 1:
-        figure(sys.argv[1])
+    if "--figure" in sys.argv:
+        figure(sys.argv[sys.argv.index("--figure") + 1])
+    else:
+        accuracies()
+        orders()
+        drift()
+        libcosim()

@@ -103,21 +103,22 @@ def main() -> None:
 
 def _figure() -> Figure:
     """Draw the largest residual of bicycle and pendulum over a long run, up to each time."""
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    figure = Figure(figsize=(9, 4), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     for axis, case in zip(axes, LONG[:2], strict=True):
         dae = cosim.load(case.model)
         for solver, style in (("idas", "--"), ("dop853", "-")):
-            for (name, *control), color in zip(CONTROLS, CURVES, strict=False):
+            for (name, *control), color, marker in zip(CONTROLS, CURVES, "osD^", strict=False):
                 if solver == "idas" and name == "projection":
                     continue
                 run = _run(case, dae, solver, 1e-8, *control)
                 drift = np.maximum.accumulate(np.maximum(*(run[m] for m in MONITORS)))
-                axis.plot(run.time, drift, style, color=color, label=f"{name} ({solver})")
+                look = {"color": color, "marker": marker, "markevery": 0.1, "markersize": 4}
+                axis.plot(run.time, drift, style, label=f"{name} ({solver})", **look)
         axis.set(title=case.model, xlabel="time [s]", yscale="log", ylim=(1e-16, 1e-3))
-        axis.grid(visible=True, alpha=0.3)
-    axes[0].set_ylabel("largest drift [m, m/s, 1]")
-    axes[1].legend(fontsize=7, ncols=2, loc="center right", bbox_to_anchor=(1, 0.35))
+        axis.margins(x=0)
+    axes[0].set_ylabel("largest drift so far [m, m/s or 1]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 

@@ -11,7 +11,7 @@ FIGURES = runpy.run_path(str(ROOT / "benchmarks" / "figures.py"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FIGURES["QUICK"])
+@pytest.mark.parametrize("name", FIGURES["CHECKED"])
 def test_figure_is_what_its_command_draws(name, tmp_path):
     FIGURES["draw"](name, tmp_path / "x.png")
     with (
@@ -21,9 +21,10 @@ def test_figure_is_what_its_command_draws(name, tmp_path):
         assert new.size == old.size
         both = [np.asarray(image.convert("L"), dtype=float) for image in (new, old)]
     different = np.abs(both[0] - both[1]) > 64
-    assert different.mean() < 1e-3  # fonts of another machine move single pixels
+    # Fonts of another machine move single pixels; measured 2e-2 and more for a change of style
+    assert different.mean() < (1e-2 if name in FIGURES["SOLVER_ERRORS"] else 1e-3)
 
 
-@pytest.mark.parametrize("name", [*FIGURES["LONG"], *FIGURES["SCRIPTS"]])
-def test_figure_of_a_long_command_exists(name):
-    assert (FIGURES["FOLDER"] / f"{name}.png").exists()
+def test_every_figure_is_drawn_by_the_command():
+    files = {path.stem for path in FIGURES["FOLDER"].glob("*.png")}
+    assert files == {*FIGURES["QUICK"], *FIGURES["LONG"]}

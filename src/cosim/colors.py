@@ -18,11 +18,11 @@ FRAME_AXES = ("#B03030", "#207020", "#2040B0")  # axes 1, 2 and 3 of a body's fr
 LOAD, TURN, INK = "#A04A00", "#7A2A6A", "#303030"  # positive loads, positive angles, text
 
 # Outcomes of extreme cases, from the best to the worst
-OUTCOMES = ("#2A9D5C", "#4C78A8", "#F2B134", "#D62728", "#9467BD", "#111111", "#7F0000")
+OUTCOMES = ("#A8D5BA", "#4C78A8", "#D55E00", "#8B0000", "#9467BD", "#111111", "#E7298A")
 
 _SOLVERS = (BLUE, SKY, PINK, ORANGE, GREEN, YELLOW, _BROWN, _VIOLET)
 _OTHER_SOLVERS = (_WINE, DARK)
-_MARKERS = "osD^vX*Pp"
+MARKERS = "osD^vX*Pp"
 
 
 def solver_look(name: str, table: Sequence[str]) -> tuple[str, str]:
@@ -33,7 +33,7 @@ def solver_look(name: str, table: Sequence[str]) -> tuple[str, str]:
     if name in table:
         position = table.index(name)
         palette = _SOLVERS if position < len(_SOLVERS) else _OTHER_SOLVERS
-        return palette[position % len(palette)], _MARKERS[position % len(_MARKERS)]
+        return palette[position % len(palette)], MARKERS[position % len(MARKERS)]
     number = crc32(name.encode())
     color = _OTHER_SOLVERS[number % len(_OTHER_SOLVERS)]
-    return color, _MARKERS[number // len(_OTHER_SOLVERS) % len(_MARKERS)]
+    return color, MARKERS[number // len(_OTHER_SOLVERS) % len(MARKERS)]

@@ -178,6 +178,21 @@ def test_everything_is_within_the_picture(run):
         assert np.abs(faces[:, 1]).max() < 1
 
 
+@pytest.mark.parametrize("size", [(6.4, 4.8), (3.0, 4.8), (6.4, 3.0)])
+def test_bodies_and_paths_fill_the_picture_below_its_title(run, size):
+    for view in View:
+        played = playback(run, run.drawing, times=[0.0, 0.5])
+        figure = draw_pose([played], [0, 1], view=view, follow="", size=size)
+        found = figure.axes[0].collections  # the path of the rim, and the bodies
+        paths = [path.vertices for collection in found for path in collection.get_paths()]
+        seen = np.vstack(paths) * size[1] / 2  # inches from the middle
+        assert np.abs(seen[:, 0]).max() < size[0] / 2 - 0.1
+        assert -size[1] / 2 + 0.1 < seen[:, 1].min()
+        assert seen[:, 1].max() < size[1] / 2 - 0.5
+        share = np.ptp(seen, axis=0) / (size[0] - 0.4, size[1] - 0.77)
+        assert share.max() > 0.95  # measured 0.99 to 1.01
+
+
 def test_arrow_is_as_long_as_its_load(run):
     played = playback(run, run.drawing)
     scale = scale_of([played], None)

@@ -16,6 +16,7 @@ from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
 HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
+_OUTWARD = np.array([*product((-1, 0, 1), repeat=3)])  # outermost points are sought along these
 _NEAR = 2.6  # distance of a camera from the center over `Scale.size`
 
 
@@ -85,15 +86,15 @@ class Scale:
     """Sizes of a scene, m.
 
     Attributes:
-        corners: Corners of a box around everything that is seen while the camera follows, (8, 3).
-        size: Half the largest extent of that box.
+        points: Outermost points of everything that is seen while the camera follows, (n, 3).
+        size: Half the largest extent of the bodies.
         pose: Half the largest extent of a single pose; arrows are measured by it.
-        center: Center of the box at the start of the run, (3,).
+        center: Center of the bodies at the start of the run, (3,).
         per_unit: Length of an arrow per SI unit of its load, by unit: m/N, m/(N.m).
         cell: Edge of a cell of the grid on the ground.
     """
 
-    corners: Vector
+    points: Vector
     size: float
     pose: float
     center: Vector
@@ -108,23 +109,23 @@ class Scale:
 
 def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
     """Return the sizes of a scene of runs with the same number of frames."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    pose = 0.0
     shift = runs[0].followed(follow)
     stations = np.unique(np.linspace(0, len(shift) - 1, 60).astype(int))
+    points, pose = [], 0.0
     for run in runs:
-        least, most = np.full((len(stations), 3), np.inf), np.full((len(stations), 3), -np.inf)
+        clouds = []
         for solid in run.solids:
             vertices = mesh_of(solid).vertices
-            corners = vertices[np.unique(np.vstack([vertices.argmin(0), vertices.argmax(0)]))]
+            corners = vertices[np.unique((vertices @ _OUTWARD.T).argmax(axis=0))]
             turns = to_matrices(run.quaternions[stations, solid.body])
             places = corners @ turns.swapaxes(1, 2) + run.places[stations, solid.body, None]
-            seen = places - shift[stations, None]
-            least, most = np.minimum(least, seen.min(axis=1)), np.maximum(most, seen.max(axis=1))
-        low, high = np.minimum(low, least.min(axis=0)), np.maximum(high, most.max(axis=0))
-        pose = max(pose, float((most - least).max()) / 2)
+            clouds.append(places - shift[stations, None])
+        cloud = np.concatenate(clouds, axis=1)
+        pose = max(pose, float(np.ptp(cloud, axis=1).max()) / 2)
+        points.append(cloud.reshape(-1, 3))
     up = np.array(runs[0].world.up)
     up = up / np.linalg.norm(up)
+    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
     center, size = (low + high) / 2, float((high - low).max()) / 2 or 1.0
     largest: dict[str, float] = {}
     for load in (load for run in runs for load in run.loads):
@@ -132,10 +133,11 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
     longest = LONGEST_ARROW * (pose or 1.0)
     per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
     for load in runs[0].loads:
-        tips = (load.at + per_unit[load.unit] * load.vector - shift)[stations]
-        low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+        points.append((load.at + per_unit[load.unit] * load.vector - shift)[stations])
+    if not shift.any():  # a path stays in the picture only if the camera does not follow
+        points += [path.points for run in runs for path in run.paths]
     return Scale(
-        corners=np.array([*product(*zip(low, high, strict=True))]),
+        points=np.concatenate(points),
         size=size,
         pose=pose or 1.0,
         center=center,

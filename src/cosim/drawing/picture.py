@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from math import tan
 from textwrap import fill
 from typing import Any
 
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 
 from cosim.arrays import Vector
 from cosim.colors import INVALID, INVALID_BODY
-from cosim.drawing.camera import LONGEST_ARROW, Camera, View, camera_for, scale_of
+from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera_for, scale_of
 from cosim.drawing.meshes import Mesh, arrow, joined, mesh_of
 from cosim.drawing.pose import Poses, invalid_text
 from cosim.drawing.rotation import to_matrices
@@ -22,7 +23,7 @@ from cosim.drawing.rotation import to_matrices
 SIZE = (6.4, 4.8)  # of a picture, inches
 _PALE = 0.72  # share of white in the colors of ghosts
 _SHAFT = 0.012  # radius of an arrow's shaft over `Scale.pose`
-_FILLED = (0.93, 0.85)  # share of the picture's width and height that everything fills
+_SIDE, _ABOVE, _BELOW = 0.2, 0.55, 0.22  # margins around everything that is seen, inches
 
 
 class Stage:
@@ -49,12 +50,18 @@ class Stage:
         return replace(self.start, eye=self.start.eye + self.shift[frame])
 
     def _filling(self, camera: Camera) -> Camera:
-        """Return the camera moved so that the box of everything fills the picture."""
-        center = self.scale.center
+        """Return the camera moved so that everything fills the picture."""
+        distance = float(np.linalg.norm(camera.eye - self.scale.center))
+        inch = 2 * self.width / self.inches  # the picture is 2 high
+        room = np.array([self.width - _SIDE * inch, 1 - (_ABOVE + _BELOW) / 2 * inch])
+        shift = np.array([0.0, (_BELOW - _ABOVE) * inch])
         for _ in range(8):
-            seen = np.abs(camera.seen(self.scale.corners)[:, :2]).max(axis=0)
-            share = seen / (_FILLED[0] * self.width, _FILLED[1])
-            camera = replace(camera, eye=center + (camera.eye - center) * float(share.max()))
+            seen = camera.seen(self.scale.points)[:, :2]
+            low, high = seen.min(axis=0), seen.max(axis=0)
+            move = tan(HALF_ANGLE) * distance * ((low + high - shift) / 2)
+            center = camera.eye - distance * camera.axes[2] + move @ camera.axes[:2]
+            distance *= float(((high - low) / 2 / room).max())
+            camera = replace(camera, eye=center + distance * camera.axes[2])
         return camera
 
     def draw(self, axis: Axes, frames: Sequence[int]) -> None:

@@ -39,20 +39,18 @@ def draw_panels(run: Trajectory) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Picture(figsize=(width, 2.3 * down + 0.4 + 0.18 * lines), layout="constrained")
         axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
-        for axis, column in zip(axes, run.columns, strict=False):
+        for i, (axis, column) in enumerate(zip(axes, run.columns, strict=False)):
             values = _displayed(run, column.name)
             axis.plot(run.time, values, linewidth=1.2, color=CURVES[0])
             axis.set_title(fill(column.meaning or column.name, 52), fontsize=9)
-            axis.set_ylabel(f"{column.name} [{column.shown_unit}]", fontsize=9)
+            axis.set_ylabel(f"{column.name} [{column.shown_unit}]")
+            axis.set_xlabel("time [s]" if i >= len(run.names) - across else "")
             axis.tick_params(labelbottom=True)
             axis.margins(x=0)
             keep_constant_flat(axis, values, _displayed_nominal(column))
             shade_invalid(axis, run.time, invalid_from)
-    count = len(run.names)
-    for axis in axes[count:]:
+    for axis in axes[len(run.names) :]:
         axis.set_visible(False)
-    for axis in axes[max(0, count - across) : count]:
-        axis.set_xlabel("time [s]", fontsize=9)
     figure.suptitle(head, fontsize=11)
     if caption:
         figure.supxlabel(caption, fontsize=8, color=INVALID)
@@ -76,20 +74,16 @@ def shared_specs(
         if spec.x != "time" and spec.x not in common:
             gone.append(f"figure '{spec.title}' (over {spec.x})")
             continue
-        chosen = [[i for i, name in enumerate(panel) if name in common] for panel in spec.panels]
-        gone += [n for panel in spec.panels for n in panel if n not in common]
-        rows = [k for k, positions in enumerate(chosen) if positions]
+        gone += [name for panel in spec.panels for name in panel if name not in common]
+        found = [[i for i, name in enumerate(panel) if name in common] for panel in spec.panels]
+        rows = [(k, places) for k, places in enumerate(found) if places]
         if rows:
-            shared.append(
-                replace(
-                    spec,
-                    panels=tuple(tuple(spec.panels[k][i] for i in chosen[k]) for k in rows),
-                    labels=tuple(spec.labels[k] for k in rows) if spec.labels else (),
-                    legends=tuple(tuple(spec.legends[k][i] for i in chosen[k]) for k in rows)
-                    if spec.legends
-                    else (),
-                )
+            panels, legends = (
+                tuple(tuple(texts[k][i] for i in places) for k, places in rows) if texts else ()
+                for texts in (spec.panels, spec.legends)
             )
+            labels = tuple(spec.labels[k] for k, _ in rows) if spec.labels else ()
+            shared.append(replace(spec, panels=panels, labels=labels, legends=legends))
     if not shared:
         models = " and ".join(dict.fromkeys(run.model for run in runs))
         raise UsageError(f"{models}: these runs have no variable in common that could be drawn")
@@ -136,7 +130,7 @@ def _overlaid_figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Seque
     rows = [*figure.subplots(count, 1, squeeze=False, sharex=spec.x == "time").ravel()]
     figure.suptitle(fill(spec.title, 70), fontsize=11)
     for axis, panel in zip(rows, spec.panels, strict=True):
-        _overlaid_panel(axis, spec, panel, runs, labels)
+        _overlaid_panel(axis, spec, panel, [*zip(runs, labels, strict=True)])
     _name_invalid(figure, rows if spec.x == "time" else [], runs, labels)
     handles, names = rows[0].get_legend_handles_labels()
     if len(spec.panels) > 1 and all(len(panel) == 1 for panel in spec.panels):
@@ -146,15 +140,11 @@ def _overlaid_figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Seque
 
 
 def _overlaid_panel(
-    axis: Axes,
-    spec: FigureSpec,
-    panel: Sequence[str],
-    runs: Sequence[Trajectory],
-    labels: Sequence[str],
+    axis: Axes, spec: FigureSpec, panel: Sequence[str], labelled: Sequence[tuple[Trajectory, str]]
 ) -> None:
-    several = len(panel) > 1
+    several, runs = len(panel) > 1, [run for run, _ in labelled]
     for i, name in enumerate(panel):
-        for k, (run, label) in enumerate(zip(runs, labels, strict=True)):
+        for k, (run, label) in enumerate(labelled):
             axis.plot(
                 _displayed(run, spec.x),
                 _displayed(run, name),
@@ -227,11 +217,13 @@ def draw_residuals(residuals: Trajectory, run: Trajectory, other: Trajectory) ->
         figure = Picture(figsize=(_WIDTH, 1.0 + 3.0 * count), layout="constrained")
         axes = figure.subplots(2 * count, 1, sharex=True, height_ratios=[2, 1] * count)
         for column, above, below in zip(residuals.columns, axes[::2], axes[1::2], strict=True):
-            above.plot(run.time, _displayed(run, column.name))
-            above.plot(other.time, _displayed(other, column.name), **_POINTS)
+            above.plot(run.time, _displayed(run, column.name), color=CURVES[0], label=run.model)
+            points = _displayed(other, column.name)
+            above.plot(other.time, points, **_POINTS, label=other.model)
             below.plot(residuals.time, _displayed(residuals, column.name), **_POINTS)
             above.set_ylabel(_beside(column.name, column.shown_unit, 19))
             below.set_ylabel(_beside("residual", column.shown_unit, 16))
+        axes[0].legend()
         axes[-1].set_xlabel("time [s]")
         figure.suptitle(fill(residuals.model, 70), fontsize=11)
         _name_invalid(figure, axes, [run], [run.model])
@@ -260,7 +252,7 @@ def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figu
     mains = rows[::2] if below else rows
     for index, axis in enumerate(mains):
         _panel(axis, spec, index, run, other)
-    runs = [run] if other is None else [run, other]
+    runs = [each for each in (run, other) if each is not None]
     labels = [_run_label(each) for each in runs]
     mains[0].set_title("; dashed: ".join(labels), fontsize=7, color="0.4", loc="right")
     if other is not None:
@@ -297,9 +289,8 @@ def _panel(
         if other is not None:
             axis.plot(_displayed(other, spec.x), _displayed(other, column.name), **_SECOND_RUN)
     label = spec.labels[index] if spec.labels else ", ".join(names)
-    axis.set_ylabel(
-        _beside(label, columns[0].shown_unit, 34 if spec.equal or len(spec.panels) == 1 else 19)
-    )
+    letters = 34 if spec.equal or len(spec.panels) == 1 else 19
+    axis.set_ylabel(_beside(label, columns[0].shown_unit, letters))
     if len(names) > 1:
         axis.legend()
     if spec.x != "time":
@@ -310,14 +301,12 @@ def _panel(
 def _difference(
     axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
 ) -> None:
-    zero = True
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
         gap = _displayed(other, name) - _displayed(run, name)
         color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
         axis.plot(run.time, gap, color=color, linestyle=line, linewidth=0.9, label=legend)
-        zero = zero and not gap.any()
     axis.set_ylabel(_beside("difference", run.column(names[0]).shown_unit, 16))
-    if zero:
+    if not any(np.any(line.get_ydata()) for line in axis.lines):
         axis.set_ylim(-1, 1)
         axis.set_yticks([0.0])
         axis.text(0.5, 0.75, "exactly zero", transform=axis.transAxes, ha="center", fontsize=8)

@@ -24,6 +24,17 @@ _TITLES = {
     "conditions": "conditions: calculated if --outputs names them",
     "limits": "validity conditions: a run is valid while every margin is positive",
 }
+_KEYS = (
+    "name",
+    "unit",
+    "shown in",
+    "start",
+    "start kind",
+    "minimum",
+    "maximum",
+    "nominal",
+    "meaning",
+)
 _VARIABLE_COLUMNS = ("name", "unit", "shown in", "start", "bounds", "meaning")
 
 
@@ -97,16 +108,15 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
         >>> {row["name"]: row["start"] for row in facts["states"]}["phi_dot"]
         0.5
     """
-    if isinstance(source, Dae):
-        return _of_model(source)
+    if isinstance(source, os.PathLike):
+        source = os.fspath(source)
+    if isinstance(source, str) and source.endswith(".fmu"):
+        return _fmu_info(Path(source))
+    if isinstance(source, str) and source.endswith(".toml"):
+        source = read_scene(source)
     if isinstance(source, Scene):
         return _of_scene(source)
-    name = os.fspath(source) if isinstance(source, os.PathLike) else source
-    if isinstance(name, str) and name.endswith(".toml"):
-        return _of_scene(read_scene(name))
-    if isinstance(name, str) and name.endswith(".fmu"):
-        return _fmu_info(Path(name))
-    return _of_model(load(name))
+    return _of_model(source if isinstance(source, Dae) else load(source))
 
 
 def _of_scene(scene: Scene) -> Info:
@@ -137,9 +147,7 @@ def _of_model(dae: Dae) -> Info:
     }
     if dae.start_outputs:
         pairs = ((w.variable.name, dae.states[w.state].name) for w in dae.start_outputs)
-        facts["starts"] = "; ".join(
-            f"{output} may be set instead of {state}" for output, state in pairs
-        )
+        facts["starts"] = "; ".join(f"{y} may be set instead of {x}" for y, x in pairs)
     start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
     groups["conditions"] = [
@@ -165,19 +173,11 @@ def _variable_rows(
 
 
 def _variable_row(variable: Variable, start: float | None) -> dict[str, Any]:
-    bounds = variable.minimum, variable.maximum
+    low, high = (b if isfinite(b) else None for b in (variable.minimum, variable.maximum))
     kind = "exact" if variable.start_kind is Start.EXACT else "calculated"
-    return {
-        "name": variable.name,
-        "unit": variable.unit,
-        "shown in": variable.display_unit or variable.unit,
-        "start": start,
-        "start kind": kind,
-        "minimum": bounds[0] if isfinite(bounds[0]) else None,
-        "maximum": bounds[1] if isfinite(bounds[1]) else None,
-        "nominal": variable.nominal,
-        "meaning": variable.meaning,
-    }
+    texts = (variable.name, variable.unit, variable.display_unit or variable.unit)
+    facts = (*texts, start, kind, low, high, variable.nominal, variable.meaning)
+    return dict(zip(_KEYS, facts, strict=True))
 
 
 def _fmu_info(path: Path) -> Info:
@@ -202,18 +202,10 @@ def _fmu_info(path: Path) -> Info:
 
 
 def _fmu_row(variable: Described, meaning: str) -> dict[str, Any]:
-    texts = variable.texts
-    return {
-        "name": variable.name,
-        "unit": texts.get("unit", "1"),
-        "shown in": texts.get("displayUnit", texts.get("unit", "1")),
-        "start": _number_or_text(texts.get("start")),
-        "start kind": variable.initial or "",
-        "minimum": _number_or_text(texts.get("min")),
-        "maximum": _number_or_text(texts.get("max")),
-        "nominal": _number_or_text(texts.get("nominal")),
-        "meaning": meaning,
-    }
+    texts, unit = variable.texts, variable.texts.get("unit", "1")
+    start, *sizes = (_number_or_text(texts.get(key)) for key in ("start", "min", "max", "nominal"))
+    facts = (variable.name, unit, texts.get("displayUnit", unit), start, variable.initial or "")
+    return dict(zip(_KEYS, (*facts, *sizes, meaning), strict=True))
 
 
 def _number_or_text(text: str | None) -> Any:
@@ -230,9 +222,7 @@ def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
     start, kind = row["start"], row["start kind"]
     text = "" if start is None else f"{start:.10g}" if isinstance(start, float) else str(start)
     note = f"{text} (calculated)" if text else "calculated"
-    low, high = (
-        "" if bound is None else f"{bound:g}" for bound in (row["minimum"], row["maximum"])
-    )
+    low, high = ("" if b is None else f"{b:g}" for b in (row["minimum"], row["maximum"]))
     bounds = f"{low or '-inf'} ... {high or 'inf'}" if low or high else ""
     shown = {**row, "start": note if kind == "calculated" else text, "bounds": bounds}
     return {key: shown[key] for key in _VARIABLE_COLUMNS}

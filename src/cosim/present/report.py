@@ -144,15 +144,15 @@ def _parameter_row(
     variable: Variable, c: ReportContents, values: Mapping[str, float]
 ) -> dict[str, Any]:
     value = values.get(variable.name, variable.start)
-    if variable.start_kind is Start.CALCULATED and variable.name in c.run.names and len(c.run):
+    calculated = variable.start_kind is Start.CALCULATED
+    if calculated and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
     shown = variable.display_unit or variable.unit
     return {
         "name": variable.name,
         "value": "" if value is None else f"{convert(value, variable.unit, shown):.8g}",
         "unit": shown,
-        "meaning": variable.meaning
-        + (" (calculated)" if variable.start_kind is Start.CALCULATED else ""),
+        "meaning": variable.meaning + " (calculated)" * calculated,
     }
 
 
@@ -202,8 +202,7 @@ def _figures(c: ReportContents) -> Iterable[str]:
     else:
         names = c.run.names
         figures = [c.run.plot(names[i : i + 12]) for i in range(0, len(names), 12)]
-    for figure in figures:
-        yield _svg(figure, "")
+    yield from (_svg(figure, "") for figure in figures)
 
 
 def _trust(c: ReportContents) -> Iterable[str]:
@@ -217,8 +216,9 @@ def _trust(c: ReportContents) -> Iterable[str]:
     else:
         yield "<p>No error was estimated; add <code>--accuracy</code> for an estimate.</p>"
     if c.checks:
-        rows = [dict(row) for row in c.checks]
-        yield html_table(rows, "The same run on every backend and in every formulation")
+        yield html_table(
+            [*map(dict, c.checks)], "The same run on every backend and in every formulation"
+        )
 
 
 def _origin_section(c: ReportContents) -> Iterable[str]:
@@ -239,10 +239,8 @@ def _origin_section(c: ReportContents) -> Iterable[str]:
 
 
 def _facts_table(facts: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f"<tr><th>{html.escape(k)}</th><td>{html.escape(str(v))}</td></tr>"
-        for k, v in facts.items()
-    )
+    shown = [(html.escape(key), html.escape(str(value))) for key, value in facts.items()]
+    rows = "".join(f"<tr><th>{key}</th><td>{value}</td></tr>" for key, value in shown)
     return f"<table>{rows}</table>"
 
 

@@ -37,8 +37,10 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
         axis.set_yscale("log")
         for family, members in _best(study.competing, cost).items():
             color, marker = solver_look(family[3], tuple(SOLVERS))
+            at, error = (lambda m: m.cost(cost)), (lambda m: m.error)
+            front = pareto_front(members, at, error, study.reference_error)
             axis.plot(
-                *_points(study, _front(study, members, cost), cost, factor),
+                *_points(study, front, cost, factor),
                 marker=marker,
                 color=color,
                 linewidth=1.4,
@@ -95,11 +97,6 @@ def _best(shown: Sequence[Measurement], cost: str) -> dict[Family, list[Measurem
         if family[3] not in best or rank < best[family[3]][0]:
             best[family[3]] = rank, family
     return {family: families[family] for _, family in best.values()}
-
-
-def _front(study: Tradeoff, members: Sequence[Measurement], cost: str) -> Sequence[Measurement]:
-    """Return what no other member beats in error and cost; equal within rounding: one of them."""
-    return pareto_front(members, lambda m: m.cost(cost), lambda m: m.error, study.reference_error)
 
 
 def _family_name(family: Family) -> str:

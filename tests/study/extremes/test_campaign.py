@@ -184,16 +184,34 @@ def test_summary_counts_every_outcome_and_names_the_worst():
 def test_map_labels_values_and_solvers():
     findings = [
         CaseFinding(
-            Case("spin", f"omega = {v}, {s}", "m/x", solver=s), CaseEnding(o, None, "", 0.0)
+            Case("spin", f"omega = {v} rad/s, {s}", "m/x", solver=s), CaseEnding(o, None, "", 0.0)
         )
-        for v, s, o in (("1", "erk", "accurate"), ("2", "erk", "failed"), ("2", "idas", "silent"))
+        for v, s, o in (
+            ("1", "erk", "accurate"),
+            ("1e-09", "erk", "failed"),
+            ("1e-09", "idas", "silent"),
+        )
     ]
     (axis,) = draw_map(findings).get_axes()
-    assert [label.get_text() for label in axis.get_xticklabels()] == ["omega = 1", "omega = 2"]
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["1", "1e-9"]
+    assert axis.get_xlabel() == "omega [rad/s]"
     assert [label.get_text() for label in axis.get_yticklabels()] == ["x, erk", "x, idas"]
     places = [tuple(int(c[0]) for c in line.get_data()) for line in axis.lines]
     assert places == [(0, 0), (1, 0), (1, 1)]
     assert [text.get_text() for text in axis.texts] == ["f", "S"]  # readable without color
+
+
+def test_map_names_the_parameter_of_a_row_if_there_are_several():
+    findings = [
+        CaseFinding(
+            Case("masses", f"{name} x {factor}", model), CaseEnding("accurate", None, "", 0.0)
+        )
+        for name, factor, model in (("mB", "1", "m/x"), ("mC", "1", "m/x"), ("mB", "10", "n/x"))
+    ]
+    (axis,) = draw_map(findings).get_axes()
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["m/x, mB", "m/x, mC", "n/x"]
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["1", "10"]
+    assert axis.get_xlabel() == "factor"
 
 
 def test_map_shows_each_outcome_in_its_own_color(tmp_path):

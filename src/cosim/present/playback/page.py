@@ -134,7 +134,7 @@ def _facts(
             "field": float(np.degrees(2 * HALF_ANGLE)),
         },
         **_plain(scale, "size", "pose", "cell"),
-        "floor": float((scale.corners @ up).min()),
+        "floor": float((scale.points @ up).min()),
         "colors": CURVES,
         "invalid_color": INVALID_BODY,
         "labels": [names.index(name) for name in labels],

@@ -61,6 +61,7 @@ class EigenvalueSweep:
         eigenvalues: Eigenvalues, 1/s, (n, states); a column follows one eigenvalue.
         modes: What the model calls the mode of each column; empty where it has no name.
         crossings: Values at which an eigenvalue crosses the imaginary axis.
+        units: Units of the varied quantity and of the outputs, by name.
     """
 
     name: str
@@ -70,6 +71,7 @@ class EigenvalueSweep:
     eigenvalues: Vector
     modes: tuple[str, ...]
     crossings: tuple[Crossing, ...]
+    units: Mapping[str, str]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row per value: real and imaginary parts."""
@@ -185,8 +187,9 @@ def _along(
             nearest = int(np.abs(found[i] - 1j * crossing.frequency).argmin())
             crossings.append(replace(crossing, mode=names[nearest] or crossing.mode))
     crossings.sort(key=lambda crossing: crossing.value)
-    unit, eigenvalues = dae.variable(name).unit, np.hstack(table)
-    return EigenvalueSweep(name, unit, grid, points, eigenvalues, tuple(modes), tuple(crossings))
+    units = {known: dae.variable(known).unit for known in (name, *points[0].outputs)}
+    found, named = np.hstack(table), tuple(modes)
+    return EigenvalueSweep(name, units[name], grid, points, found, named, tuple(crossings), units)
 
 
 def _mode_names(dae: Dae, group: Sequence[int], found: Vector) -> list[str]:
