@@ -44,9 +44,13 @@ class CommandLine(Parser):
         if words and words[0] in ALIASES:
             options_first = len(words) > 1 and words[1].startswith("-")
             words[:1] = ALIASES[words[0]][:1] if options_first else ALIASES[words[0]]
-        fitting = [verb for verb in VERBS if words and verb.startswith(words[0])]
-        if len(fitting) == 1:
-            words[0] = fitting[0]
+        if words and words[0] not in VERBS and not words[0].startswith("-"):
+            fitting = [verb for verb in VERBS if words[0] and verb.startswith(words[0])]
+            if len(fitting) > 1:
+                self.error(f"several verbs begin with '{words[0]}': {', '.join(fitting)}")
+            if not fitting:
+                self.error(f"there is no verb '{words[0]}'{did_you_mean(words[0], VERBS)}")
+            words[:1] = fitting
         return super().parse_known_args(words, namespace)
 
 
