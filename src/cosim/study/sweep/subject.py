@@ -4,7 +4,6 @@ import atexit
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
@@ -55,10 +54,6 @@ class RunKeywords(TypedDict, total=False):
 def run_settings(keywords: RunKeywords) -> dict[str, Any]:
     """Return the keywords of a run that are not None, in the types of JSON."""
     settings = {name: value for name, value in keywords.items() if value is not None}
-    known = RunKeywords.__annotations__
-    if wrong := next((name for name in settings if name not in known), None):
-        near = "".join(f"; did you mean {n}?" for n in get_close_matches(wrong, known, 1))
-        raise TypeError(f"sweep() got an unexpected keyword argument '{wrong}'{near}")
     solver = settings.get("solver")
     if isinstance(solver, Solver):
         numbers = {name: value for name, value in vars(solver).items() if value is not None}
