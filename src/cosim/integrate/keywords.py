@@ -30,23 +30,32 @@ class TimeKeywords(TypedDict, total=False):
     output_times: ArrayLike | None
 
 
-class SharedKeywords(TimeKeywords, total=False):
-    """Keywords that runs of many variants share; see `cosim.simulate`."""
+class RareKeywords(TypedDict, total=False):
+    """Rarely needed keywords; see `cosim.simulate`."""
 
-    inputs: Any
-    outputs: Sequence[str] | None
-    solver: str | Solver | Tolerance | None
     relative_tolerance: float | None
     absolute_tolerance: float | None
     step_size: float | None
     max_step: float | None
-    accuracy: float | str | None
-    budget: float | None
     compiled: bool | None
     on_invalid: str | None
     drift_control: str | None
+    output_times: ArrayLike | None
     stop_when: str | None
     record_events: bool
+
+
+class SharedKeywords(RareKeywords, total=False):
+    """Keywords that runs of many variants share; see `cosim.simulate`."""
+
+    start_time: float | None
+    stop_time: float | None
+    output_interval: float | None
+    inputs: Any
+    outputs: Sequence[str] | None
+    solver: str | Solver | Tolerance | None
+    accuracy: float | str | None
+    budget: float | None
 
 
 class Keywords(SharedKeywords, total=False):

@@ -6,10 +6,7 @@ import sys
 
 from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import show_table
-from cosim.study.sensitivity.sensitivity import (
-    DERIVATIVE_TOLERANCE,
-    sensitivity,
-)
+from cosim.study.sensitivity.sensitivity import DERIVATIVE_TOLERANCE, sensitivity
 
 ROWS_PER_OUTPUT = 12
 

@@ -25,14 +25,7 @@ from cosim.codegen.runge_kutta.explicit_library import (
     work_space,
 )
 from cosim.integrate.call import call_on_arrays
-from cosim.integrate.engine import (
-    Engine,
-    EngineFunctions,
-    Filled,
-    Problem,
-    event_type,
-    reported,
-)
+from cosim.integrate.engine import Engine, EngineFunctions, Filled, Problem, event_type, reported
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver

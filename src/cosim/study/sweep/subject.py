@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, TypedDict
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
@@ -21,7 +20,7 @@ from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
-from cosim.integrate.keywords import requested
+from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.outputs import all_columns, watching
 from cosim.model.catalogue import load
 from cosim.model.request import RunRequest
@@ -35,14 +34,10 @@ from cosim.study.sweep.samples import digest_of
 from cosim.trajectory import Column
 
 
-class RunKeywords(TypedDict, total=False):
+class RunKeywords(TimeKeywords, total=False):
     """Keywords of `sweep` that concern each run; see `simulate_many`."""
 
     outputs: Sequence[str] | None
-    output_times: ArrayLike | None
-    start_time: float | None
-    stop_time: float | None
-    output_interval: float | None
     solver: str | Solver | None
     relative_tolerance: float | None
     absolute_tolerance: float | None

@@ -10,14 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
-from cosim.fmi.check.trials.bench import (
-    MEMORY_GROWTH,
-    Bench,
-    Note,
-    Session,
-    Skipped,
-    memory_in_use,
-)
+from cosim.fmi.check.trials.bench import MEMORY_GROWTH, Bench, Note, Session, Skipped, memory_in_use
 from cosim.fmi.run.c_structures import Ending, Recorded, Run, functions_of, reject_failed_call
 from cosim.host.signals import interruptible
 
