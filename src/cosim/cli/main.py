@@ -8,7 +8,7 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
@@ -161,7 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_words(words: Sequence[str], own_process: bool) -> int:
     args = _parsed(words)
-    foreign = any(word.endswith(".fmu") for word in _words(args))
+    named = [value for name, value in vars(args).items() if name != "output_file"]
+    given = [word for value in named for word in (value if isinstance(value, list) else [value])]
+    foreign = any(isinstance(word, str) and word.endswith(".fmu") for word in given)
     if not foreign or not own_process:
         return _run_verb(args, foreign=foreign)
     from cosim.host.child import ending_orphans
@@ -180,14 +182,6 @@ def _parsed(words: Sequence[str]) -> argparse.Namespace:
         message = f"cosim {args.verb}: cannot take '{unknown[0]}'{near}"
         Parser().exit(2, f"{message}; see: cosim {args.verb} --help\n")
     return args
-
-
-def _words(args: argparse.Namespace) -> Iterable[str]:
-    """Yield what a command line names, but not the file that it writes."""
-    for name, value in vars(args).items():
-        if name != "output_file":
-            words = value if isinstance(value, list) else [value]
-            yield from (word for word in words if type(word) is str)
 
 
 def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:

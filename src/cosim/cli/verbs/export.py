@@ -3,14 +3,11 @@
 import argparse
 import json
 import sys
-from pathlib import Path
 
-from casadi_models.dae import Dae
 from cosim.cli.arguments import names_in, scene_from
 from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import FmuKeywords
-from cosim.scene.scene import Scene
 from cosim.verify.reference_result import export_with_reference
 
 
@@ -21,7 +18,9 @@ def run(args: argparse.Namespace) -> int:
     scene = scene_from(args)
     request = scene.request.reduced()
     dae = request.configured()
-    path = _export(args, scene, dae)
+    name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
+    target, options = args.output_file or f"{name}.fmu", _options(args, name)
+    path = export_with_reference(dae, target, reference=args.reference == "auto", **options)
     if args.verbose:
         print(*dae.report, sep="\n", file=sys.stderr)
     if request.inputs is not None and not args.quiet:
@@ -43,12 +42,6 @@ def _export_system(args: argparse.Namespace) -> int:
     if not args.quiet:
         print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
     return 0
-
-
-def _export(args: argparse.Namespace, scene: Scene, dae: Dae) -> Path:
-    name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
-    target, options = args.output_file or f"{name}.fmu", _options(args, name)
-    return export_with_reference(dae, target, reference=args.reference == "auto", **options)
 
 
 def _options(args: argparse.Namespace, name: str) -> FmuKeywords:

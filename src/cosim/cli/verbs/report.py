@@ -40,15 +40,7 @@ def run(args: argparse.Namespace) -> int:
                 )
     words = sys.argv[1:] if sys.argv[0].endswith("cosim") else ["report", args.model, "-o",
                                                                args.output_file]  # fmt: skip
-    page = report(
-        ReportContents(
-            scene,
-            request.reduced().configured(),
-            result,
-            shown,
-            checks,
-            shlex.join(["cosim", *words]),
-        )
-    )
+    dae, command = request.reduced().configured(), shlex.join(["cosim", *words])
+    page = report(ReportContents(scene, dae, result, shown, checks, command))
     print(write_atomically(args.output_file, page.encode()), file=sys.stderr)
     return code

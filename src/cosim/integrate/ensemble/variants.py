@@ -187,7 +187,6 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
-        stats={},
     )
 
 

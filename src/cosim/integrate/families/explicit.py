@@ -197,7 +197,7 @@ class DirectCall:
     ) -> Filled:
         """Fill states and algebraic unknowns, (n, nx) and (n, nz)."""
         if p.tobytes() != self._p:  # evaluate the constants once
-            call_on_arrays(self._constants, [p], [self._c])
+            call_on_arrays(self._constants.buffer(), [p], [self._c])
             self._extended[: len(self._c)] = self._c
             self._p = p.tobytes()
         arguments, results, integers, doubles = self._work

@@ -38,6 +38,7 @@ from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.trajectory import Column, Trajectory
 
 _variational = cached_per_thread(8)(variational)
+_reduced = cached_per_thread(8)(reduce)
 
 
 @dataclass(frozen=True)
@@ -223,11 +224,6 @@ def sensitivity(
             plain,
         )
     return Sensitivity(plain, columns, table, agreement)
-
-
-@cached_per_thread(8)
-def _reduced(dae: Dae, names: tuple[str, ...]) -> Dae:
-    return reduce(dae, names)
 
 
 def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarget:

@@ -16,7 +16,7 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
-from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
@@ -27,7 +27,7 @@ from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Solver
 from cosim.model.start_outputs import overriding
 from cosim.model.times import Times
-from cosim.model.values import assign, settable
+from cosim.model.values import assign, settable_variable
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.study.sweep.samples import digest_of
@@ -92,11 +92,7 @@ class ModelSubject:
 
     def unit(self, name: str) -> str | None:
         """Return the unit of a quantity that can be varied."""
-        known = settable(self._request.dae)
-        if name not in known:
-            kind = "state, parameter or input"
-            raise UnknownName.of_model(self.name, kind, name, known)
-        return known[name].unit
+        return settable_variable(self._request.dae, name).unit
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and compile; return the method of the runs as text."""
