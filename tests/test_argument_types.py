@@ -4,6 +4,7 @@ import inspect
 import pickle
 from contextlib import suppress
 from functools import partial
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from helpers.small_models import decay
 
 import cosim
 from cosim.errors import _ELSEWHERE, CosimError, ParameterError, UnknownName, UsageError
+from cosim.text import readable
 
 DAE = decay()
 RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
@@ -235,6 +237,13 @@ def test_message_on_an_endless_value_is_short(text, length):
         with pytest.raises(ParameterError, match="x") as caught:
             cosim.simulate(DAE, start_values={"x": value})
         assert len(str(caught.value)) < 700  # which names the value twice
+
+
+@pytest.mark.parametrize("text", ["[ ", "' ", "] ", "a' ", "[' "], ids=repr)
+def test_long_message_is_shortened_in_linear_time(text):
+    began = perf_counter()
+    assert len(readable(text * 200_000)) < 6100
+    assert perf_counter() - began < 5  # measured 0.1 s; 100 s if every bracket were followed
 
 
 # -- keywords of other tools ---------------------------------------------------------------------

@@ -5,6 +5,7 @@ import json
 import sys
 
 from cosim.cli.arguments import names_in, scene_from
+from cosim.cli.tables import note
 from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import FmuKeywords
@@ -23,14 +24,13 @@ def run(args: argparse.Namespace) -> int:
     path = export_with_reference(dae, target, reference=args.reference == "auto", **options)
     if args.verbose:
         print(*dae.report, sep="\n", file=sys.stderr)
-    if request.inputs is not None and not args.quiet:
+    if request.inputs is not None:
         names = ", ".join(request.inputs.names)
-        print(f"{names}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
+        note(args, f"{names}: inputs of the FMU; the importer supplies their series")
     if args.json:
         facts = {"file": str(path), "bytes": path.stat().st_size, "model": dae.full_name}
         print(json.dumps(facts | {"report": list(dae.report)}))
-    if not args.quiet:
-        print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
+    note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
     return 0
 
 
@@ -39,8 +39,7 @@ def _export_system(args: argparse.Namespace) -> int:
     if not is_system(args.model):
         raise UsageError(f"{args.output_file}: .ssp is for coupled systems; write an .fmu file")
     path = read_system(args.model).write_ssp(args.output_file)
-    if not args.quiet:
-        print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
+    note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
     return 0
 
 
