@@ -1,13 +1,18 @@
 """Python calls with arguments of the wrong type: a `CosimError` in one line, never numpy's own."""
 
+import inspect
+import pickle
+from contextlib import suppress
 from functools import partial
+from time import perf_counter
 
 import numpy as np
 import pytest
 from helpers.small_models import decay
 
 import cosim
-from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
+from cosim.errors import _ELSEWHERE, CosimError, ParameterError, UnknownName, UsageError
+from cosim.text import readable
 
 DAE = decay()
 RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
@@ -223,3 +228,93 @@ def test_plot_of_nothing_is_rejected():
 
 def test_message_on_an_endless_name_is_short():
     assert refusal(UnknownName, lambda: cosim.simulate(DAE, outputs=["y" * 100_000]))
+
+
+@pytest.mark.parametrize("length", [300, 100_000])
+@pytest.mark.parametrize("text", ["a", "b ", "3 ft ", "'"], ids=repr)
+def test_message_on_an_endless_value_is_short(text, length):
+    for value in (text * length, [text] * length):
+        with pytest.raises(ParameterError, match="x") as caught:
+            cosim.simulate(DAE, start_values={"x": value})
+        assert len(str(caught.value)) < 700  # which names the value twice
+
+
+@pytest.mark.parametrize("text", ["[ ", "' ", "] ", "a' ", "[' "], ids=repr)
+def test_long_message_is_shortened_in_linear_time(text):
+    began = perf_counter()
+    assert len(readable(text * 200_000)) < 6100
+    assert perf_counter() - began < 5  # measured 0.1 s; 100 s if every bracket were followed
+
+
+# -- keywords of other tools ---------------------------------------------------------------------
+
+FUNCTIONS = {
+    name: value
+    for name in cosim.__all__
+    if callable(value := getattr(cosim, name)) and not isinstance(value, type)
+} | {"System.simulate": cosim.System.simulate}
+FOREIGN = ("parameters", "params", "rtol", "t_end", "tspan", "stoptime", "frobnicate")
+
+
+@pytest.mark.parametrize("keyword", FOREIGN)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_unknown_keyword_is_answered_with_one_that_exists(name, keyword):
+    function = FUNCTIONS[name]
+    own = inspect.signature(function).parameters
+    if keyword in own:
+        return
+    with pytest.raises(TypeError) as caught:
+        function(**{keyword: 1})
+    problem, _, remedy = str(caught.value).partition("; ")
+    assert problem == f"{name.rpartition('.')[2]}() got an unexpected keyword argument '{keyword}'"
+    if "frobnicate" in problem or "did you mean" not in remedy:
+        assert remedy.startswith("it has " + next(iter(own), "none"))
+
+
+@pytest.mark.parametrize(
+    ("name", "keyword", "meant"),
+    [
+        ("simulate", "rtol", "relative_tolerance"),
+        ("simulate", "parameters", "start_values"),
+        ("simulate_many", "t_end", "stop_time"),
+        ("sweep", "tspan", "stop_time"),
+        ("linearize", "params", "start_values"),
+        ("linearize", "rtol", "relative_tolerance"),
+        ("integrator", "tspan", "grid"),
+        ("integrator", "atol", "absolute_tolerance"),
+        ("compare", "rtol", "bound"),
+        ("export_fmu", "rtol", "tolerance"),
+        ("export_fmu", "method", "solver"),
+        ("from_sympy", "params", "parameters"),
+        ("from_casadi", "params", "start_values"),
+        ("sensitivity", "stoptime", "stop_time"),
+        ("sensitivity", "t_eval", "output_times"),
+        ("simulate_fmu", "parameters", "start_values"),
+        ("couple", "stoptime", "stop_time"),
+        ("System.simulate", "params", "start_values"),
+        ("System.simulate", "stoptime", "stop_time"),
+        ("animate", "lables", "labels"),
+    ],
+)
+def test_keyword_of_another_tool_is_translated(name, keyword, meant):
+    with pytest.raises(TypeError, match=f"'{keyword}'; did you mean {meant}[?]$"):
+        FUNCTIONS[name](**{keyword: 1})
+
+
+def test_table_of_foreign_keywords_leads_to_own_ones():
+    for own, foreign in _ELSEWHERE.items():
+        for keyword in foreign.split():
+            answers = []
+            for function in FUNCTIONS.values():
+                with suppress(CosimError):  # of functions that have this keyword
+                    try:
+                        function(**{keyword: None})
+                    except TypeError as error:
+                        answers.append(str(error))
+            assert any(f"'{keyword}'; did you mean {own}?" in told for told in answers)
+
+
+@pytest.mark.parametrize("name", [name for name in FUNCTIONS if "." not in name])
+def test_public_function_can_be_sent_to_other_processes(name):
+    assert pickle.loads(pickle.dumps(FUNCTIONS[name])) is FUNCTIONS[name]
+    assert FUNCTIONS[name].__doc__

@@ -49,6 +49,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'{_hint(name)}")
     module = _MODULES[name]
     value = vars(import_module(module)).get(name) or import_module(f"{module}.{name}")
+    if callable(value) and not isinstance(value, type):
+        value = import_module("cosim.errors").naming_keywords(value)
+        value.__module__ = "cosim"  # where pickle finds it
     globals()[name] = value
     return value
 

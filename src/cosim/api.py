@@ -2,35 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypedDict, Unpack
-
-from numpy.typing import ArrayLike
+from typing import Any, Unpack
 
 from casadi_models.dae import Dae
 from cosim import backend as backends
 from cosim.backend import Backend
 from cosim.errors import UsageError
-from cosim.integrate.keywords import Keywords, requested
+from cosim.integrate.keywords import Keywords, RareKeywords, requested
 from cosim.model.request import RunRequest, choice
 from cosim.model.solver import Goal, Solver
 from cosim.scene.scene import Scene
 from cosim.study.accuracy.choice import accurate_run
 from cosim.trajectory import Trajectory
-
-
-class RareKeywords(TypedDict, total=False):
-    """Rarely needed keywords; see `simulate`."""
-
-    relative_tolerance: float | None
-    absolute_tolerance: float | None
-    step_size: float | None
-    max_step: float | None
-    compiled: bool | None
-    on_invalid: str | None
-    drift_control: str | None
-    output_times: ArrayLike | None
-    stop_when: str | None
-    record_events: bool
 
 
 def simulate(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import Any
+from functools import wraps
+from inspect import signature
+from typing import Any, TypeVar
 
 from casadi_models import CATALOG
-from cosim.text import bounded, shortened, visible
+from cosim.text import readable, shortened, visible
+
+_Call = TypeVar("_Call", bound=Callable[..., Any])
 
 
 class CosimError(Exception):
@@ -26,7 +30,7 @@ class CosimError(Exception):
     exit_code = 1
 
     def __init__(self, message: object = "") -> None:
-        super().__init__(bounded(str(message)))
+        super().__init__(readable(str(message)))
 
 
 class UsageError(CosimError):
@@ -60,7 +64,7 @@ class UnknownName(CosimError):
             if near
             else f"it has {shortened(names, 12) or 'none'}"
         )
-        return cls(f"{owner} has no {kind} '{bounded(str(name), 300)}'; {hint}")
+        return cls(f"{owner} has no {kind} '{name}'; {hint}")
 
     @classmethod
     def of_model(cls, model: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:
@@ -137,3 +141,43 @@ def near_names(name: str, names: Iterable[str], most: int = 3) -> list[str]:
         folded.setdefault(known.lower(), []).append(known)
     found = get_close_matches(name.lower(), folded, n=most, cutoff=0.5)
     return [known for key in found for known in folded[key]][:most]
+
+
+_ELSEWHERE = {  # keywords of other tools, by ours; the first that a function has is meant
+    "relative_tolerance": "rtol reltol rel_tol tol tolerance",
+    "tolerance": "rtol reltol rel_tol tol relative_tolerance",
+    "bound": "rtol reltol rel_tol tol tolerance atol abstol abs_tol",
+    "absolute_tolerance": "atol abstol abs_tol",
+    "grid": "t_eval teval t tspan t_span t_end stop_time output_times",
+    "stop_time": "t_end tend tf t_final final_time tspan t_span duration t_max",
+    "output_interval": "dt saveat",
+    "output_times": "t_eval teval t grid",
+    "parameters": "params p p0",
+    "start_values": "parameters params p p0 x0 y0 u0 initial_values initial_conditions",
+    "solver": "method integrator",
+}
+
+
+def naming_keywords(function: _Call) -> _Call:
+    """Return a function that answers an unknown keyword with the one that is meant, or with all.
+
+    Raises:
+        TypeError: The function has no such keyword.
+    """
+    known = dict[str, Any]()
+    for own, one in signature(function).parameters.items():
+        unpacked = one.kind is one.VAR_KEYWORD  # Unpack[TypedDict]
+        known |= one.annotation.__args__[0].__annotations__ if unpacked else {own: one}
+
+    @wraps(function)
+    def named(*values: Any, **keywords: Any) -> Any:
+        for name in keywords.keys() - known:
+            near = [k for k, others in _ELSEWHERE.items() if name in others.split()]
+            near = [k for k in near if k in known] if near else get_close_matches(name, known, 1)
+            every = shortened([*known], 12) or "none"
+            hint = f"did you mean {near[0]}?" if near else f"it has {every}"
+            call = f"{function.__name__}() got an unexpected keyword argument"
+            raise TypeError(f"{call} '{name}'; {hint}")
+        return function(*values, **keywords)
+
+    return named  # type: ignore[return-value]

@@ -10,6 +10,8 @@ from typing import Any
 
 LONGEST_SENTENCE = 600  # characters of one message
 LONGEST_MESSAGE = 6000  # of an error, with what a compiler or a library says
+LONGEST_WORD = 300  # of a word, a list or a quoted text in it
+_ENDLESS = re.compile(r"(?<!\w)'[^'\n]{300,}'|\[[^][\n]{300,}\]|\S{300,}")
 # Control characters, escapes of terminals among them, and those that turn the writing direction
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
@@ -28,6 +30,11 @@ def sentence(text: str) -> str:
 def bounded(text: str, most: int = LONGEST_MESSAGE) -> str:
     """Return a text without its middle if that is long."""
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
+
+
+def readable(message: str) -> str:
+    """Return a message of bounded length, without the middle of endless texts, lists and words."""
+    return bounded(_ENDLESS.sub(lambda found: bounded(found[0], LONGEST_WORD), message))
 
 
 def csv_cell(text: str) -> str:

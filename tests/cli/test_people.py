@@ -140,7 +140,7 @@ def test_times_may_have_a_unit(text, value):
     ("line", "expected"),
     [
         ("simlate bicycle", "did you mean simulate?"),
-        ("s bicycle", "did you mean simulate or sweep or sensitivity?"),
+        ("s bicycle", "several verbs begin with 's': simulate, sweep, sensitivity;"),
         ("simulate bicycle --stoptime 3", "did you mean --stop-time?"),
         ("simulate bicycle --input t", "--input t: write NAME=FORMULA"),
         ("simulate bicycle --input steer=t", "no input 'steer'; did you mean steer_torque?"),

@@ -37,7 +37,10 @@ def refused(capsys, monkeypatch, tmp_path):
     ("line", "expected"),
     [
         ("", "the following arguments are required: VERB; see: cosim --help"),
-        ("simlate bicycle", "invalid choice: 'simlate' .*'simulate'.*; see: cosim --help"),
+        ("simlate bicycle", "no verb 'simlate'; did you mean simulate[?]; see: cosim --help"),
+        ("zz", "cosim: there is no verb 'zz'; see: cosim --help"),
+        ("simulate crank_shaft -o out.", "out.: give a name with .csv or .mat or .json"),
+        ("sweep crank_shaft -o a.b.", "a.b.: give a name with .csv"),
         ("simulate", "required: MODEL|SCENE.toml|FILE.fmu; see: cosim simulate --help"),
         ("simulate bicycle --stop-time \x1b[31m1", r"invalid float value: '\\x1b\[31m1'"),
         ("extremes own.py:build", "has no extreme cases"),

@@ -16,6 +16,7 @@ from cosim.model.quantities import quantity
 from cosim.model.request import RunRequest, choice
 from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
+from cosim.model.values import settable_variable
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene, shipped_scenes
 from cosim.scene.variants import with_solver
@@ -149,7 +150,7 @@ def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]
 
 def value_of(dae: Dae | None, name: str, text: str) -> float:
     """Return the number of a variable in SI units; without a model, in its own unit."""
-    return value_in(name, text, None if dae is None else _unit_of_name(dae, name))
+    return value_in(name, text, None if dae is None else settable_variable(dae, name).unit)
 
 
 def value_in(name: str, text: str, unit: str | None) -> float:
@@ -162,12 +163,3 @@ def value_in(name: str, text: str, unit: str | None) -> float:
         raise ParameterError(
             f"{name} = {text}: give a number in the FMU's own unit, and no unit"
         ) from None
-
-
-def _unit_of_name(dae: Dae, name: str) -> str:
-    try:
-        return dae.variable(name).unit
-    except KeyError:
-        known = [v.name for v in (*dae.states, *dae.parameters, *dae.inputs)]
-        kind = "state, parameter or input"
-        raise UnknownName.of_model(dae.full_name, kind, name, known) from None

@@ -8,7 +8,7 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
@@ -44,9 +44,13 @@ class CommandLine(Parser):
         if words and words[0] in ALIASES:
             options_first = len(words) > 1 and words[1].startswith("-")
             words[:1] = ALIASES[words[0]][:1] if options_first else ALIASES[words[0]]
-        fitting = [verb for verb in VERBS if words and verb.startswith(words[0])]
-        if len(fitting) == 1:
-            words[0] = fitting[0]
+        if words and words[0] not in VERBS and not words[0].startswith("-"):
+            fitting = [verb for verb in VERBS if words[0] and verb.startswith(words[0])]
+            if len(fitting) > 1:
+                self.error(f"several verbs begin with '{words[0]}': {', '.join(fitting)}")
+            if not fitting:
+                self.error(f"there is no verb '{words[0]}'{did_you_mean(words[0], VERBS)}")
+            words[:1] = fitting
         return super().parse_known_args(words, namespace)
 
 
@@ -157,7 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_words(words: Sequence[str], own_process: bool) -> int:
     args = _parsed(words)
-    foreign = any(word.endswith(".fmu") for word in _words(args))
+    named = [value for name, value in vars(args).items() if name != "output_file"]
+    given = [word for value in named for word in (value if isinstance(value, list) else [value])]
+    foreign = any(isinstance(word, str) and word.endswith(".fmu") for word in given)
     if not foreign or not own_process:
         return _run_verb(args, foreign=foreign)
     from cosim.host.child import ending_orphans
@@ -176,14 +182,6 @@ def _parsed(words: Sequence[str]) -> argparse.Namespace:
         message = f"cosim {args.verb}: cannot take '{unknown[0]}'{near}"
         Parser().exit(2, f"{message}; see: cosim {args.verb} --help\n")
     return args
-
-
-def _words(args: argparse.Namespace) -> Iterable[str]:
-    """Yield what a command line names, but not the file that it writes."""
-    for name, value in vars(args).items():
-        if name != "output_file":
-            words = value if isinstance(value, list) else [value]
-            yield from (word for word in words if type(word) is str)
 
 
 def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:

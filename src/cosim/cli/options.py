@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
 from math import inf
@@ -11,8 +10,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from cosim.cli.verbs import Verb
-
-_CHOICE = re.compile(r"invalid choice: '?([^' ]*)'? ")
 
 
 class Parser(argparse.ArgumentParser):
@@ -32,12 +29,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with 2 and name the help to read."""
-        from cosim.text import bounded, visible
+        from cosim.text import readable, visible
 
-        if (wrong := _CHOICE.search(message)) and self._subparsers is not None:
-            message += did_you_mean(wrong[1], self.verbs())
-        message = bounded(visible(message))
-        self.exit(2, f"{self.prog}: {message}; see: {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {readable(visible(message))}; see: {self.prog} --help\n")
 
     def verbs(self) -> dict[str, Parser]:
         """Return the parsers of all verbs, by name."""
@@ -58,10 +52,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return the hint on the nearest name, else on names that begin with the word, or nothing."""
-    names = list(known)
-    near = get_close_matches(word, names, n=1) or [n for n in names if word and n.startswith(word)]
-    return f"; did you mean {' or '.join(near)}?" if near else ""
+    """Return the hint on the nearest name, or nothing."""
+    near = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def seconds(text: str) -> float:
@@ -96,7 +89,7 @@ def _file_name(endings: Sequence[str]) -> Callable[[str], str]:
 
     def checked(name: str) -> str:
         ending = Path(name).suffix.lower()
-        if ending and ending not in endings:
+        if (ending or name.endswith(".")) and ending not in endings:  # Python 3.14 calls it "."
             raise argparse.ArgumentTypeError(f"{name}: give a name with {' or '.join(endings)}")
         return name
 

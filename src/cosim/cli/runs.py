@@ -19,6 +19,7 @@ from cosim.cli.arguments import (
     start_numbers,
     start_texts,
 )
+from cosim.cli.tables import note
 from cosim.coupling.files import coupling_report, is_system, read_system, simulate_file
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
 from cosim.fmi.run.isolated import simulate_apart
@@ -74,12 +75,12 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
         return error.partial, error.exit_code
     for text in run.stats.get("invalid", ()):
         print(f"warning: {run.model}: {text}", file=sys.stderr)
-    if "note" in run.stats and not args.quiet:
-        print(f"note: {run.model}: {run.stats['note']}", file=sys.stderr)
-    if "macro_steps" in run.stats and not args.quiet:
-        print(coupling_report(run), file=sys.stderr)
-    elif "error_estimate" in run.stats and not args.quiet:
-        print(report(run), file=sys.stderr)
+    if "note" in run.stats:
+        note(args, f"note: {run.model}: {run.stats['note']}")
+    if "macro_steps" in run.stats:
+        note(args, coupling_report(run))
+    elif "error_estimate" in run.stats:
+        note(args, report(run))
     return run, 0
 
 

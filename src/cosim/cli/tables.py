@@ -1,5 +1,6 @@
 """Results as text: aligned tables or JSON on standard output, whole files."""
 
+import argparse
 import json
 import os
 import re
@@ -27,6 +28,12 @@ def show_table(
         if colors():
             text = _VERDICT.sub(lambda found: f"\x1b[{_COLORS[found[1]]}m{found[1]}\x1b[0m", text)
         print(text)
+
+
+def note(args: argparse.Namespace, *lines: object) -> None:
+    """Print lines to standard error, unless the command line says --quiet."""
+    if lines and not args.quiet:
+        print(*lines, sep="\n", file=sys.stderr, flush=True)
 
 
 def colors() -> bool:

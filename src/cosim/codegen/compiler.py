@@ -196,7 +196,11 @@ def cached_library(
         private_folder()
         if found := _stored(folder, digest):
             return found
-        _reject_noexec(folder)
+        if loads_no_library(folder):
+            raise MissingTool(
+                f"{folder} lies on a file system mounted noexec, from which no compiled code can "
+                "be loaded; set COSIM_CACHE to another folder"
+            )
         with compiling(), alone(folder, digest), temporary_folder(folder) as build:
             if found := _stored(folder, digest):  # compiled by another process meanwhile
                 return found
@@ -293,14 +297,6 @@ def _split_command(command: str) -> list[str]:
     if sys.platform == "win32":
         return [word.strip('"') for word in shlex.split(command, posix=False)]
     return shlex.split(command)
-
-
-def _reject_noexec(folder: Path) -> None:
-    if loads_no_library(folder):
-        raise MissingTool(
-            f"{folder} lies on a file system mounted noexec, from which no compiled code can be "
-            "loaded; set COSIM_CACHE to another folder"
-        )
 
 
 def _store_library(library: Path, target: Path) -> None:

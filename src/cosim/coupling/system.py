@@ -14,7 +14,7 @@ from casadi_models.dae.coupled import Connection, joined
 from casadi_models.units import convert, known
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.parts import Part, part_of
-from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError, naming_keywords
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.ssp import write_ssp
 from cosim.host.temporary import temporary_folder
@@ -102,6 +102,7 @@ class System:
         )
         return replace(dae, experiment=experiment)
 
+    @naming_keywords
     def simulate(
         self,
         *,

@@ -35,9 +35,7 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
     remove_leftovers(place)
     # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
     with tempfile.TemporaryDirectory(
-        prefix=f"{PREFIX}-{process_mark()}-",
-        dir=place,
-        ignore_cleanup_errors=True,
+        prefix=f"{PREFIX}-{process_mark()}-", dir=place, ignore_cleanup_errors=True
     ) as name:
         yield Path(name)
 

@@ -182,9 +182,9 @@ def _evaluated(
     parameters = engine.functions.parameters
     if parameters is not None:
         extended = np.empty(parameters.numel_out(0))
-        call_on_arrays(parameters, [p], [extended])
+        call_on_arrays(parameters.buffer(), [p], [extended])
         p = extended
-    return Filled(call_on_buffer(engine.buffer, (x0, z0, p, u), (states, algebraics)))
+    return Filled(call_on_arrays(engine.buffer, (x0, z0, p, u), (states, algebraics)))
 
 
 def _marks(rows: Vector) -> Vector:
@@ -196,19 +196,6 @@ def _written_share(rows: Vector) -> float:
     """Return the share of a table that has been written so far, from its first row on."""
     marks = _marks(rows)
     return float(np.argmax(~np.isfinite(marks)) / len(marks)) if marks.size else 0.0
-
-
-def call_on_arrays(
-    function: ca.Function, arguments: Sequence[Vector], results: Sequence[Vector]
-) -> bool:
-    """Evaluate a function on arrays and return whether it succeeded.
-
-    Args:
-        function: Dense in all arguments and results.
-        arguments: One array per argument; CasADi's columns are the rows.
-        results: One C-ordered array per result, of the same layout; overwritten.
-    """
-    return call_on_buffer(function.buffer(), arguments, results)
 
 
 class Evaluator:
@@ -239,10 +226,16 @@ class Evaluator:
         return [np.full(r.size, np.nan) if failed else r.copy() for r in self._results]
 
 
-def call_on_buffer(
+def call_on_arrays(
     buffer_and_call: EngineBuffer, arguments: Sequence[Vector], results: Sequence[Vector]
 ) -> bool:
-    """Evaluate a function through its buffer; see `call_on_arrays`."""
+    """Evaluate a function on arrays and return whether it succeeded.
+
+    Args:
+        buffer_and_call: `buffer()` of a function that is dense in all arguments and results.
+        arguments: One array per argument; CasADi's columns are the rows.
+        results: One C-ordered array per result, of the same layout; overwritten.
+    """
     buffer, evaluate = buffer_and_call
     arrays = [np.ascontiguousarray(array, dtype=float) for array in arguments]  # referenced here
     for i, array in enumerate(arrays):

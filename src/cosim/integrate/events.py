@@ -23,14 +23,7 @@ from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.location import Piece, located, next_of_time
-from cosim.integrate.modes import (
-    MOST_ROUNDS,
-    Instant,
-    hybrid,
-    literal_modes,
-    settled,
-    sliding,
-)
+from cosim.integrate.modes import MOST_ROUNDS, Instant, hybrid, literal_modes, settled, sliding
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
@@ -152,12 +145,7 @@ class _Course:
     """A run of a hybrid model on its way over the grid."""
 
     def __init__(
-        self,
-        problem: Problem,
-        system: Hybrid,
-        solver: Solver,
-        start: InitialState,
-        pulses: Vector,
+        self, problem: Problem, system: Hybrid, solver: Solver, start: InitialState, pulses: Vector
     ) -> None:
         self.pulses = pulses
         self.problem, self.system, self.solver = problem, system, solver
@@ -342,11 +330,7 @@ class _Course:
         return replace(at, x=moved(at.x, self.dae.derived, seen.ode[0], dt)), dt
 
     def _happen(
-        self,
-        before: Vector,
-        switched: Iterable[int] = (),
-        x: Vector | None = None,
-        dt: float = 0.0,
+        self, before: Vector, switched: Iterable[int] = (), x: Vector | None = None, dt: float = 0.0
     ) -> None:
         """Let events happen whose conditions have risen, until none is left."""
         happened = list[str]()

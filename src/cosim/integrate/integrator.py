@@ -247,7 +247,7 @@ def integrator(
             f"{dae.full_name}: a term of time changes from {found[0]:.6g} to {found[-1]:.6g} s, in "
             "short pulses that CasADi's integrators may step over; divide the grid there into "
             "several integrators, or use cosim.simulate",
-            stacklevel=2,
+            stacklevel=3,
         )
     chosen, _ = chosen_solver(dae, requested)
     if isinstance(chosen, FixedStep) and chosen.step_size is None:

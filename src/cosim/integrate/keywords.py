@@ -8,7 +8,7 @@ from typing import Any, TypedDict, Unpack
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
-from cosim.errors import UsageError, near_names
+from cosim.errors import UsageError, naming_keywords
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.solvers import requested_solver
 from cosim.memo import cached_per_thread
@@ -21,27 +21,41 @@ from cosim.model.times import Times
 from cosim.model.values import A_DAE, assign
 
 
-class SharedKeywords(TypedDict, total=False):
-    """Keywords that runs of many variants share; see `cosim.simulate`."""
+class TimeKeywords(TypedDict, total=False):
+    """Keywords of the output times; see `cosim.simulate`."""
 
     start_time: float | None
     stop_time: float | None
     output_interval: float | None
     output_times: ArrayLike | None
-    inputs: Any
-    outputs: Sequence[str] | None
-    solver: str | Solver | Tolerance | None
+
+
+class RareKeywords(TypedDict, total=False):
+    """Rarely needed keywords; see `cosim.simulate`."""
+
     relative_tolerance: float | None
     absolute_tolerance: float | None
     step_size: float | None
     max_step: float | None
-    accuracy: float | str | None
-    budget: float | None
     compiled: bool | None
     on_invalid: str | None
     drift_control: str | None
+    output_times: ArrayLike | None
     stop_when: str | None
     record_events: bool
+
+
+class SharedKeywords(RareKeywords, total=False):
+    """Keywords that runs of many variants share; see `cosim.simulate`."""
+
+    start_time: float | None
+    stop_time: float | None
+    output_interval: float | None
+    inputs: Any
+    outputs: Sequence[str] | None
+    solver: str | Solver | Tolerance | None
+    accuracy: float | str | None
+    budget: float | None
 
 
 class Keywords(SharedKeywords, total=False):
@@ -54,17 +68,9 @@ _SOLVER = ("solver", "step_size", *LIMITS)
 _GOAL = ("accuracy", "budget")
 _TIMES = ("start_time", "stop_time", "output_interval", "output_times")
 _POLICY = ("compiled", "on_invalid", "drift_control", "stop_when", "record_events")
-_ELSEWHERE = {  # names of other tools
-    "relative_tolerance": "rtol reltol rel_tol tol tolerance",
-    "absolute_tolerance": "atol abstol abs_tol",
-    "stop_time": "t_end tend tf t_final final_time tspan t_span duration t_max",
-    "output_interval": "dt saveat",
-    "output_times": "t_eval teval t grid",
-    "start_values": "parameters params p p0 x0 y0 u0 initial_values initial_conditions",
-    "solver": "method integrator",
-}
 
 
+@naming_keywords
 def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> RunRequest:
     """Return the request of a model and keywords; a keyword that is None is ignored.
 
@@ -81,12 +87,6 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
         >>> requested("crank_shaft", start_values={"omega": "60rpm"}, stop_time=2.0).times.stop
         2.0
     """
-    for name in keywords:
-        if name not in Keywords.__optional_keys__:
-            near = [own for own, others in _ELSEWHERE.items() if name in others.split()]
-            near = near or near_names(name, sorted(Keywords.__optional_keys__), 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise TypeError(f"simulate() got an unexpected keyword argument '{name}'{hint}")
     given: dict[str, Any] = {k: v for k, v in keywords.items() if v is not None}
     request = subject if isinstance(subject, RunRequest) else RunRequest(_model(subject))
     times = _times(request.times, {name: given[name] for name in _TIMES if name in given})

@@ -120,7 +120,7 @@ def watch(
     for k in range(0, n, size):
         *known, slopes = (np.ascontiguousarray(a[k : k + size]) for a in given)
         block = [result[k : k + size] for result in results]
-        if not call_on_arrays(function, [*known, p, slopes], block):
+        if not call_on_arrays(function.buffer(), [*known, p, slopes], block):
             for result in block:
                 result.fill(np.nan)
     empty = [np.empty((n, 0))] * (len(Watched._fields) - len(results))

@@ -110,7 +110,7 @@ def _one_by_one(
     rows = np.empty((n, function.size1_out(0)))
     u = np.broadcast_to(solved.u, (len(solved.u), n))
     arguments = (solved.time, solved.states.T, solved.guesses.T, u.T, solved.p)
-    if not call_on_arrays(function, arguments, (rows,)):  # one singular row stops all of them
+    if not call_on_arrays(function.buffer(), arguments, (rows,)):  # one singular row stops all
         _evaluate_rows(_observer(dae, 1, compiled), arguments, rows)
     every = np.hstack((solved.states.T, rows))
     checked = every[:, sorted({*range(known), *places})]
@@ -124,8 +124,9 @@ def _one_by_one(
 def _evaluate_rows(function: ca.Function, arguments: tuple[Vector, ...], rows: Vector) -> None:
     """Evaluate a function for every time on its own; a row that has no value becomes NaN."""
     *columns, p = arguments
+    buffer = function.buffer()
     for k, row in enumerate(rows):
-        if not call_on_arrays(function, [*(column[k] for column in columns), p], [row]):
+        if not call_on_arrays(buffer, [*(column[k] for column in columns), p], [row]):
             row.fill(np.nan)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from casadi_models.units import PARTS, UNITS, Unit
 from cosim.errors import ParameterError
+from cosim.text import LONGEST_WORD, bounded
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
@@ -46,22 +47,21 @@ def quantity(name: str, text: str, unit: str) -> float:
             f"{name}: '{text}' is not a number with a unit; write e.g. 1.5{unit.strip('1')}"
         )
     value, written = float(match[1]), match[2]
+    given = f"{name} = {bounded(text, LONGEST_WORD)}"
     if "," in written:
-        raise ParameterError(f"{name} = {text}: write a decimal point, and one number only")
+        raise ParameterError(f"{given}: write a decimal point, and one number only")
     if not written:
         return value
     target = parse_unit(unit)
     if target is None:  # not in the table
-        raise ParameterError(f"{name} = {text}: give a number in {unit}, without a unit")
+        raise ParameterError(f"{given}: give a number in {unit}, without a unit")
     source = parse_unit(written, like=target)
     if source is None:
         fitting = ", ".join(known for known, one in UNITS.items() if one.measures_like(target))
-        raise ParameterError(f"{name} = {text}: unit '{written}' is unknown; fitting: {fitting}")
+        raise ParameterError(f"{given}: unit '{written}' is unknown; fitting: {fitting}")
     if not source.measures_like(target):
-        raise ParameterError(
-            f"{name} = {text}: '{written}' cannot be converted to '{unit}': not the same kind of "
-            "unit"
-        )
+        reason = f"'{written}' cannot be converted to '{unit}': not the same kind of unit"
+        raise ParameterError(f"{given}: {reason}")
     return value if source.factor == target.factor else value * source.factor / target.factor
 
 

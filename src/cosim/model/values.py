@@ -88,7 +88,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
     numbers, given = usual.copy(), dict(overrides or {})
     for name, value in given.items():
         if name not in place:
-            raise _unknown_name(dae, name, settable(dae))
+            settable_variable(dae, name)  # raises the error
         row, variable = place[name]
         given[name] = checked(dae, variable, value)
         if row is not None:
@@ -187,13 +187,21 @@ def _no_such_start(dae: Dae, given: Mapping[str, float]) -> InitialConditionErro
     )
 
 
-def _unknown_name(dae: Dae, name: str, known: Mapping[str, Variable]) -> UnknownName:
+def settable_variable(dae: Dae, name: str) -> Variable:
+    """Return a variable of `settable`.
+
+    Raises:
+        UnknownName: There is none of this name.
+    """
+    known = settable(dae)
+    if name in known:
+        return known[name]
     if any(v.name == name for v in dae.variables):
-        return UnknownName(
+        raise UnknownName(
             f"{dae.full_name}: '{name}' is a result of the model and cannot be set; "
             "set a state's start, a parameter or an input"
         )
-    return UnknownName.of_model(dae.full_name, "state, parameter or input", name, known)
+    raise UnknownName.of_model(dae.full_name, "state, parameter or input", name, known)
 
 
 def settable(dae: Dae) -> dict[str, Variable]:

@@ -204,14 +204,6 @@ def _misplaced(
     return UnknownName.among(f"{where}: {dae.full_name}", kind, name, known)
 
 
-def _own_values(file: TomlFile, dae: Dae) -> dict[str, float]:
-    startable = (*dae.states, *(rule.variable for rule in dae.start_outputs))
-    return {
-        **_values(file, "parameters", _table(file, "parameters"), dae, dae.parameters),
-        **_values(file, "start", _table(file, "start"), dae, startable),
-    }
-
-
 def _inputs(file: TomlFile, dae: Dae) -> tuple[dict[str, float], InputSeries | None]:
     table = _table(file, "inputs")
     constants = {key: value for key, value in table.items() if key != "file"}
@@ -232,7 +224,9 @@ def _request(file: TomlFile, dae: Dae) -> RunRequest:
     """Return the run of the file: values, outputs, inputs, and the table [run]."""
     outputs = _outputs(file, dae)
     constants, series = _inputs(file, dae)
-    values = {**_own_values(file, dae), **constants}
+    startable = (*dae.states, *(rule.variable for rule in dae.start_outputs))
+    values = _values(file, "parameters", _table(file, "parameters"), dae, dae.parameters)
+    values |= _values(file, "start", _table(file, "start"), dae, startable) | constants
     run = _run_keywords(file)
     with file.naming():
         request = RunRequest(dae, values, outputs=outputs or None, inputs=series)

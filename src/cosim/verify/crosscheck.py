@@ -145,11 +145,8 @@ def _all_checks(
             if first is None or first[1].name != request.dae.name:
                 first = run, request.dae
             elif check := _formulation_check(first, run, request.dae, bound):
-                yield (
-                    check
-                    if check.comparison and check.comparison.agrees
-                    else replace(check, note=_advice(tolerance))
-                )
+                agrees = check.comparison and check.comparison.agrees
+                yield check if agrees else replace(check, note=_advice(tolerance))
 
 
 def _plain(
@@ -297,16 +294,8 @@ def _against_reference(
         except _FAILURES:
             break
         note = f"at relative tolerance {now:g}" if tighter < 1 else ""
-        found = Check(
-            check.model,
-            check.backend,
-            best.method,
-            difference,
-            dict(other.stats),
-            left_out=check.left_out,
-            doubt=doubt,
-            note=note,
-        )
+        found = replace(check, against=best.method, comparison=difference, doubt=doubt)
+        found = replace(found, stats=dict(other.stats), note=note)
         if found.verdict is not Verdict.DIFFERS:
             break
     if found.verdict is Verdict.DIFFERS:

@@ -245,6 +245,7 @@ def test_file_that_cannot_run_keeps_its_other_findings(exported, tmp_path, capsy
     assert [row["rule"] for row in json.loads(capsys.readouterr().out)] == ["version", "run"]
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # while it opens
 def test_time_limit_holds_for_reading_the_file(exported, capsys):
     path = exported("crank_shaft", 2)
     assert main(["check", str(path), "--timeout", "0.001"]) == 1

@@ -271,6 +271,8 @@ def test_bad_values_are_rejected():
     kane = sympy_models.pendulum_by_kane()
     assert "parameter l has no value" in message(ParameterError, kane, {"m": 1, "g": 9.81})
     assert "did you mean q" in message(UnknownName, kane, PENDULUM, {"qq": 1})
+    assert "has no parameter 'zz'" in message(UnknownName, kane, PENDULUM | {"zz": 1})
+    assert "start value of 'qq'" in message(UnknownName, kane, PENDULUM, {"qq": 1})
     assert "unit of" in message(UnknownName, kane, PENDULUM, units={"w": "rad"})
     assert "give numbers" in message(ParameterError, kane, PENDULUM | {"m": sm.Symbol("M")})
     assert "a dict" in message(UsageError, kane, [1, 2])

@@ -1,13 +1,13 @@
 """`cosim animate MODEL|SCENE.toml|FILE.fmu|RESULT.csv ... -o FILE`: runs in 3-D."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
 from casadi_models.dae import Dae
 from cosim.cli.arguments import names_in, start_numbers, times_in
 from cosim.cli.runs import runs_of, scene_or_none, single, size_of
+from cosim.cli.tables import note
 from cosim.errors import UsageError
 from cosim.model.catalogue import load
 from cosim.present.playback.animate import animate, animation_format, guessed_model
@@ -22,12 +22,8 @@ def run(args: argparse.Namespace) -> int:
     tables = [name for name in args.sources if name.endswith(".csv")]
     if args.shown_model is None and tables:
         args.shown_model = guessed_model(tables)
-        if not args.quiet:
-            print(
-                f"the result is drawn as {args.shown_model}, with its default parameters except "
-                "those of -p",
-                file=sys.stderr,
-            )
+        drawn = f"the result is drawn as {args.shown_model}, with its default parameters"
+        note(args, f"{drawn} except those of -p")
     model = args.shown_model
     runs, code = (_live_model(args, tables), 0) if args.live else _runs(args)
     path = animate(
@@ -42,8 +38,7 @@ def run(args: argparse.Namespace) -> int:
         size=size,
         dpi=args.dpi,
     )
-    if not args.quiet:
-        print(path, file=sys.stderr)
+    note(args, path)
     return code
 
 

@@ -2,8 +2,8 @@
 
 import argparse
 import json
-import sys
 
+from cosim.cli.tables import note
 from cosim.codegen import cache
 
 
@@ -11,9 +11,8 @@ def run(args: argparse.Namespace) -> int:
     """Show the cache, or empty it."""
     if args.clear:
         removed = cache.clear()
-        if not args.quiet:
-            size = f"{removed.files} files, {removed.size / 1e6:.1f} MB"
-            print(f"{removed.folder}: removed {size}", file=sys.stderr)
+        size = f"{removed.files} files, {removed.size / 1e6:.1f} MB"
+        note(args, f"{removed.folder}: removed {size}")
         return 0
     found, most = cache.contents(), cache.most_bytes()
     if args.json:

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from cosim.cli.tables import show_table
+from cosim.cli.tables import note, show_table
 from cosim.errors import FmuError
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
@@ -25,8 +25,7 @@ def run(args: argparse.Namespace) -> int:
         findings += _trials(args)
     show_table([finding.row() for finding in findings], as_json=args.json)
     wrong = sum(finding.level == WRONG for finding in findings)
-    if not args.quiet:
-        print(f"{args.file}: {wrong} wrong, {len(findings) - wrong} advice", file=sys.stderr)
+    note(args, f"{args.file}: {wrong} wrong, {len(findings) - wrong} advice")
     return 4 if wrong else 0
 
 
@@ -39,8 +38,7 @@ def _trials(args: argparse.Namespace) -> list[Finding]:
         reason = str(error).removeprefix(f"{args.file}: ")
         rule = Rule("run", ADVICE, "cannot run it here either", "run it where it can run")
         return [rule.about("archive", reason)]
-    if not args.quiet:
-        print(f"passed: {'; '.join(verdict.passed) or 'none'}", file=sys.stderr)
+    note(args, f"passed: {'; '.join(verdict.passed) or 'none'}")
     if args.verbose:
         for reason in verdict.skipped:
             print(f"skipped: {reason}", file=sys.stderr)

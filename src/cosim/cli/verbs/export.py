@@ -3,14 +3,12 @@
 import argparse
 import json
 import sys
-from pathlib import Path
 
-from casadi_models.dae import Dae
 from cosim.cli.arguments import names_in, scene_from
+from cosim.cli.tables import note
 from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.package import FmuKeywords
-from cosim.scene.scene import Scene
 from cosim.verify.reference_result import export_with_reference
 
 
@@ -21,17 +19,18 @@ def run(args: argparse.Namespace) -> int:
     scene = scene_from(args)
     request = scene.request.reduced()
     dae = request.configured()
-    path = _export(args, scene, dae)
+    name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
+    target, options = args.output_file or f"{name}.fmu", _options(args, name)
+    path = export_with_reference(dae, target, reference=args.reference == "auto", **options)
     if args.verbose:
         print(*dae.report, sep="\n", file=sys.stderr)
-    if request.inputs is not None and not args.quiet:
+    if request.inputs is not None:
         names = ", ".join(request.inputs.names)
-        print(f"{names}: inputs of the FMU; the importer supplies their series", file=sys.stderr)
+        note(args, f"{names}: inputs of the FMU; the importer supplies their series")
     if args.json:
         facts = {"file": str(path), "bytes": path.stat().st_size, "model": dae.full_name}
         print(json.dumps(facts | {"report": list(dae.report)}))
-    if not args.quiet:
-        print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
+    note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
     return 0
 
 
@@ -40,15 +39,8 @@ def _export_system(args: argparse.Namespace) -> int:
     if not is_system(args.model):
         raise UsageError(f"{args.output_file}: .ssp is for coupled systems; write an .fmu file")
     path = read_system(args.model).write_ssp(args.output_file)
-    if not args.quiet:
-        print(f"{path} ({path.stat().st_size / 1000:.0f} kB)", file=sys.stderr)
+    note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
     return 0
-
-
-def _export(args: argparse.Namespace, scene: Scene, dae: Dae) -> Path:
-    name = (dae.full_name if ".py:" in args.model else scene.name).replace("/", "_")
-    target, options = args.output_file or f"{name}.fmu", _options(args, name)
-    return export_with_reference(dae, target, reference=args.reference == "auto", **options)
 
 
 def _options(args: argparse.Namespace, name: str) -> FmuKeywords:

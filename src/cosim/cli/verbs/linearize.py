@@ -2,13 +2,12 @@
 
 import argparse
 import json
-import sys
 from typing import Any
 
 import numpy as np
 
 from cosim.cli.arguments import names_in, scene_from, start_numbers, times_in, value_of
-from cosim.cli.tables import show_table, write_text
+from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.trust import require_trust
 from cosim.study.linearize.linearization import Linearization
@@ -74,8 +73,7 @@ def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
         show_table(crossings)
     else:
         print(f"no eigenvalue crosses the imaginary axis for {name} = {first:g} ... {last:g}")
-    if not args.quiet:
-        print(f"{len(values)} values; {found.points[0]}", file=sys.stderr)
+    note(args, f"{len(values)} values; {found.points[0]}")
     return 0
 
 

@@ -2,11 +2,11 @@
 
 import argparse
 import json
-import sys
 
 from matplotlib.figure import Figure
 
 from cosim.cli.runs import runs_of, size_of
+from cosim.cli.tables import note
 from cosim.plotting import picture_format, require_screen, save, show
 from cosim.present.figures import draw_figures, draw_overlay, shared_specs
 from cosim.trajectory import Trajectory
@@ -25,8 +25,7 @@ def run(args: argparse.Namespace) -> int:
     specified = next((scene.figures for scene in scenes if scene and scene.figures), ())
     if len(runs) > 1:
         specs, notes = shared_specs(specified, runs)
-        for note in notes if not args.quiet else ():
-            print(note, file=sys.stderr)
+        note(args, *notes)
         pair = args.compare is not None and len(runs) == 2
         figures = draw_figures(specs, *runs) if pair else draw_overlay(specs, runs)
     else:
@@ -41,8 +40,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         facts = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
         print(json.dumps({"files": [str(path) for path in paths], **facts}))
-    elif not args.quiet:
-        print(*paths, sep="\n", file=sys.stderr)
+    else:
+        note(args, *paths)
     return code
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.cli.runs import run_or_partial, scene_or_none
+from cosim.cli.tables import note
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.present.report import ReportContents, report
@@ -34,21 +35,10 @@ def run(args: argparse.Namespace) -> int:
         for check in crosscheck([scene]):
             row = check.row()
             checks.append({key: row[key] for key in _CHECK_COLUMNS})
-            if not args.quiet:
-                print(
-                    f"{row['model']}: {row['backend']} {check.verdict}", file=sys.stderr, flush=True
-                )
+            note(args, f"{row['model']}: {row['backend']} {check.verdict}")
     words = sys.argv[1:] if sys.argv[0].endswith("cosim") else ["report", args.model, "-o",
                                                                args.output_file]  # fmt: skip
-    page = report(
-        ReportContents(
-            scene,
-            request.reduced().configured(),
-            result,
-            shown,
-            checks,
-            shlex.join(["cosim", *words]),
-        )
-    )
+    dae, command = request.reduced().configured(), shlex.join(["cosim", *words])
+    page = report(ReportContents(scene, dae, result, shown, checks, command))
     print(write_atomically(args.output_file, page.encode()), file=sys.stderr)
     return code

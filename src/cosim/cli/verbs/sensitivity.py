@@ -2,14 +2,10 @@
 
 import argparse
 import json
-import sys
 
 from cosim.cli.arguments import names_in, scene_from
-from cosim.cli.tables import show_table
-from cosim.study.sensitivity.sensitivity import (
-    DERIVATIVE_TOLERANCE,
-    sensitivity,
-)
+from cosim.cli.tables import note, show_table
+from cosim.study.sensitivity.sensitivity import DERIVATIVE_TOLERANCE, sensitivity
 
 ROWS_PER_OUTPUT = 12
 
@@ -48,8 +44,7 @@ def run(args: argparse.Namespace) -> int:
     by = len(found.targets)
     shown = [row for i, row in enumerate(rows) if args.verbose or i % by < ROWS_PER_OUTPUT]
     show_table(shown)
-    if not args.quiet:
-        if left := len(rows) - len(shown):
-            print(f"{left} smaller rows are not shown; show all with -v", file=sys.stderr)
-        print(found.check or "not checked by a second method", file=sys.stderr)
+    if left := len(rows) - len(shown):
+        note(args, f"{left} smaller rows are not shown; show all with -v")
+    note(args, found.check or "not checked by a second method")
     return 0

@@ -2,14 +2,13 @@
 
 import argparse
 import re
-import sys
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from cosim.cli.arguments import TIMES, assigned, names_in, options_in, times_in, value_in
-from cosim.cli.tables import write_text
+from cosim.cli.tables import note, write_text
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.study.sweep.samples import Samples, chosen_samples
@@ -43,8 +42,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.output_file is not None or args.store is None:
         write_text(args.output_file, result.csv_text())
-    if not args.quiet:
-        print(f"{len(result)} runs: {result.status}", file=sys.stderr)
+    note(args, f"{len(result)} runs: {result.status}")
     return 1 if args.strict and not result.complete.all() else 0
 
 

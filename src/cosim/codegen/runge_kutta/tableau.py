@@ -85,10 +85,7 @@ def _fractions(text: str) -> tuple[Fraction, ...]:
 # Prince & Dormand, High order embedded Runge-Kutta formulae, J. Comp. Appl. Math. 7 (1981):
 # RK8(7)13M, the solution of order 8; MATLAB's and Simulink's ode8.
 ODE8 = Tableau(
-    8,
-    tuple(map(_fractions, _TABLE["a"])),
-    _fractions(_TABLE["b"]),
-    _fractions(_TABLE["nodes"]),
+    8, tuple(map(_fractions, _TABLE["a"])), _fractions(_TABLE["b"]), _fractions(_TABLE["nodes"])
 )
 
 

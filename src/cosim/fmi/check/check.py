@@ -67,7 +67,7 @@ def findings_of(archive: zipfile.ZipFile) -> Iterator[Finding]:
     try:
         described = parse(content)
     except ValueError as error:
-        rule = RULES["version"] if fmi_version(content) else RULES["xml"]
+        rule = RULES["xml" if error.__cause__ else "version"]
         yield rule.about(DESCRIPTION, str(error)).within(DESCRIPTION)
         return
     yield from (finding.within(DESCRIPTION) for finding in description_findings(described))

@@ -275,10 +275,11 @@ def _variable_findings(described: Description, variable: Described) -> Iterator[
 
 def _unit_of(described: Description, variable: Described) -> Iterator[tuple[Rule, str]]:
     unit, shown = variable.texts.get("unit"), variable.texts.get("displayUnit")
-    units = {u.get("name"): u for u in described.root.findall("UnitDefinitions/Unit")}
-    displays = [d.get("name") for d in units[unit].findall("DisplayUnit")] if unit in units else []
-    if shown is not None and shown not in displays:
-        yield RULES["unit"], f"display unit '{shown}' is not defined for unit '{unit}'"
+    units = described.units
+    if shown is not None:
+        displays = units[unit].findall("DisplayUnit") if unit in units else []
+        if shown not in [d.get("name") for d in displays]:
+            yield RULES["unit"], f"display unit '{shown}' is not defined for unit '{unit}'"
     if variable.derivative_of is None:
         return
     if variable.derivative_of < 0:

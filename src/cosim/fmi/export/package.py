@@ -26,11 +26,7 @@ from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
 from cosim.fmi.export.c_files import equations_c, model_header, variable_table
 from cosim.fmi.export.co_simulation import FIXED_STEPS, solver_for, uses_dop853
-from cosim.fmi.export.dependencies import (
-    structural_dependencies,
-    tunable_parameters,
-    without_modes,
-)
+from cosim.fmi.export.dependencies import structural_dependencies, tunable_parameters, without_modes
 from cosim.fmi.export.dialect import DIALECTS
 from cosim.fmi.export.documentation import documentation_page
 from cosim.fmi.export.equations import embedded_sources, equations_code, has_rank

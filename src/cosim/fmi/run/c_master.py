@@ -1,7 +1,6 @@
 """An FMU driven by compiled code: one call over all output times; see fmu/master."""
 
 import ctypes
-from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
-from cosim.fmi.run.c_structures import Recorded, Recording, Run, functions_of, reject_failure
+from cosim.fmi.run.c_structures import Recorded, Run, functions_of, reject_failure
 from cosim.fmi.run.instance import Interface, enter_continuous_time, initialize
 from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
 from cosim.host.signals import interruptible
@@ -46,7 +45,10 @@ class CompiledMaster:
         initialize(instance, description, request.values, **request.experiment)
         points = request.points
         rows = np.empty((len(points), len(request.recorded)))
-        recording = self._recording(request.recorded)
+        key = tuple(map(id, request.recorded))  # which live as long as their description
+        if key not in self._recordings:
+            self._recordings = {key: Recorded(instance, description, request.recorded)}
+        recording = self._recordings[key].structure
         recording.rows = rows.ctypes.data
         run = Run(
             functions=ctypes.pointer(self._functions),
@@ -69,12 +71,6 @@ class CompiledMaster:
         if exchange:
             stats["rhs_calls"] = run.calls
         return MasterRun(points, rows, stats)
-
-    def _recording(self, variables: Sequence[Any]) -> Recording:
-        wanted = tuple(map(id, variables))  # which live as long as their description
-        if wanted not in self._recordings:
-            self._recordings = {wanted: Recorded(self._instance, self._description, variables)}
-        return self._recordings[wanted].structure
 
 
 def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:

@@ -6,12 +6,11 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Unpack
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.codegen.compiler import has_compiler
-from cosim.codegen.pulses import pulse_times
+from cosim.codegen.pulses import pulse_within_a_step
 from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import Interrupted, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
@@ -116,10 +115,8 @@ def _lane_solver(request: RunRequest) -> Dop853 | None:
     if not (explicit and plain and end > begin and has_compiler()):
         return None
     longest = request.max_step or end - begin
-    times = pulse_times(dae, request.numbers.p, begin, end, longest)
-    groups = np.split(times, np.flatnonzero(np.diff(times) > longest) + 1)
-    if any(0 < np.ptp(group) < longest for group in groups if len(group)):
-        return None  # a pulse within a step
+    if pulse_within_a_step(dae, request.numbers.p, begin, end, longest):
+        return None
     if isinstance(solver, Dop853):
         return solver
     if solver is None or isinstance(solver, Tolerance):

@@ -11,13 +11,7 @@ from cosim.arrays import Vector
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import InitialConditionError, Interrupted, ParameterError, SolverError
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
-from cosim.integrate.ensemble.lanes import (
-    CAUSES,
-    HALTED,
-    OUTSIDE,
-    lane_starts,
-    run_lanes,
-)
+from cosim.integrate.ensemble.lanes import CAUSES, HALTED, OUTSIDE, lane_starts, run_lanes
 from cosim.integrate.initial_values import start_values
 from cosim.integrate.outputs import all_columns, watching
 from cosim.integrate.run import run
@@ -193,7 +187,6 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
-        stats={},
     )
 
 

@@ -25,14 +25,7 @@ from cosim.codegen.runge_kutta.explicit_library import (
     work_space,
 )
 from cosim.integrate.call import call_on_arrays
-from cosim.integrate.engine import (
-    Engine,
-    EngineFunctions,
-    Filled,
-    Problem,
-    event_type,
-    reported,
-)
+from cosim.integrate.engine import Engine, EngineFunctions, Filled, Problem, event_type, reported
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver
@@ -204,7 +197,7 @@ class DirectCall:
     ) -> Filled:
         """Fill states and algebraic unknowns, (n, nx) and (n, nz)."""
         if p.tobytes() != self._p:  # evaluate the constants once
-            call_on_arrays(self._constants, [p], [self._c])
+            call_on_arrays(self._constants.buffer(), [p], [self._c])
             self._extended[: len(self._c)] = self._c
             self._p = p.tobytes()
         arguments, results, integers, doubles = self._work

@@ -10,7 +10,7 @@ from casadi import SX
 
 from casadi_models.dae import Dae, Model
 from casadi_models.mechanics import matrices
-from cosim.errors import UsageError
+from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.model.foreign.casadi_system import System
 from cosim.model.foreign.from_casadi import Facts, declare_system
@@ -209,6 +209,9 @@ def from_sympy(
     symbols = {x: SX.sym(_label(x)) for some in (*lists.values(), *kinds.values()) for x in some}
     of = {key: ca.vertcat(SX(0, 1), *(symbols[x] for x in xs)) for key, xs in lists.items()}
     named = {k: tuple(Symbol(_label(x), (1, 1), symbols[x]) for x in kinds[k]) for k in kinds}
+    for key in given:
+        if key not in (known := [symbol.name for some in named.values() for symbol in some]):
+            raise UnknownName.among(who, "parameter", key, known)
     found = _printed(who, laws, symbols | dict.fromkeys(lists["zero"], SX(0)))
     try:
         found = matrices.solved(found, of)

@@ -133,14 +133,11 @@ def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
         counts = Counter(finding.verdict.outcome for finding in members)
         accurate = [f for f in members if f.verdict.outcome == "accurate"]
         worst = max(accurate, key=lambda f: f.verdict.error or 0.0, default=None)
-        rows.append(
-            {"family": family, "cases": len(members)}
-            | {outcome: counts[outcome] for outcome in OUTCOMES}
-            | {
-                "worst error": worst and worst.verdict.error,
-                "at": worst and f"{worst.case.model}, {worst.case.name}",
-            }
-        )
+        row = {"family": family, "cases": len(members)}
+        row |= {outcome: counts[outcome] for outcome in OUTCOMES}
+        row["worst error"] = worst and worst.verdict.error
+        row["at"] = worst and f"{worst.case.model}, {worst.case.name}"
+        rows.append(row)
     return rows
 
 

@@ -29,9 +29,9 @@ from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
 from cosim.memo import cached_per_thread
-from cosim.model.catalogue import load, no_such_output, observable
-from cosim.model.reduction import pattern
-from cosim.model.values import Values, assign, listed, number
+from cosim.model.catalogue import load
+from cosim.model.reduction import checked_outputs, pattern
+from cosim.model.values import Values, assign, number
 from cosim.study.linearize.linearization import Linearization, without_influence
 
 START, EQUILIBRIUM = "start", "equilibrium"
@@ -63,7 +63,9 @@ def linearized(
             )
         return linearized_fmu(model, start_values, outputs)
     dae, values = model, assign(model, start_values)
-    names = _output_names(dae, outputs)
+    names = tuple(v.name for v in dae.output_variables)
+    if outputs is not None:
+        names = checked_outputs(dae, outputs)
     if isinstance(at, float):
         states = [v.name for v in dae.states]
         request = requested(
@@ -215,16 +217,6 @@ def _rest(
         "stops); start nearer to an equilibrium, or change the parameters and inputs that drive "
         "the model"
     )
-
-
-def _output_names(dae: Dae, outputs: Sequence[str] | None) -> tuple[str, ...]:
-    if outputs is None:
-        return tuple(v.name for v in dae.output_variables)
-    names = listed(f"{dae.full_name}: outputs", outputs)
-    for name in names:
-        if name not in observable(dae):
-            raise no_such_output(dae, name)
-    return tuple(names)
 
 
 def linearized_fmu(

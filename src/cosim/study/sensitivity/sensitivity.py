@@ -9,7 +9,7 @@ at once.
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Unpack
 
 import casadi as ca
 import numpy as np
@@ -25,7 +25,7 @@ from cosim.errors import SolverError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import simulate_many
 from cosim.integrate.initial_values import input_values
-from cosim.integrate.keywords import requested
+from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.run import run
 from cosim.integrate.solvers import requested_solver
@@ -38,6 +38,7 @@ from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.trajectory import Column, Trajectory
 
 _variational = cached_per_thread(8)(variational)
+_reduced = cached_per_thread(8)(reduce)
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def sensitivity(
     relative_tolerance: float = DERIVATIVE_TOLERANCE,
     check: bool = True,
     bound: float = AGREEMENT_BOUND,
-    **times: Any,
+    **times: Unpack[TimeKeywords],
 ) -> Sensitivity:
     """Differentiate a run: d(output)/d(parameter, start value, constant input) over time.
 
@@ -157,7 +158,7 @@ def sensitivity(
         relative_tolerance: Error per step of the run and of the derivatives (1).
         check: Whether finite differences check the result.
         bound: Largest scaled difference that counts as agreement (1); see `Agreement`.
-        times: `start_time`, `stop_time`, `output_interval`, s; see `simulate`.
+        times: `start_time`, `stop_time`, `output_interval`, `output_times`, s; see `simulate`.
 
     Returns:
         Derivatives of shape (times, outputs, targets), in SI units.
@@ -223,11 +224,6 @@ def sensitivity(
             plain,
         )
     return Sensitivity(plain, columns, table, agreement)
-
-
-@cached_per_thread(8)
-def _reduced(dae: Dae, names: tuple[str, ...]) -> Dae:
-    return reduce(dae, names)
 
 
 def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarget:

@@ -4,46 +4,40 @@ import atexit
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, TypedDict
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
-from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
-from cosim.integrate.keywords import requested
+from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.outputs import all_columns, watching
 from cosim.model.catalogue import load
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Solver
 from cosim.model.start_outputs import overriding
 from cosim.model.times import Times
-from cosim.model.values import assign, settable
+from cosim.model.values import assign, settable_variable
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.study.sweep.samples import digest_of
 from cosim.trajectory import Column
 
 
-class RunKeywords(TypedDict, total=False):
+class RunKeywords(TimeKeywords, total=False):
     """Keywords of `sweep` that concern each run; see `simulate_many`."""
 
     outputs: Sequence[str] | None
-    output_times: ArrayLike | None
-    start_time: float | None
-    stop_time: float | None
-    output_interval: float | None
     solver: str | Solver | None
     relative_tolerance: float | None
     absolute_tolerance: float | None
@@ -55,10 +49,6 @@ class RunKeywords(TypedDict, total=False):
 def run_settings(keywords: RunKeywords) -> dict[str, Any]:
     """Return the keywords of a run that are not None, in the types of JSON."""
     settings = {name: value for name, value in keywords.items() if value is not None}
-    known = RunKeywords.__annotations__
-    if wrong := next((name for name in settings if name not in known), None):
-        near = "".join(f"; did you mean {n}?" for n in get_close_matches(wrong, known, 1))
-        raise TypeError(f"sweep() got an unexpected keyword argument '{wrong}'{near}")
     solver = settings.get("solver")
     if isinstance(solver, Solver):
         numbers = {name: value for name, value in vars(solver).items() if value is not None}
@@ -102,11 +92,7 @@ class ModelSubject:
 
     def unit(self, name: str) -> str | None:
         """Return the unit of a quantity that can be varied."""
-        known = settable(self._request.dae)
-        if name not in known:
-            kind = "state, parameter or input"
-            raise UnknownName.of_model(self.name, kind, name, known)
-        return known[name].unit
+        return settable_variable(self._request.dae, name).unit
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and compile; return the method of the runs as text."""

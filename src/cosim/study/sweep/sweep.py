@@ -17,7 +17,7 @@ from cosim.errors import Interrupted, ParameterError, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.simulate_many import processors
 from cosim.study.sweep.block import Block, Job
-from cosim.study.sweep.reductions import Function, Keep, keep_from
+from cosim.study.sweep.reductions import Function, keep_from
 from cosim.study.sweep.result import SweepResult
 from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
 from cosim.study.sweep.store import Layout, Store, stored_samples
@@ -170,7 +170,9 @@ def _computed(
     elif blocks:
         from cosim.study.sweep.cluster import connected, over_cluster
 
-        there = replace(job, keep=_packed(job.keep), threads=1)
+        # As bytes: other processes may not find a script's own functions
+        packed = map(optional_module("cloudpickle", "sweep").dumps, job.keep.functions)
+        there = replace(job, keep=replace(job.keep, functions=tuple(packed)), threads=1)
         with ExitStack() as stack:
             if isinstance(scheduler, str):
                 scheduler = stack.enter_context(connected(scheduler, workers))
@@ -190,9 +192,3 @@ def _function_name(function: Function | bytes) -> str:
     code = getattr(function, "__code__", None)
     digest = "" if code is None else digest_of([code.co_code, repr(code.co_consts).encode()])[:16]
     return f"{name} {digest}".strip()
-
-
-def _packed(keep: Keep) -> Keep:
-    """Return users' functions as bytes: other processes may not find a script's own functions."""
-    pickler = optional_module("cloudpickle", "sweep")
-    return replace(keep, functions=tuple(pickler.dumps(f) for f in keep.functions))

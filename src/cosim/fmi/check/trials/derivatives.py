@@ -123,7 +123,10 @@ def _matrices(
         at = session.values([known.variable for known in knowns])
         yield _matrix(session, unknowns, knowns, at, directional=directional) * scale / own[:, None]
     with suppress(Exception), bench.session(kind) as session:  # the FMU may reject a point
-        _vary_parameters(session, rng)
+        for parameter in bench.reals("parameter"):  # a little, so that no factor is 0 by chance
+            value = float(parameter.texts.get("start", "0"))
+            with suppress(Exception):
+                session.put(parameter, altered(parameter, value, 0.02 * (1 + rng.random())))
         session.start()
         span = (bench.experiment("stopTime") or session.start_time + 1.0) - session.start_time
         start = session.values([known.variable for known in knowns])
@@ -165,14 +168,6 @@ def _matrix(
             moved_unknowns(session, unknowns, known, states, value)
         columns.append(column)
     return np.array(columns).T
-
-
-def _vary_parameters(session: Session, rng: np.random.Generator) -> None:
-    """Change parameters a little within their bounds, so that no factor is 0 by chance."""
-    for variable in session.bench.reals("parameter"):
-        value = float(variable.texts.get("start", "0"))
-        with suppress(Exception):
-            session.put(variable, altered(variable, value, 0.02 * (1 + rng.random())))
 
 
 def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:

@@ -11,13 +11,7 @@ from pathlib import Path
 from time import monotonic
 
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
-from cosim.fmi.check.trials.bench import (
-    MEMORY_GROWTH,
-    Bench,
-    Note,
-    Skipped,
-    memory_in_use,
-)
+from cosim.fmi.check.trials.bench import MEMORY_GROWTH, Bench, Note, Skipped, memory_in_use
 from cosim.fmi.check.trials.start import few_numbers
 from cosim.host.temporary import temporary_folder
 

@@ -10,14 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
-from cosim.fmi.check.trials.bench import (
-    MEMORY_GROWTH,
-    Bench,
-    Note,
-    Session,
-    Skipped,
-    memory_in_use,
-)
+from cosim.fmi.check.trials.bench import MEMORY_GROWTH, Bench, Note, Session, Skipped, memory_in_use
 from cosim.fmi.run.c_structures import Ending, Recorded, Run, functions_of, reject_failed_call
 from cosim.host.signals import interruptible
 
@@ -98,15 +91,12 @@ def _own_steps_fail(bench: Bench, kind: str, until: float) -> bool:
         session.start()
         try:
             for i in range(int((until - session.start_time) / size) + 1):
-                _step_to(session, session.start_time + (i + 1) * size)
+                end = session.start_time + (i + 1) * size
+                for _ in session.steps(end - session.time, 1):
+                    session.time = end
         except Exception:
             return True
     return False
-
-
-def _step_to(session: Session, end: float) -> None:
-    for _ in session.steps(end - session.time, 1):
-        session.time = end
 
 
 def _needs_free_steps(bench: Bench, kind: str) -> None:
