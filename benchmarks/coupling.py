@@ -26,7 +26,7 @@ from cosim.plotting import STYLE
 FOLDER = Path(__file__).parents[1] / "examples" / "coupled"
 NAMES = [
     *("ride", "quarter_car", "dual_mass", "three_masses", "cut_pendulum", "driven_frame", "loop"),
-    "strong_loop",
+    *("strong_loop", "digital_ride"),
 ]
 METHODS = {"jacobi": 1, "gauss_seidel": 1, "extrapolated": 4, "iterated": 4}
 REPEATS = 9

@@ -181,3 +181,20 @@ def lag_down() -> Dae:
 def lag_far_down() -> Dae:
     """Return a lag with a direct feedthrough of -2.5."""
     return lag(-2.5)
+
+
+def digital_rider() -> Dae:
+    """Return a computer that balances the bicycle: it measures and sets torques every 20 ms."""
+    model = Model("digital_rider", description="state feedback, sampled and held", stop_time=2.0)
+    measured = ca.vertcat(
+        *(model.input(name, "rad", 0.0, f"{name} as measured") for name in ("phi", "delta")),
+        *(model.input(f"{n}_dot", "rad/s", 0.0, f"rate of {n}") for n in ("phi", "delta")),
+    )
+    gains = {"steer": (-22.88, 18.26, -5.68, 1.75), "roll": (10.08, -6.73, 2.73, -0.63)}
+    held = {n: model.discrete(f"{n}_held", "N.m", 0.0, f"{n} torque that is held") for n in gains}
+    model.every(
+        0.02, {held[n]: -ca.dot(ca.DM(k), measured) for n, k in gains.items()}, name="sample"
+    )
+    for name, torque in held.items():
+        model.output(f"{name}_torque", "N.m", torque, f"{name} torque on the bicycle")
+    return model.freeze()

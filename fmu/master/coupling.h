@@ -110,8 +110,18 @@ static inline int arrive(Coupling *self) {
     for (long long k = 0; k < system->inputs; ++k)
         if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
     ++system->macro_steps;
+    self->event = INFINITY;
     self->standstills = 0;
     return DONE;
+}
+
+/* Whether the next macro step is repeated until its interface agrees: to an event, and where there
+ * is too little to extrapolate from, as after one, every step is, if it can be. */
+static inline int iterates(const Coupling *self) {
+    const double before = self->known ? self->now.t - self->past[0].t : 0;
+    if (self->system->method != EXTRAPOLATED) return self->system->method == ITERATED;
+    return self->all_roll_back &&
+           (isfinite(self->event) || self->next.t - self->now.t > 1.01 * LONGER * before);
 }
 
 static inline int run_adaptive(Coupling *self) {
@@ -126,7 +136,7 @@ static inline int run_adaptive(Coupling *self) {
         self->next.t = last ? system->stop : system->time + h;
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
-        const int how = macro_step(self, system->method == ITERATED, &error);
+        const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
@@ -157,28 +167,23 @@ static inline int run_adaptive(Coupling *self) {
 
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
-    double until = INFINITY; /* the next event */
     for (long long n = 1; system->time < system->stop && !near(system->time, system->stop);) {
         if (halted) return INTERRUPTED;
         double error = 0, end = fmin(system->start + (double)n * system->macro_step, system->stop);
         if (near(end, system->stop)) end = system->stop;
-        self->next.t = fmin(end, until);
-        const int begins = system->method == EXTRAPOLATED && n == 1 && self->all_roll_back;
-        const int iterates = system->method == ITERATED || begins;
-        if (iterates && save_all(self)) return CALL_FAILED;
-        const int how = macro_step(self, iterates, &error);
+        self->next.t = fmin(end, self->event);
+        if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
+        const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
         if (how == REJECTED) return NOT_A_NUMBER;
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;
-            until = self->event;
             continue;
         }
         system->mismatch = fmax(system->mismatch, self->mismatch);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
-        until = INFINITY;
         if (self->now.t == end) ++n;
     }
     return DONE;
@@ -228,8 +233,9 @@ static inline int run_from_start(Coupling *self) {
     System *system = self->system;
     const long long m = system->inputs;
     self->now.t = system->time = system->start;
+    self->event = INFINITY;
     memcpy(self->now.u, system->u, (size_t)m * sizeof *self->now.u);
-    self->ends_at_events = system->method == ITERATED;
+    self->ends_at_events = system->method >= EXTRAPOLATED;
     self->all_roll_back = 1;
     for (long long p = 0; p < system->n_parts; ++p)
         self->all_roll_back &= system->parts[p].rolls_back != 0;

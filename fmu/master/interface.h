@@ -52,7 +52,7 @@ typedef struct {
     Fmu fmu;
     int feedthrough, all_roll_back;
     int ends_at_events; /* whether macro steps end at events of parts */
-    double event;       /* the time of one that ends a macro step */
+    double event;       /* the time of one that ends the next macro step */
     int standstills;    /* events without a step between */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */

@@ -13,7 +13,7 @@ from cosim.errors import ParameterError, SolverError, UnknownName, UsageError
 FOLDER = "examples/coupled"
 SYSTEMS = [
     *("ride", "quarter_car", "dual_mass", "three_masses", "cut_pendulum", "driven_frame", "loop"),
-    "strong_loop",
+    *("strong_loop", "digital_ride"),
 ]
 
 

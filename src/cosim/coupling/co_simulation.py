@@ -24,7 +24,7 @@ from cosim.fmi.run.request import column_of, output_names
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.times import time_grid
-from cosim.trajectory import Trajectory
+from cosim.trajectory import Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
@@ -296,6 +296,7 @@ class CoSimulation:
             np.hstack([np.zeros((rows, 0)), *(tables[n][:rows] for n in self.parts)]),
             stats,
             status="complete",
+            events=self._events(),
         )
         if interrupted or system.how == Ending.INTERRUPTED:
             raise Interrupted(f"{self.name}: interrupted", partial=run)
@@ -306,6 +307,18 @@ class CoSimulation:
             )
         return run
 
+    def _events(self) -> tuple[Event, ...]:
+        """Return what the parts have logged, unless they may have gone back behind it."""
+        if not all(part.rolls_back for part in self.parts.values()):
+            return ()
+        logged = [
+            (time, f"{name}: {event}")
+            for name, part in self.parts.items()
+            if part.event_mode
+            for time, event in part.instance.logged_events
+        ]
+        return tuple(Event(time, name, {}, {}) for time, name in sorted(logged))
+
     def orders(self, method: Method) -> dict[str, str]:
         """Return how the inputs of each part move within a macro step, in words."""
         if method in (Method.JACOBI, Method.GAUSS_SEIDEL):
@@ -315,7 +328,7 @@ class CoSimulation:
             words = [f"{part.order.name.lower()} inputs"]
             if not part.rates and part.outputs:
                 words.append("output derivatives from values")
-            if method is Method.ITERATED and part.event_mode:
+            if part.event_mode:
                 words.append("events end macro steps")
             if method is Method.ITERATED and not part.rolls_back:
                 words.append("one step without repetition: it cannot restore its state")

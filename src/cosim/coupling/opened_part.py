@@ -83,6 +83,7 @@ class OpenedPart:
             experiment: `startTime`, `stopTime` [s], `tolerance`.
         """
         self.instance, self.explained = self._fmu.ready()
+        self.instance.logged_events.clear()
         self.functions = functions_of(self.instance, self.description)
         begin_initialization(self.instance, self.description, values, **experiment)
 
