@@ -182,21 +182,25 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
     }
 }
 
-/* Inputs of a part that the parts before it drive, which have stepped already: their values there.
- */
+/* Inputs of a part that parts drive which have stepped already: their values there. */
 static inline int take_new_outputs(Coupling *self, long long p) {
     const System *system = self->system;
     const Part *part = system->parts + p;
-    if (get_outputs(self, p)) return 1;
-    for (long long k = part->first_input; k < part->first_input + part->inputs; ++k)
-        if (system->source[k] < part->first_output) self->next.u[k] = driven(self, k);
+    if (get_outputs(self, system->n_parts)) return 1;
+    for (long long k = part->first_input; k < part->first_input + part->inputs; ++k) {
+        const Part *source = system->parts;
+        while (system->source[k] >= source->first_output + source->outputs) ++source;
+        if (source->turn < part->turn) self->next.u[k] = driven(self, k);
+    }
     return 0;
 }
 
 /* Step all parts; from the second pass on those that roll back. */
 static inline int step_parts(Coupling *self, int pass, int recording) {
     System *system = self->system;
-    for (long long p = 0; p < system->n_parts; ++p) {
+    for (long long turn = 0; turn < system->n_parts; ++turn) {
+        long long p = 0;
+        while (system->parts[p].turn != turn) ++p;
         Part *part = system->parts + p;
         system->part = p;
         if (pass > 0 && !part->rolls_back) continue;

@@ -10,6 +10,7 @@ enum { TOGETHER = 32 };  /* variables of a call that wants an order for each */
 typedef struct {
     const Functions *call;
     const Recording *recording;
+    long long turn;                      /* when it steps, of the parts */
     long long inputs, outputs;           /* connected ones */
     long long first_input, first_output; /* where they begin among those of all parts */
     const uint32_t *input_references, *output_references;

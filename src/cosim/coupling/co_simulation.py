@@ -71,7 +71,8 @@ class _Part(ctypes.Structure):
     _fields_ = (
         ("call", ctypes.POINTER(Functions)),
         ("recording", ctypes.POINTER(Recording)),
-        *((name, _LONG) for name in ("inputs", "outputs", "first_input", "first_output")),
+        *((name, _LONG) for name in ("turn", "inputs", "outputs")),
+        *((name, _LONG) for name in ("first_input", "first_output")),
         ("input_references", _POINTER),
         ("output_references", _POINTER),
         *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional", "event_mode")),
@@ -117,12 +118,12 @@ class CoSimulation:
 
     def __init__(self, name: str, files: Mapping[str, Path], wires: Sequence[Connection]) -> None:
         self.name = name
-        self._open = ExitStack()
-        wires = sorted(wires, key=lambda wire: (list(files).index(wire.input[0]), wire.input[1]))
+        self._open, self._turns = ExitStack(), list(files)
+        wires = sorted(wires, key=lambda wire: wire.input)
         self.parts = dict[str, OpenedPart]()
         sources = list[tuple[str, str]]()
         callback = ctypes.cast(_library().give_inputs, _POINTER).value or 0
-        for part, path in files.items():
+        for part, path in sorted(files.items()):  # in any order of the parts the same bits
             inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
             outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})
             sources += [(part, output) for output in outputs]
@@ -273,16 +274,16 @@ class CoSimulation:
     ) -> Trajectory:
         rows = int(system.rows)
         shown = [
-            replace(column_of(by_name(part.description)[v]), name=f"{name}.{v}")
-            for name, part in self.parts.items()
-            for v in columns[name]
+            replace(column_of(by_name(self.parts[name].description)[v]), name=f"{name}.{v}")
+            for name, wanted in columns.items()
+            for v in wanted
         ]
         stats: dict[str, Any] = {
             "solver": f"co-simulation, {settings.method}",
             "macro_steps": int(system.macro_steps),
             "rejected_steps": int(system.rejected),
             "iterations": int(system.iterations),
-            "part_steps": {n: int(parts[i].steps) for i, n in enumerate(self.parts)},
+            "part_steps": {n: int(parts[list(self.parts).index(n)].steps) for n in self._turns},
             "order": self.orders(settings.method),
         }
         if settings.macro_step is not None:
@@ -293,7 +294,7 @@ class CoSimulation:
             self.name,
             times[:rows],
             tuple(shown),
-            np.hstack([np.zeros((rows, 0)), *(tables[n][:rows] for n in self.parts)]),
+            np.hstack([np.zeros((rows, 0)), *(tables[n][:rows] for n in columns)]),
             stats,
             status="complete",
             events=self._events(),
@@ -322,9 +323,9 @@ class CoSimulation:
     def orders(self, method: Method) -> dict[str, str]:
         """Return how the inputs of each part move within a macro step, in words."""
         if method in (Method.JACOBI, Method.GAUSS_SEIDEL):
-            return dict.fromkeys(self.parts, "constant inputs")
+            return dict.fromkeys(self._turns, "constant inputs")
         found = {}
-        for name, part in self.parts.items():
+        for name, part in ((name, self.parts[name]) for name in self._turns):
             words = [f"{part.order.name.lower()} inputs"]
             if not part.rates and part.outputs:
                 words.append("output derivatives from values")
@@ -371,9 +372,10 @@ class CoSimulation:
 
     def _columns(self, outputs: Sequence[tuple[str, str]] | None) -> dict[str, list[str]]:
         if outputs is not None:
-            return {n: [v for part, v in outputs if part == n] for n in self.parts}
+            return {n: [v for part, v in outputs if part == n] for n in self._turns}
         found = {}
-        for name, part in self.parts.items():
+        for name in self._turns:
+            part = self.parts[name]
             known = output_names(part.path, by_name(part.description), None)
             inputs = [v.name for v in part.inputs]
             found[name] = [*known, *(v for v in inputs if v not in known)]
@@ -399,6 +401,7 @@ class CoSimulation:
             structure.rows = tables[name].ctypes.data
             place.call = ctypes.pointer(part.functions)
             place.recording = ctypes.pointer(structure)
+            place.turn = self._turns.index(name)
             place.inputs, place.outputs = len(part.inputs), len(part.outputs)
             place.input_references, place.output_references = (r.ctypes.data for r in references)
             place.order, place.rates = int(part.order), part.rates

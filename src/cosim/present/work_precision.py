@@ -79,8 +79,8 @@ def _answers(study: Tradeoff, best: Sequence[Measurement], cost: str) -> list[st
             m = min(good, key=lambda m: m.cost(cost) or 0.0)
             price = m.cost(cost) or 0.0
             spent = f"{1e3 * price:.2g} ms" if cost == "solver_time" else f"{price:g} calls"
-            how = f"{_family_name(m.configuration.family)}, {m.configuration.setting}"
-            answers.append(f"{wanted:.0e}: {how}: {spent}")
+            name, _, rest = _family_name(m.configuration.family).partition(", ")
+            answers.append(f"{wanted:.0e}: {name} at {m.configuration.setting}, {spent} ({rest})")
     return answers
 
 

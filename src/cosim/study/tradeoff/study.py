@@ -218,7 +218,8 @@ def _run_facts(request: RunRequest) -> dict[str, str]:
     """Return the values that the request sets, and the output times, as text."""
     begin, end = request.times.span(request.dae)
     interval = request.times.interval or request.dae.experiment.output_interval
-    values = ", ".join(f"{name} = {value:.6g}" for name, value in request.values.items())
+    unit = {variable.name: variable.unit for variable in request.dae.variables}
+    values = ", ".join(f"{n} = {v:.6g} {unit[n]}" for n, v in request.values.items())
     facts = {"values": values} if values else {}
     return facts | {"output times": f"{begin:g} to {end:g} s, every {interval:g} s"}
 
