@@ -1,6 +1,7 @@
 """Systems as files: TOML and SSP, what they say when they are wrong, and the command line."""
 
 import zipfile
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -48,6 +49,57 @@ def test_linear_transformation_of_a_connection_is_applied(ssp, tmp_path):
     system = cosim.read_ssp(changed(ssp, tmp_path / "changed.ssp", old, new))
     run = system.simulate(stop_time=0.1, macro_step=0.01)
     np.testing.assert_allclose(run["rider.phi"], 0.5 - 2 * run["bicycle.phi"], atol=1e-12)
+
+
+def nested(ssp, target):
+    """Write the same system with the rider in a system of its own, and reverse phi twice."""
+    with zipfile.ZipFile(ssp) as source:
+        files = {name: source.read(name) for name in source.namelist()}
+    root = ET.fromstring(files["SystemStructure.ssd"])
+    names = {"d": root.tag[1:].partition("}")[0]}
+    tag, reversing = f"{{{names['d']}}}", '<LinearTransformation factor="-1" />'
+    elements = root.find("d:System/d:Elements", names)
+    rider = elements.find("d:Component[@name='rider']", names)
+    elements.remove(rider)
+    man = ET.SubElement(elements, f"{tag}System", name="man")
+    man.append(rider.find("d:Connectors", names))
+    ET.SubElement(man, f"{tag}Elements").append(rider)
+    inner = ET.SubElement(man, f"{tag}Connections")
+    for wire in root.findall("d:System/d:Connections/d:Connection", names):
+        for end in ("start", "end"):
+            if wire.get(f"{end}Element") != "rider":
+                continue
+            wire.set(f"{end}Element", "man")
+            other = {"start": "end", "end": "start"}[end]
+            name = wire.get(f"{end}Connector")
+            facts = {f"{end}Element": "rider", "endConnector": name, "startConnector": name}
+            within = ET.SubElement(inner, f"{tag}Connection", facts)
+            assert f"{other}Element" not in within.attrib
+            if name == "phi":
+                for joint in (wire, within):
+                    joint.append(ET.fromstring(reversing))
+    bindings = ET.SubElement(man, f"{tag}ParameterBindings")
+    values = '<V><ParameterSet><Parameters><Parameter name="rider.lag"><Real value="0.04" />'
+    values += "</Parameter></Parameters></ParameterSet></V>"
+    binding = ET.SubElement(bindings, f"{tag}ParameterBinding")
+    inline = ET.fromstring(values)
+    inline.tag = f"{tag}ParameterValues"
+    binding.append(inline)
+    files["SystemStructure.ssd"] = ET.tostring(root)
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return target
+
+
+def test_systems_within_a_system_are_read(ssp, tmp_path):
+    found = cosim.read_ssp(nested(ssp, tmp_path / "nested.ssp"))
+    assert list(found.parts) == ["bicycle", "man_rider"]
+    assert found.start_values["man_rider", "lag"] == 0.04
+    ways = {"stop_time": 0.5, "output_interval": 0.05, "macro_step": 0.01}
+    run = found.simulate(**ways)
+    plain = cosim.read_ssp(ssp).simulate(**ways, start_values={"rider.lag": 0.04})
+    np.testing.assert_array_equal(run["bicycle.phi"], plain["bicycle.phi"])
 
 
 @pytest.mark.parametrize(

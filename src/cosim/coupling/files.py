@@ -94,15 +94,17 @@ def _identifier(text: str) -> str:
 def read_ssp(path: str | os.PathLike[str]) -> System:
     """Read a coupled system from an SSP file of version 1.0 or 2.0.
 
-    Its FMUs, their connections with linear transformations, connectors of the whole system, start
-    values within the description or in .ssv files, and the default experiment are read.
+    Its FMUs, also those of systems within it, their connections with linear transformations, start
+    values within the description or in .ssv files, and the default experiment are read. A part of a
+    system within is called `system_part`.
 
     Args:
         path: The file.
 
     Raises:
         FmuError, SecurityError: It is no SSP file, or unpacking it is not safe.
-        UsageError: It holds what cannot be simulated here: nested systems, parts that are no FMUs.
+        UsageError: It holds what cannot be simulated here: parts that are no FMUs, or parameters
+            that a mapping renames.
         CosimError: See `couple`.
 
     Example:
@@ -122,6 +124,10 @@ def read_ssp(path: str | os.PathLike[str]) -> System:
     return system
 
 
+_Place = tuple[str, ...]  # names of the systems within which an element is, and its own
+_Connector = tuple[_Place, str]
+
+
 class _Description:
     """The system description of an unpacked SSP file."""
 
@@ -139,32 +145,32 @@ class _Description:
         Raises:
             CosimError: See `read_ssp`.
         """
-        parts = {part.get("name", ""): self._file(part) for part in self._parts()}
+        parts = dict(self._parts(self._system, ()))
         experiment = _child(self._root, "DefaultExperiment")
         stop = None if experiment is None else experiment.get("stopTime")
-        names = {name: _identifier(name) for name in parts}
+        names = {place: _identifier("_".join(place)) for place in parts}
+        if len(set(names.values())) < len(names):
+            raise UsageError(f"{self._path}: two parts have the same name; rename one")
+        drives = dict(self._drives(self._system, ()))
         wires = dict[str, str]()
         changes = dict[str, tuple[float, float]]()
-        for connection in _children(_child(self._system, "Connections"), "Connection"):
-            sides = [connection.get(f"{end}Element") for end in ("start", "end")]
-            if None in sides:
-                continue  # with a connector of the whole system, which nothing drives here
-            source, sink = (
-                f"{names.get(side or '', side)}.{connection.get(f'{end}Connector')}"
-                for side, end in zip(sides, ("start", "end"), strict=True)
-            )
-            if sink in wires:
-                raise UsageError(f"{self._path}: {sink} is connected twice; connect it once")
-            wires[sink] = source
-            linear = _child(connection, "LinearTransformation")
-            if linear is not None:
-                changes[sink] = float(linear.get("factor", 1)), float(linear.get("offset", 0))
+        for place, entry in drives:
+            if place not in parts:
+                continue
+            source, factor, offset = drives[place, entry]
+            while source in drives and source[0] not in parts:  # a connector of a system within
+                source, inner, added = drives[source]
+                factor, offset = factor * inner, factor * added + offset
+            if source[0] in parts:  # else a connector of the whole system, which nothing drives
+                sink = f"{names[place]}.{entry}"
+                wires[sink] = f"{names[source[0]]}.{source[1]}"
+                changes[sink] = factor, offset
         found = couple(
-            {names[name]: file for name, file in parts.items()},
+            {names[place]: self._inside(part.get("source", "")) for place, part in parts.items()},
             wires,
             start_values={
-                f"{names[part]}.{variable}": value
-                for part, variable, value in self._start_values(parts)
+                f"{names[place]}.{variable}": value
+                for place, variable, value in self._start_values(self._system, (), parts)
             },
             name=_identifier(self._system.get("name") or self._path.stem),
             title=self._system.get("description", ""),
@@ -172,20 +178,43 @@ class _Description:
         )
         return transformed(found, changes)
 
-    def _parts(self) -> Iterator[ET.Element]:
-        elements = _child(self._system, "Elements")
-        for element in () if elements is None else elements:
-            kind = _local(element)
-            if kind != "Component" or element.get("type") not in _FMU_TYPES:
-                name = element.get("name")
+    def _parts(self, system: ET.Element, place: _Place) -> Iterator[tuple[_Place, ET.Element]]:
+        """Yield the FMUs in a system and in the systems within it, by their places."""
+        for element in _elements(system):
+            kind, inner = _local(element), (*place, element.get("name", ""))
+            if kind == "System":
+                yield from self._parts(element, inner)
+            elif kind == "Component" and element.get("type") in _FMU_TYPES:
+                yield inner, element
+            else:
                 raise UsageError(
-                    f"{self._path}: '{name}' ({kind}, {element.get('type') or 'no FMU'}) cannot be "
-                    "simulated here; only FMUs directly in the system can"
+                    f"{self._path}: '{inner[-1]}' ({kind}, {element.get('type') or 'no FMU'}) "
+                    "cannot be simulated here; only FMUs can"
                 )
-            yield element
 
-    def _file(self, part: ET.Element) -> Path:
-        return self._inside(part.get("source", ""))
+    def _drives(
+        self, system: ET.Element, place: _Place
+    ) -> Iterator[tuple[_Connector, tuple[_Connector, float, float]]]:
+        """Yield what drives a connector, with factor and offset."""
+        driven = set[_Connector]()
+        for connection in _children(_child(system, "Connections"), "Connection"):
+            source, sink = (
+                ((*place, *filter(None, [connection.get(f"{end}Element")])),
+                 connection.get(f"{end}Connector", ""))
+                for end in ("start", "end")
+            )  # fmt: skip
+            if sink in driven:
+                raise UsageError(
+                    f"{self._path}: {'.'.join((*sink[0], sink[1]))} is connected twice; connect it "
+                    "once"
+                )
+            driven.add(sink)
+            linear = _child(connection, "LinearTransformation")
+            change = {} if linear is None else linear.attrib
+            yield sink, (source, float(change.get("factor", 1)), float(change.get("offset", 0)))
+        for inner in _elements(system):
+            if _local(inner) == "System":
+                yield from self._drives(inner, (*place, inner.get("name", "")))
 
     def _inside(self, source: str) -> Path:
         file = (self._folder / source).resolve()
@@ -193,16 +222,24 @@ class _Description:
             raise FmuError(f"{self._path}: it has no file {source}")
         return file
 
-    def _start_values(self, parts: Mapping[str, Path]) -> Iterator[tuple[str, str, float]]:
-        for part in self._parts():
-            for variable, value in self._bound(part, ""):
-                yield part.get("name", ""), variable, value
-        for name, value in self._bound(self._system, ""):
-            part_name, _, variable = name.partition(".")
-            if part_name in parts:
-                yield part_name, variable, value
+    def _start_values(
+        self, system: ET.Element, place: _Place, parts: Mapping[_Place, ET.Element]
+    ) -> Iterator[tuple[_Place, str, float]]:
+        """Yield values of parts: those of the parts first, then those of the systems around."""
+        for element in _elements(system):
+            inner = (*place, element.get("name", ""))
+            if inner in parts:
+                yield from ((inner, *pair) for pair in self._bound(element))
+            else:
+                yield from self._start_values(element, inner, parts)
+        for name, value in self._bound(system):
+            *owner, variable = name.split(".")
+            for n in range(len(owner), 0, -1):  # names of variables may have dots, too
+                if (*place, *owner[:n]) in parts:
+                    yield (*place, *owner[:n]), ".".join((*owner[n:], variable)), value
+                    break
 
-    def _bound(self, element: ET.Element, prefix: str) -> Iterator[tuple[str, float]]:
+    def _bound(self, element: ET.Element) -> Iterator[tuple[str, float]]:
         for binding in _children(_child(element, "ParameterBindings"), "ParameterBinding"):
             if _child(binding, "ParameterMapping") is not None:
                 raise UsageError(
@@ -213,7 +250,7 @@ class _Description:
             sets = list(values) if values is not None else []
             if source is not None:
                 sets = [self._xml(source)]
-            own = binding.get("prefix", prefix)
+            own = binding.get("prefix", "")
             for chosen in sets:
                 for parameter in _children(_child(chosen, "Parameters"), "Parameter"):
                     for number in parameter:
@@ -246,6 +283,11 @@ def _local(element: ET.Element) -> str:
 
 def _children(element: ET.Element | None, kind: str) -> list[ET.Element]:
     return [] if element is None else [child for child in element if _local(child) == kind]
+
+
+def _elements(system: ET.Element) -> list[ET.Element]:
+    found = _child(system, "Elements")
+    return [] if found is None else list(found)
 
 
 def _child(element: ET.Element, kind: str) -> ET.Element | None:
