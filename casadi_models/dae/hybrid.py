@@ -223,7 +223,7 @@ class Hybrid:
         )
 
     def blended(self) -> "Hybrid":
-        """Return the equations as polynomials of the modes of signs, between -1 and 1.
+        """Return equations that are affine in each mode of a sign, between -1 and 1.
 
         Where all modes are -1 or 1, they have the same values: a branch that is not taken is not
         evaluated. Equations that call functions stay as they are.
@@ -346,7 +346,7 @@ def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:
 
 
 def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae:
-    """Return frozen laws that are polynomials of some modes, which may lie between -1 and 1.
+    """Return frozen laws that are affine in each of some modes, which may lie between -1 and 1.
 
     Args:
         dae: A frozen model.
@@ -379,5 +379,22 @@ def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae
                 work[to[0]] = _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
             else:
                 work[to[0]] = applied(code, terms), False
-    ode, alg, outputs = (ca.densify(ca.vertcat(SX(0, 1), *column)) for column in results)
+    columns = [ca.densify(ca.vertcat(SX(0, 1), *column)) for column in results]
+    for mode in (symbols[3][i] for i in sorted(modes)):
+        columns = [_affine(column, mode, taken) for column in columns]
+    ode, alg, outputs = columns
     return replace(dae, ode=ode, alg=alg, outputs=outputs)
+
+
+def _affine(laws: SX, mode: SX, taken: bool) -> SX:
+    """Return laws that are affine in a mode: convex combinations of its two sides (Filippov).
+
+    Args: See `_polynomial`.
+    """
+    curved = ca.which_depends(laws, mode, 2, True) if ca.depends_on(laws, mode) else []
+    for row in (i for i, bent in enumerate(curved) if bent):  # as where `fabs` has the same mode
+        sides = [(ca.substitute(laws[row], mode, SX(s)), (1 + s * mode) / 2) for s in (1, -1)]
+        if taken:
+            sides = [(SX.binary(ca.OP_IF_ELSE_ZERO, share, law), share) for law, share in sides]
+        laws[row] = sum(share * law for law, share in sides)
+    return laws

@@ -14,6 +14,7 @@
 
 #if HAS_EVENTS
 
+static const double TINY = 1e-280; /* s; a time that is not 0 if it is divided by a period */
 static const double CLOSE = 1e-10; /* relative distance of events of which ... */
 enum { MOST_CLOSE = 10 };          /* ... so many in succession are no motion, as are ... */
 static const double NO_WAY = 100;  /* ... those between which arguments move so many roundings */
@@ -73,7 +74,7 @@ Status begin_events(Instance *self) {
     /* a sample may be due at the start itself */
     const double t = state->values[TIME];
     memcpy(here, modes, N_MODES * sizeof *modes);
-    modes_of_time(self, nextafter(t, -INFINITY) - 4 * DBL_EPSILON * fabs(t), modes);
+    modes_of_time(self, t - 8 * DBL_EPSILON * fmax(fabs(t), TINY), modes);
     const Status status = evaluate_rules(self, &before);
     memcpy(modes, here, N_MODES * sizeof *modes);
     if (status != OK) return fail(self);

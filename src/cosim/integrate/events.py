@@ -23,7 +23,15 @@ from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.location import Piece, located, next_of_time
-from cosim.integrate.modes import MOST_ROUNDS, Instant, hybrid, literal_modes, settled, sliding
+from cosim.integrate.modes import (
+    MOST_ROUNDS,
+    Instant,
+    blended,
+    hybrid,
+    literal_modes,
+    settled,
+    sliding,
+)
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
@@ -32,6 +40,7 @@ from cosim.model.values import Values
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
+_TINY = 1e-280  # s; a time that is not 0 if it is divided by a period
 _ZENO = 1e-10  # distance of events, relative to the time, of which ...
 _MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed
 
@@ -163,7 +172,7 @@ class _Course:
         watches = not system.relations or (problem.compiled and solver.watches)
         self.window = len(self.grid) if watches else _FIRST_WINDOW
         self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
-        self.stop = ""
+        self.stop, self.slides = "", False
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
         at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))
@@ -211,7 +220,7 @@ class _Course:
             columns = [np.vstack(pair) for pair in zip(columns, last, strict=True)]
         states, algebraics, u = (column.T for column in columns)
         return Motion(
-            self.system.dae,
+            (blended(self.system) if self.slides else self.system).dae,
             time,
             states,
             algebraics,
@@ -274,6 +283,7 @@ class _Course:
     def _piece(self, times: Vector) -> Piece:
         """Integrate from the present instant over some times."""
         own = sliding(self.system, self.at.sliding)
+        self.slides |= bool(own.sliding)
         inputs = self.series and self.series.around(float(times[0]))
         problem = replace(self.problem, dae=own.dae, times=times.tobytes(), inputs=inputs)
         piece = Piece(self.system, own, problem, self.solver, self.at, self.began, self.values.p)
@@ -386,13 +396,12 @@ class _Course:
             name = system.events[which[0]].name
             raise SolverError(f"{self.dae.full_name}: '{name}' gives a state no finite value")
         self._reject_inconsistent(x, which)
-        was = at.watched(system, p).arguments[0]
+        was = at.watched(system, p)
         at = replace(at, x=x)
-        arguments = at.watched(system, p).arguments[0]
-        kept = frozenset(i for i in at.zero if arguments[i] == was[i])
-        slid = frozenset(i for i in at.sliding if arguments[i] == was[i])
+        same = at.watched(system, p).arguments[0] == was.arguments[0]
+        kept, slid = (frozenset(i for i in ones if same[i]) for ones in (at.zero, at.sliding))
         at = replace(at, zero=kept | slid, sliding=slid)
-        return settled(system, at, p, frozenset())
+        return settled(system, at, p, frozenset(), np.abs(was.rates[0]))
 
     def _reject_inconsistent(self, x: Vector, which: Sequence[int]) -> None:
         for invariant, law in zip(self.dae.invariants, _residuals(self.dae), strict=True):
@@ -431,7 +440,7 @@ class _Course:
 
     def _samples_before(self, counts: Vector) -> Vector:
         """Return the numbers of samples before the start: one is due at the start itself."""
-        earlier = np.nextafter(self.at.t, -np.inf) - 4 * np.spacing(abs(self.at.t))
+        earlier = self.at.t - 8 * np.spacing(max(abs(self.at.t), _TINY))
         literal = ca.Function("conditions", self.dae.arguments,
                               [ca.vertcat(*(e.condition for e in self.dae.events))])  # fmt: skip
         found = literal(earlier, self.at.x, self.at.z, self.at.u, self.values.p)
@@ -471,6 +480,9 @@ class _Course:
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
         if modes is not None:
             self.u[rows, self.u.shape[1] - len(modes) :] = modes
+        elif piece.own.sliding:
+            slid = self.u.shape[1] - len(piece.begin.modes) + np.array(piece.own.sliding)
+            self.u[rows][:, slid] = piece.seen.solved[places]
         self.algebraics[rows] = piece.z[places, : self.algebraics.shape[1]]
         self.next += count
 

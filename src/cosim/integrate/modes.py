@@ -31,6 +31,12 @@ def hybrid(dae: Dae) -> Hybrid | None:
     return frozen(dae)
 
 
+@cached_per_thread(16)
+def blended(system: Hybrid) -> Hybrid:
+    """Return the equations for modes between -1 and 1."""
+    return system.blended()
+
+
 @cached_per_thread(32)
 def sliding(system: Hybrid, which: frozenset[int]) -> Hybrid:
     """Return the equations in which the arguments of some relations stay 0.
@@ -164,7 +170,9 @@ class Instant:
         return watch(own, np.array([self.t]), (self.x[None], z[None], u[None], du[None]), p)
 
 
-def settled(system: Hybrid, at: Instant, p: Vector, decided: frozenset[int]) -> Instant:
+def settled(
+    system: Hybrid, at: Instant, p: Vector, decided: frozenset[int], sizes: Vector | None = None
+) -> Instant:
     """Return an instant with modes that are consistent with what follows.
 
     The mode of a relation whose argument is 0 is that of the first time derivative that is not. If
@@ -175,6 +183,7 @@ def settled(system: Hybrid, at: Instant, p: Vector, decided: frozenset[int]) -> 
         at: The instant; its modes are those before it.
         p: Parameters.
         decided: Relations that keep their mode here although their arguments are 0.
+        sizes: Rates of the arguments (m,) in whose rounding a rate is 0; as for all rates if None.
 
     Raises:
         SolverError: No modes are consistent.
@@ -196,7 +205,13 @@ def settled(system: Hybrid, at: Instant, p: Vector, decided: frozenset[int]) -> 
             continue
         at = replace(at, modes=modes)
         free = (i for i in range(len(modes)) if i not in at.sliding and i not in decided)
-        changed = next((c for i in free if (c := _changed(system, at, row, i, p)) is not at), None)
+        if sizes is None:
+            fastest = max(1.0, float(np.abs(row.ode).max(initial=0.0)))
+            scales = np.where(system.of_time, 0.0, _ROUNDING * fastest)
+        else:
+            scales = _ROUNDING * sizes
+        tried = (_changed(system, at, row, i, p, scales[i]) for i in free)
+        changed = next((other for other in tried if other is not at), None)
         if changed is None:
             return at
         at = changed
@@ -214,22 +229,24 @@ def _rests_beyond(system: Hybrid, at: Instant, row: Watched, i: int) -> bool:
     return bool(fastest <= _ROUNDING and at.modes[i] * row.arguments[0, i] < -_ROUNDING)
 
 
-def _changed(system: Hybrid, at: Instant, row: Watched, i: int, p: Vector) -> Instant:
+def _changed(system: Hybrid, at: Instant, row: Watched, i: int, p: Vector, scale: float) -> Instant:
     """Return the instant with another mode of a relation, or with that relation sliding."""
-    mode, zero = _consistent(system, at, row, i)
+    mode, zero = _consistent(system, at, row, i, scale)
     if mode == at.modes[i]:
         return at
     modes = at.modes.copy()
     modes[i] = mode
     other = replace(at, modes=modes)
     if zero and not system.relations[i].floor:
-        back, _ = _consistent(system, other, other.watched(system, p), i)
+        back, _ = _consistent(system, other, other.watched(system, p), i, scale)
         if back != mode:
             return replace(other, sliding=at.sliding | {i})
     return other
 
 
-def _consistent(system: Hybrid, at: Instant, row: Watched, i: int) -> tuple[float, bool]:
+def _consistent(
+    system: Hybrid, at: Instant, row: Watched, i: int, scale: float
+) -> tuple[float, bool]:
     """Return the mode that values and rates require, and whether the argument is 0."""
     relation, argument = system.relations[i], float(row.arguments[0, i])
     if not np.isfinite(argument):  # of a branch that is not taken
@@ -238,8 +255,6 @@ def _consistent(system: Hybrid, at: Instant, row: Watched, i: int) -> tuple[floa
     if i not in at.zero and argument != boundary:
         mode = np.floor(argument) if relation.floor else np.sign(argument)
         return float(mode), False
-    size = 0.0 if system.of_time[i] else max(1.0, float(np.abs(row.ode).max(initial=0.0)))
-    scale = _ROUNDING * size
     for rate in (row.rates[0, i], row.seconds[0, i]):
         if abs(rate) > scale:
             up = bool(rate > 0)
