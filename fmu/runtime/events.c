@@ -134,6 +134,7 @@ static Status assign(Instance *self, const Rules *rules, const bool risen[], boo
     Rules after;
     int first = -1;
     if (watch_relations(self, &was) != OK) return fail(self);
+    int by[ROOM(NX)] = {0}; /* the event that gives a state its value, and 1 */
     for (int i = N_EVENTS; i-- > 0;) {
         if (!risen[i]) continue;
         first = i;
@@ -142,6 +143,11 @@ static Status assign(Instance *self, const Rules *rules, const bool risen[], boo
                 return refuse(self, ERROR, "'%s' gives %s no finite value at %.12g s",
                               events[i].name, variables[FIRST_STATE + assigned[k]].name,
                               self->state.values[TIME]);
+            if (by[assigned[k]] && x[assigned[k]] != rules->values[k])
+                return refuse(self, ERROR, "'%s' and '%s' give %s different values at %.12g s",
+                              events[i].name, events[by[assigned[k]] - 1].name,
+                              variables[FIRST_STATE + assigned[k]].name, self->state.values[TIME]);
+            by[assigned[k]] = i + 1;
             x[assigned[k]] = rules->values[k];
         }
     }

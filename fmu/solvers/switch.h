@@ -103,9 +103,14 @@ static inline int settle(Problem *self, double t, const double *x, const int *ze
 static inline int assign(Problem *self, double t, double *x, const Decision *at, const int *risen,
                          int *zero) {
     Decision after = {{0}, {0}, 0, {0}, {0}, 0, {0}};
+    int given[NX] = {0};
     for (int i = 0, k = 0; i < EVENTS; k += switches.rules[i++].count)
-        for (int j = k; risen[i] && j < k + switches.rules[i].count; ++j)
-            x[switches.assigned[j]] = at->values[j];
+        for (int j = k; risen[i] && j < k + switches.rules[i].count; ++j) {
+            const int state = switches.assigned[j];
+            if (given[state] && x[state] != at->values[j]) return 1;
+            given[state] = 1;
+            x[state] = at->values[j];
+        }
     if (!is_finite(x) || decision_at(self, t, x, &after)) return 1;
     for (int i = 0; i < MODES; ++i) zero[i] = zero[i] && after.arguments[i] == at->arguments[i];
     return after.defect > 1e-6 && after.defect > 10 * at->defect;

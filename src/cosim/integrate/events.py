@@ -42,7 +42,8 @@ _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after 
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
 _TINY = 1e-280  # s; a time that is not 0 if it is divided by a period
 _ZENO = 1e-10  # distance of events, relative to the time, of which ...
-_MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed
+_MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed, and ...
+_IDLE = 4  # ... one at which nothing happens, but the error of the solver, is worth so many
 
 
 class EventRecord(NamedTuple):
@@ -318,14 +319,14 @@ class _Course:
             modes = at.modes.copy()
             modes[i] = np.sign(modes[i])
             at = replace(at, modes=modes, sliding=at.sliding - {i})
-        was = self.at.t
+        was, n = self.at.t, len(self.events)
         self.at = settled(self.system, replace(at, zero=zero), self.values.p, left)
         self._happen(before, zero | left | begin.switched(self.at), x, dt)
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
         self.instants.append((begin, self.at))
-        self._reject_zeno(was)
+        self._reject_zeno(was, 1 if len(self.events) > n else _IDLE)
         self._write(self.at.t)
 
     def _moved(self, at: Instant, zero: frozenset[int]) -> tuple[Instant, float]:
@@ -375,20 +376,23 @@ class _Course:
             self.events.append(EventRecord(self.at.t, name, before, self.at.x, place))
 
     def _assigned(self, which: Sequence[int], dt: float) -> Instant:
-        """Return the instant after the assignments of some events, all of them at once.
-
-        Args:
-            which: The events.
-            dt: How their time moves along the direction of the derivatives.
-        """
+        """Return the instant after the assignments of some events, whose time moves by dt."""
         at, system, p = self.at, self.system, self.values.p
         u = np.concatenate((at.u, at.modes))
         _, new = _rules(system)(at.t, at.x, at.z, u, p)
         ends = np.cumsum([len(event.states) for event in system.events])
-        x, nx = at.x.copy(), self.dae.derived
+        x, nx, by = at.x.copy(), self.dae.derived, dict[int, str]()
         for i in which:
             states = np.array(system.events[i].states, dtype=int)
             rows = slice(ends[i] - len(states), ends[i])
+            name = system.events[i].name
+            for state in states[x[states] != new[rows]]:
+                if other := by.get(state):
+                    what = f"'{other}' and '{name}' give {self.dae.states[state].name}"
+                    raise SolverError(
+                        f"{self.dae.full_name}: {what} different values at {at.t:.12g} s"
+                    )
+            by |= dict.fromkeys(states.tolist(), name)
             x[states] = new[rows]
             if nx:
                 x[nx + states] = along(system)(at.t, at.x, at.z, u, p, dt)[1][rows]
@@ -416,10 +420,10 @@ class _Course:
                     f"violate: {invariant.meaning} (by {after:.2g}); assign consistent values"
                 )
 
-    def _reject_zeno(self, previous: float) -> None:
+    def _reject_zeno(self, previous: float, weight: int = 1) -> None:
         t = self.at.t
         near = t - previous < _ZENO * max(1.0, abs(t))
-        self.close = self.close + 1 if near else 0
+        self.close = self.close + weight if near else 0
         if self.close > _MOST_CLOSE:
             name = self.events[-1].name if self.events else "events"
             raise SolverError(

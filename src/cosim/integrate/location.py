@@ -17,7 +17,7 @@ from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import Solver
-from cosim.model.values import Values
+from cosim.model.values import Values, own_sizes
 
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
 _MOST_TRIALS = 40
@@ -99,6 +99,7 @@ class Piece:
         self.passed = [] if events is None else self._passed(events)
         if self.passed:
             self.begin = begin = self.passed[-1].after
+        self.noise = begin.noise(system, p, own_sizes(system.dae, began))
         self.offsets = np.zeros(len(system.relations))  # of arguments that are 0 by definition
         near = [i for i in begin.zero if not system.floors[i]]
         if near:
@@ -270,6 +271,7 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
     inside, towards = piece.margins(piece.seen)
     zero = [i for i in piece.begin.zero if i not in piece.own.sliding]
     inside[0, zero] = 0.0
+    inside += piece.noise
     outside = inside[1:] < 0
     with np.errstate(invalid="ignore"):
         lowest = cubics(piece.times, inside, towards, _INNER).min(axis=1)
@@ -296,20 +298,15 @@ def _crossed(piece: Piece) -> Located | None:
 
 
 def _in_interval(piece: Piece, k: int, which: NDArray[np.intp]) -> Located | None:
-    """Return the first event between two times; None if there is none.
+    """Return the first event in an interval of a piece; None if there is none.
 
-    The cubic of the interval shows where a relation is outside its mode first, or least inside.
-
-    Args:
-        piece: The motion.
-        k: The interval.
-        which: Relations that may have left their modes in it.
+    Its cubic shows where a relation is outside its mode first, or one of some is least inside.
     """
     low, high, zooms = 0.0, 1.0, 0
     while zooms <= _ZOOMS:
         shares = np.linspace(low, high, _PLACES)
         inside, towards = piece.margins(piece.interpolated(k, shares))
-        bad = np.flatnonzero((inside[1:] < 0).any(axis=1))
+        bad = np.flatnonzero((inside[1:] < -piece.noise).any(axis=1))
         if bad.size:
             first = int(bad[0])
             low, high = float(shares[first]), float(shares[first + 1])
@@ -325,14 +322,9 @@ def _in_interval(piece: Piece, k: int, which: NDArray[np.intp]) -> Located | Non
 
 
 def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Located:
-    """Return the first event near a guess, by Newton's method on the motion of the solver.
+    """Return the first event near a share of an interval, by Newton's method on the motion.
 
-    Args:
-        piece: The motion.
-        k: The interval.
-        share: Where in it the event may be.
-        i: The relation that leaves its mode.
-        trials: How often an earlier event of another relation was found there.
+    `trials` tells how often an earlier event than that of the relation was found there.
     """
     begin, end = float(piece.times[k]), float(piece.times[k + 1])
     t = begin + share * (end - begin)

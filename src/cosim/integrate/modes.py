@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from casadi import MX
+from casadi import MX, SX
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
@@ -39,11 +39,7 @@ def blended(system: Hybrid) -> Hybrid:
 
 @cached_per_thread(32)
 def sliding(system: Hybrid, which: frozenset[int]) -> Hybrid:
-    """Return the equations in which the arguments of some relations stay 0.
-
-    Raises:
-        SolverError: No modes can keep them there.
-    """
+    """Return the equations in which the arguments of some relations stay 0; raises SolverError."""
     try:
         return system.slid(which)
     except ValueError as error:
@@ -133,6 +129,13 @@ def watch(
     return Watched(*(result[:n] for result in results), *empty)
 
 
+@cached_per_thread(16)
+def _spread(system: Hybrid) -> Evaluator:
+    dae, sizes = system.dae, SX.sym("sizes", system.dae.x.numel())
+    spread = ca.fabs(ca.jacobian(system.arguments, dae.x)) @ sizes
+    return Evaluator(ca.Function("spread", [*dae.arguments, sizes], [ca.densify(spread)]))
+
+
 @dataclass(frozen=True)
 class Instant:
     """A hybrid run at an instant, after all that happens there.
@@ -160,6 +163,13 @@ class Instant:
         """Return the relations that have another mode later, without those that slide."""
         changed = (self.modes != later.modes).nonzero()[0].tolist()
         return frozenset(changed) - self.sliding - later.sliding
+
+    def noise(self, system: Hybrid, p: Vector, sizes: Vector) -> Vector:
+        """Return what rounding of states of some sizes makes of the arguments, (m,)."""
+        u = np.concatenate((self.u, self.modes))
+        (found,) = _spread(system)(self.t, self.x, self.z, u, p, sizes)
+        noise: Vector = _ROUNDING * np.nan_to_num(found, posinf=0.0)
+        return noise
 
     def watched(self, system: Hybrid, p: Vector) -> Watched:
         """Evaluate the relations here, in the present modes."""
