@@ -14,7 +14,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.hybrid import Hybrid
-from casadi_models.dae.time_bounds import ORDERS, time_bounds
+from casadi_models.dae.time_bounds import ORDERS
 
 _LEAST = 4  # units in the last place of the end of the run: the length of the shortest span
 _NOISE = 16  # those of the present time within which an event is one that has just been
@@ -28,9 +28,7 @@ class _Call:
         self._buffer, self._evaluate = function.buffer()
         sizes = [function.numel_in(i) for i in range(function.n_in())]
         self.given = [array("d", bytes(8 * size)) for size in sizes]
-        self.found = [
-            array("d", bytes(8 * function.numel_out(i))) for i in range(function.n_out())
-        ]
+        self.found = [array("d", bytes(8 * function.numel_out(i))) for i in range(function.n_out())]
         for i, values in enumerate(self.given):
             if values:
                 self._buffer.set_arg(i, memoryview(values))
@@ -251,7 +249,7 @@ class TimeSearch:
         t, trial = high, 0
         while True:
             _, (value,), (rate,) = self._point([guard], t)
-            outside = value < 0
+            outside = -inf < value < 0
             low, high = (low, t) if outside else (t, high)
             middle = low + (high - low) / 2
             if not low < middle < high:

@@ -90,6 +90,7 @@ void plan_time_events(Instance *self, double now) {
                         : searched_root(self, i, now, end);
         const bool further = !relations[i].linear && s->due[i] == NO_EVENT && end != stop;
         s->next = fmin(s->next, further ? end : s->due[i]);
+        if (!relations[i].linear && s->due[i] != NO_EVENT) s->due[i] = JUMPS;
     }
 #if N_PULSES > 0
     for (int k = 0; k < N_PULSES && pulses[k] < s->next; k++)

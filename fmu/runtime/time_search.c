@@ -117,7 +117,8 @@ static double leaves(Instance *self, const Guard *guard, Side a, Side b, const d
 /* The first time at which a guard is negative that becomes so once. */
 static double root(Instance *self, const Guard *guard, double low, double high) {
     for (double t = low + (high - low) / 2; t > low && t < high; t = low + (high - low) / 2) {
-        if (side_at(self, guard, t).value < 0)
+        const double value = side_at(self, guard, t).value;
+        if (value < 0 && isfinite(value))
             high = t;
         else
             low = t;
@@ -133,7 +134,9 @@ double search_bounded(Instance *self, double now, double end, double due[]) {
     look(self, n, guards, now, &a);
     look(self, n, guards, now + NOISE * ulp(now), &b);
     for (int k = 0; k < n; k++) {
-        if (a.values[k] < 0 && b.values[k] < 0) return nextafter(now, INFINITY);
+        if (a.values[k] >= 0 || b.values[k] >= 0) continue;
+        due[bounded[guards[k].row]] = JUMPS;
+        return nextafter(now, INFINITY);
     }
     const double shortest = LEAST * ulp(fmax(fabs(now), fabs(end)));
     double least = shortest, length = end - now;
@@ -172,8 +175,11 @@ double search_bounded(Instance *self, double now, double end, double due[]) {
             look(self, n, guards, first + near, &b); /* others that switch at the same time */
             for (int k = 0; k < n; k++) {
                 const bool same = b.values[k] < 0 && b.values[k] >= 4 * near * b.rates[k];
+                double *own = &due[bounded[guards[k].row]];
                 if ((known[k] && times[k] <= first + near) || same)
-                    due[bounded[guards[k].row]] = first;
+                    *own = first;
+                else if (times[k] <= first + near && *own == NO_EVENT)
+                    *own = JUMPS;
             }
             return first;
         }

@@ -9,8 +9,7 @@
 INSIDE_BEGIN
 
 /* The first time after `now` and up to `end` at which such relations switch; `NO_EVENT` if there is
-   none. `due` of those that do becomes that time, except where an argument jumps: its value tells
-   its mode. */
+   none. `due` of those that do becomes that time, or `JUMPS` where the argument does. */
 double search_bounded(Instance *self, double now, double end, double due[]);
 
 INSIDE_END

@@ -444,9 +444,7 @@ def next_of_time(
     u = np.concatenate((at.u, at.modes))
     values, rates = (np.array(v) for v in _time_function(system)(0.0, at.x, at.z, u, p))
     times = {
-        i: _linear_root(system, at, i, values[i, 0], rates[i, 0])
-        for i in alone
-        if system.linear[i]
+        i: _linear_root(system, at, i, values[i, 0], rates[i, 0]) for i in alone if system.linear[i]
     }
     until = min([end, *times.values()])
     until += 8 * np.spacing(abs(until))
