@@ -18,6 +18,7 @@ from casadi import MX, SX
 from casadi_models.dae.events import Event
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import RELATIONS, LawsWithModes, Relation, applied
+from casadi_models.dae.time_bounds import TimeBounds, time_bounds
 from casadi_models.dae.variables import Variable
 
 _LOGIC: dict[int, Callable[..., SX]] = {  # as polynomials of truth values between 0 and 1
@@ -77,6 +78,13 @@ class Hybrid:
             alone and not ca.depends_on(rate, self.dae.t)
             for alone, rate in zip(self.of_time, rates, strict=True)
         )
+
+    @cached_property
+    def time_bounds(self) -> TimeBounds:
+        """Bounds of the arguments that depend on time alone, and not linearly."""
+        kinds = enumerate(zip(self.of_time, self.linear, strict=True))
+        bent = [i for i, (alone, linear) in kinds if alone and not linear]
+        return time_bounds(self.dae, {i: self.relations[i].argument for i in bent})
 
     @property
     def rules(self) -> tuple[SX, SX]:

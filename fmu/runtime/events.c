@@ -86,6 +86,11 @@ Status begin_events(Instance *self) {
 
 /* -- one instant ----------------------------------------------------------------------------- */
 
+/* Whether a relation of time alone switches at a time. */
+static bool is_due(const Switching *s, int i, double t) {
+    return (s->due[i] == JUMPS ? s->next : s->due[i]) <= t + 8 * DBL_EPSILON * fabs(t);
+}
+
 /* Which arguments are 0, and which relations no longer slide. `way`: how far they have moved since
    the last event, in roundings. */
 static Status find_switched(Instance *self, int crossing, bool zero[], bool decided[],
@@ -105,7 +110,7 @@ static Status find_switched(Instance *self, int crossing, bool zero[], bool deci
             self->state.stale |= AFTER_START;
             zero[i] = decided[i] = true;
         } else if (relations[i].of_time) {
-            zero[i] = s->due[i] <= t + 8 * DBL_EPSILON * fabs(t) && s->next != NOT_PLANNED;
+            zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
         } else {
             const double speed = fabs(rates[i]) * span, gap = inside[i] - s->slack;
             const bool crossed =
@@ -257,8 +262,7 @@ bool leave_to_importer(Instance *self, int crossing) {
     const double t = self->state.values[TIME];
     if (!self->host.event_mode || !self->host.may_return_early) return false;
     bool due = crossing >= 0; /* ends of parts of a pulse are no events to others */
-    for (int i = 0; i < N_MODES; i++)
-        due |= relations[i].of_time && s->due[i] <= t + 8 * DBL_EPSILON * fabs(t);
+    for (int i = 0; i < N_MODES; i++) due |= relations[i].of_time && is_due(s, i, t);
     if (due) s->waits = 2 + crossing;
     return due;
 }

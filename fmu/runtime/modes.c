@@ -13,6 +13,7 @@
 #include "equations.h"
 #include "input_motion.h"
 #include "logging.h"
+#include "time_events.h"
 
 #if HAS_EVENTS
 
@@ -199,13 +200,22 @@ double event_time(const Instance *self) {
     return early ? next : now;
 }
 
+static double argument_at(Instance *self, int i, double t) {
+    double arguments[N_MODES], rates[N_MODES];
+    evaluate_timed(self, t, arguments, rates);
+    return arguments[i];
+}
+
 /* The mode of an argument that is not 0. One of time alone may be due a little later, or have
    jumped with another mode. */
-static double by_value(const Instance *self, const Seen *seen, int i, double value) {
+static double by_value(Instance *self, const Seen *seen, int i, double value) {
     const RelationInfo *relation = &relations[i];
     if (relation->of_time && self->state.switching.next != NOT_PLANNED) {
         const double t = event_time(self), rate = seen->rates[i];
-        value += rate * (t - self->state.values[TIME]);
+        if (relation->linear)
+            value += rate * (t - self->state.values[TIME]);
+        else if (t != self->state.values[TIME])
+            value = argument_at(self, i, t);
         const double boundary = relation->floor ? round(value) : 0;
         if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate))
             return self->state.values[FIRST_MODE + i];
@@ -214,13 +224,16 @@ static double by_value(const Instance *self, const Seen *seen, int i, double val
 }
 
 /* The mode that value and rates require; `zero` tells whether the argument is 0. */
-static double required(const Instance *self, const Seen *seen, int i, bool *zero) {
+static double required(Instance *self, const Seen *seen, int i, bool *zero) {
     const Switching *s = &self->state.switching;
     const RelationInfo *relation = &relations[i];
     const double mode = self->state.values[FIRST_MODE + i];
-    const double value = seen->arguments[i] - s->offsets[i];
+    const bool jumps = relation->of_time && s->due[i] == JUMPS;
+    const double value =
+        jumps ? argument_at(self, i, event_time(self)) : seen->arguments[i] - s->offsets[i];
     const double boundary = relation->floor ? round(value) : 0;
     if (!isfinite(value)) return mode;
+    if (jumps) return relation->floor ? floor(value) : value >= 0 ? 1 : -1;
     if (!*zero && value != boundary) return by_value(self, seen, i, value);
     *zero = true;
     const double tiny = relation->of_time ? 0 : s->slack;

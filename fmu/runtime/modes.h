@@ -11,6 +11,7 @@
 
 #define NO_EVENT DBL_MAX
 #define NOT_PLANNED (-DBL_MAX)
+#define JUMPS NOT_PLANNED /* due at the next time event, where its value tells its mode */
 
 enum { MOST_ROUNDS = 100 }; /* of event iteration at one instant */
 

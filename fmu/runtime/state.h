@@ -62,9 +62,10 @@ _Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubl
 #if HAS_EVENTS
 /* What past events leave for later ones; all of it doubles. */
 typedef struct {
-    double slides[ROOM(N_MODES)];      /* 1: the argument stays 0, and the mode follows from that */
-    double offsets[ROOM(N_MODES)];     /* rounding of an argument that was 0 at its last event */
-    double due[ROOM(N_MODES)];         /* when a relation of time alone switches next, or never */
+    double slides[ROOM(N_MODES)];  /* 1: the argument stays 0, and the mode follows from that */
+    double offsets[ROOM(N_MODES)]; /* rounding of an argument that was 0 at its last event */
+    double
+        due[ROOM(N_MODES)]; /* when a relation of time alone switches next; or never, or `JUMPS` */
     double conditions[ROOM(N_EVENTS)]; /* of events, as they were after the last one */
     double next; /* time event: the first of `due`; `NOT_PLANNED` after a change */
     double last,

@@ -1,18 +1,18 @@
 /* When relations of time alone switch next: exactly, if they are linear in time; otherwise searched
-   for over the span of the model's experiment, and then anew. */
+   for over the span of the model's experiment, and then anew; see time_search.c. */
 #include "time_events.h"
 
 #include <math.h>
 
 #include "equations.h"
 #include "evaluation.h"
+#include "time_search.h"
 
 #if HAS_EVENTS
 
 enum { SEARCHED = 4096, SPAN = 50 }; /* places of a search; its length in largest steps */
 
-/* Arguments of time alone, and their rates; not a number where they have no value. */
-static void evaluate_at(Instance *self, double t, double arguments[], double rates[]) {
+void evaluate_timed(Instance *self, double t, double arguments[], double rates[]) {
     pass_values(self);
     self->arg[0] = &t;
     self->res[0] = arguments;
@@ -23,7 +23,7 @@ static void evaluate_at(Instance *self, double t, double arguments[], double rat
 
 void modes_of_time(Instance *self, double t, double modes[]) {
     double arguments[ROOM(N_MODES)], rates[ROOM(N_MODES)];
-    evaluate_at(self, t, arguments, rates);
+    evaluate_timed(self, t, arguments, rates);
     for (int i = 0; i < N_MODES; i++) {
         if (!relations[i].of_time || !isfinite(arguments[i])) continue;
         modes[i] = relations[i].floor ? floor(arguments[i]) : arguments[i] >= 0 ? 1 : -1;
@@ -41,7 +41,7 @@ static double linear_root(double mode, bool floor, double value, double rate, do
 static bool is_outside(Instance *self, int i, double t) {
     double arguments[ROOM(N_MODES)], rates[ROOM(N_MODES)];
     const double mode = self->state.values[FIRST_MODE + i];
-    evaluate_at(self, t, arguments, rates);
+    evaluate_timed(self, t, arguments, rates);
     const double value = arguments[i];
     return relations[i].floor ? value < mode || value >= mode + 1 : mode * value < 0;
 }
@@ -65,25 +65,41 @@ static double searched_root(Instance *self, int i, double now, double end) {
     return high;
 }
 
+static bool is_bounded(int i) {
+#if N_BOUNDED > 0
+    for (int k = 0; k < N_BOUNDED; k++)
+        if (bounded[k] == i) return true;
+#else
+    (void)i;
+#endif
+    return false;
+}
+
 void plan_time_events(Instance *self, double now) {
     Switching *s = &self->state.switching;
     const double *modes = self->state.values + FIRST_MODE, stop = self->state.stop_time;
     const double far = now + SPAN * LARGEST_STEP, end = now < stop ? fmin(far, stop) : far;
     double values[ROOM(N_MODES)], rates[ROOM(N_MODES)];
-    evaluate_at(self, 0, values, rates);
+    evaluate_timed(self, 0, values, rates);
     s->next = NO_EVENT;
     for (int i = 0; i < N_MODES; i++) {
         s->due[i] = NO_EVENT;
-        if (!relations[i].of_time) continue;
+        if (!relations[i].of_time || is_bounded(i)) continue;
         s->due[i] = relations[i].linear
                         ? linear_root(modes[i], relations[i].floor, values[i], rates[i], now)
                         : searched_root(self, i, now, end);
         const bool further = !relations[i].linear && s->due[i] == NO_EVENT && end != stop;
         s->next = fmin(s->next, further ? end : s->due[i]);
+        if (!relations[i].linear && s->due[i] != NO_EVENT) s->due[i] = JUMPS;
     }
 #if N_PULSES > 0
     for (int k = 0; k < N_PULSES && pulses[k] < s->next; k++)
         if (pulses[k] > now + 4 * DBL_EPSILON * fabs(now)) s->next = pulses[k];
+#endif
+#if N_BOUNDED > 0
+    const double until = fmin(s->next, end);
+    const double first = search_bounded(self, now, until + 8 * DBL_EPSILON * fabs(until), s->due);
+    s->next = fmin(s->next, first == NO_EVENT && end != stop ? end : first);
 #endif
 }
 

@@ -23,6 +23,9 @@
 #if !defined N_PULSES
 #define N_PULSES 0
 #endif
+#if !defined N_BOUNDED /* relations that are not linear in time and have bounds */
+#define N_BOUNDED 0
+#endif
 
 typedef enum { TIME, STATE, DERIVATIVE, ALGEBRAIC, INPUT, MODE, PARAMETER, OUTPUT } Role;
 
@@ -81,6 +84,7 @@ extern const RelationInfo relations[];
 extern const EventInfo events[];
 extern const int assigned[];
 extern const double pulses[];        /* times at which steps end, so that none spans a pulse */
+extern const int bounded[];          /* relations of time whose arguments have bounds */
 extern const int pulse_parameters[]; /* on which these times depend; -1 ends the list */
 
 INSIDE_END

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.time_search import TimeSearch
 from cosim.arrays import Vector
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
@@ -27,7 +28,6 @@ _ZOOMS = 5  # into the place where a margin is least
 _NARROW = 1e-6  # share of an interval within which the solver, not the interpolant, tells the time
 _SAME_INSTANT = 32  # units in the last place of a time
 _SAME_TIME = 1e-12  # relative distance of times
-_SEARCHED = 4096  # places at which a nonlinear expression of time is looked at
 
 
 class Located(NamedTuple):
@@ -411,6 +411,11 @@ def _time_function(system: Hybrid) -> ca.Function:
     return ca.Function("of_time", dae.arguments, [system.arguments, ca.densify(rates)])
 
 
+@cached_per_thread(16)
+def _time_search(system: Hybrid) -> TimeSearch:
+    return TimeSearch(system)
+
+
 def next_of_time(
     system: Hybrid, at: Instant, p: Vector, end: float
 ) -> tuple[float, frozenset[int]]:
@@ -428,24 +433,16 @@ def next_of_time(
     alone = [i for i, own in enumerate(system.of_time) if own]
     if not alone:
         return np.inf, frozenset()
-    function = _time_function(system)
     u = np.concatenate((at.u, at.modes))
-
-    def evaluated(t: Vector) -> tuple[Vector, Vector]:
-        n = len(t)
-        columns = [np.tile(c[:, None], n) for c in (at.x, at.z, u, p)]
-        values, rates = function(t[None], *columns)
-        return np.array(values).T, np.array(rates).T
-
+    values, rates = (np.array(v) for v in _time_function(system)(0.0, at.x, at.z, u, p))
     times = {
-        i: (
-            _linear_root(system, at, i, *(v[0, i] for v in evaluated(np.array([0.0]))))
-            if system.linear[i]
-            else _searched_root(system, at, i, evaluated, end)
-        )
-        for i in alone
+        i: _linear_root(system, at, i, values[i, 0], rates[i, 0]) for i in alone if system.linear[i]
     }
-    first = min(times.values())
+    until = min([end, *times.values()])
+    until += 8 * np.spacing(abs(until))
+    time, left = _time_search(system).first(at.t, u.tolist(), p.tolist(), until)
+    times |= dict.fromkeys(left, time)
+    first = min([time, *times.values()])
     if not first <= end:
         return np.inf, frozenset()
     near = 8 * np.spacing(abs(first))
@@ -460,21 +457,3 @@ def _linear_root(system: Hybrid, at: Instant, i: int, value: float, rate: float)
     boundary = (mode + 1 if rate > 0 else mode) if floor else 0.0
     root = (boundary - value) / rate
     return max(root, float(np.nextafter(at.t, np.inf)))
-
-
-def _searched_root(system: Hybrid, at: Instant, i: int, evaluated, end: float) -> float:  # type: ignore[no-untyped-def]
-    """Return when a nonlinear expression of time leaves its mode, s; infinity if it does not."""
-    low, high = at.t, end
-    t = np.linspace(low, high, _SEARCHED)
-    for _ in range(12):
-        inside, _ = guards(system, at.modes, *evaluated(t))
-        own = inside[:, i]
-        own[0] = max(own[0], 0.0)
-        out = np.flatnonzero(own < 0)
-        if not out.size:
-            return np.inf if high == end else high
-        high, low = float(t[out[0]]), float(t[out[0] - 1])
-        if high <= np.nextafter(low, np.inf):
-            break
-        t = np.unique(np.linspace(low, high, 64))
-    return high

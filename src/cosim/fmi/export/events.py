@@ -66,10 +66,14 @@ def event_functions(system: Hybrid) -> list[ca.Function]:
     seen = system.watching("seen")
     symbols = seen.mx_in()
     arguments, rates, _, _, seconds, _ = seen.call(symbols, True)
+    span = system.time_bounds
+    over, ends = [*dae.arguments, span.length], [span.low, span.high]
+    bounds = [ca.Function("model_bounds", over, ends, {"cse": True})] if span.relations else []
     return [
         ca.Function("model_relations", symbols, [arguments, rates, seconds]),
         ca.Function("model_timed", dae.arguments, timed, {"cse": True}),
         ca.Function("model_conditions", dae.arguments, [*system.rules, defect], {"cse": True}),
+        *bounds,
     ]
 
 
@@ -77,12 +81,14 @@ def event_sizes(system: Hybrid | None) -> str:
     """Return the sizes of events for model.h; empty without events."""
     if system is None:
         return ""
+    n = len(system.time_bounds.relations)
+    bounded = f"#define N_BOUNDED {n}\n" if n else ""
     return f"""#define N_MODES {len(system.relations)}
 #define N_WATCHED {system.of_time.count(False)}
 #define N_EVENTS {len(system.events)}
 #define N_ASSIGNED {sum(len(event.states) for event in system.events)}
 #define N_PULSES {len(fmu_pulses(system.dae))}
-"""
+{bounded}"""
 
 
 def event_tables(system: Hybrid | None) -> str:
@@ -93,6 +99,8 @@ def event_tables(system: Hybrid | None) -> str:
     moving = pulse_parameters(system.dae)
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
     relations, events, assigned = "", "", list[int]()
+    rows = ", ".join(map(str, system.time_bounds.relations))
+    bounded = f"const int bounded[] = {{{rows}}};\n" if rows else ""
     for i, relation in enumerate(system.relations):
         flags = (relation.floor, system.of_time[i], system.linear[i])
         used = str(system.in_laws[i]).lower()
@@ -121,7 +129,7 @@ const EventInfo events[] = {{
 const int assigned[] = {{{", ".join(map(str, [*assigned, -1]))}}};
 const double pulses[] = {{{", ".join(pulses)}}};
 const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
-"""
+{bounded}"""
 
 
 def literal(text: str) -> str:

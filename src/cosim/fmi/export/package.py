@@ -251,6 +251,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         variables = structured(variables)
     other_solver = "step" if uses_dop853(dae, solver) else "dop853"
     empty = (*(() if system else _OF_EVENTS), *(() if has_rank(dae) else ("rank.c",)))
+    empty += () if system and system.time_bounds.relations else ("time_search.c",)
     unused = (f"fmi{5 - fmi}", f"integration_{other_solver}", *empty)
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(unused)}
     generated = equations_code(dae, name, fmi, solver, system, derivatives=options.derivatives)

@@ -1,0 +1,225 @@
+"""`time_bounds`: between which values expressions of time and their derivatives stay over a span.
+
+Interval arithmetic on the graph, with expressions for the ends. Where an operation has a pole or no
+value within the span, the bounds of the derivatives are not finite.
+
+Source  Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae.frozen import Dae
+from casadi_models.dae.relations import applied
+
+ORDERS = 3  # value, first and second derivative
+
+
+class _Span(NamedTuple):
+    """Least and greatest value of an expression; both are the value of one that stays."""
+
+    low: SX
+    high: SX
+    stays: bool
+
+
+class TimeBounds(NamedTuple):
+    """Bounds of arguments of relations over the span from `dae.t` on.
+
+    Attributes:
+        length: Symbol of the length of the span, s.
+        relations: Positions of the relations whose bounds are known.
+        low, high: For each of these, bounds of the value and of the first and second time
+            derivative, one after the other.
+    """
+
+    length: SX
+    relations: tuple[int, ...]
+    low: SX
+    high: SX
+
+
+class _UnknownError(Exception):
+    """An operation whose bounds are not known."""
+
+
+_MONOTONE = {
+    ca.OP_EXP, ca.OP_EXPM1, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT, ca.OP_ASIN, ca.OP_ATAN,
+    ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_ERF,
+}  # fmt: skip
+
+
+def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
+    """Return the bounds of expressions of time, parameters and modes, by position.
+
+    Args:
+        dae: Frozen equations.
+        expressions: Arguments of relations by their positions.
+    """
+    length, known = SX.sym("length"), list[int]()
+    lows, highs = list[SX](), list[SX]()
+    for i, value in expressions.items():
+        rate = ca.jtimes(value, dae.t, 1)
+        column = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
+        try:
+            spans = _spans(ca.Function("f", dae.arguments, [column], {"cse": True}), dae, length)
+        except _UnknownError:
+            continue
+        known.append(i)
+        lows += [span.low for span in spans]
+        highs += [span.high for span in spans]
+    low, high = (ca.densify(ca.vertcat(SX(0, 1), *rows)) for rows in (lows, highs))
+    return TimeBounds(length, tuple(known), low, high)
+
+
+def _spans(function: ca.Function, dae: Dae, length: SX) -> list[_Span]:
+    """Return the spans of the results of a function of the equations' symbols."""
+    symbols = [ca.vertsplit(column) for column in dae.arguments]
+    work, results = dict[int, _Span](), [_constant(SX(0))] * ORDERS
+    for k in range(function.n_instructions()):
+        code, given = function.instruction_id(k), function.instruction_input(k)
+        to = function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            results[to[1]] = work[given[0]]
+        elif code == ca.OP_INPUT:
+            column, row = given
+            known = symbols[column][row]
+            work[to[0]] = _constant(known) if column else _Span(known, known + length, False)
+        elif code == ca.OP_CONST:
+            work[to[0]] = _constant(SX(function.instruction_constant(k)))
+        else:
+            operands = [work[i] for i in given]
+            if code == ca.OP_CALL or len(to) != 1:
+                raise _UnknownError
+            work[to[0]] = (
+                _constant(applied(code, [operand.low for operand in operands]))
+                if all(operand.stays for operand in operands)
+                else _result(code, operands)
+            )
+    return results
+
+
+def _constant(value: SX) -> _Span:
+    return _Span(value, value, True)
+
+
+def _result(code: int, operands: Sequence[_Span]) -> _Span:
+    """Return the span of an operation of which an operand moves."""
+    a, b = operands[0], operands[-1]
+    if code in _MONOTONE:
+        return _Span(applied(code, [a.low]), applied(code, [a.high]), False)
+    rule = _RULES.get(code)
+    if rule is None:
+        raise _UnknownError
+    return rule(a, b)
+
+
+def _middle(a: _Span) -> tuple[SX, SX]:
+    """Return the middle and the radius: without a branch, so that NaN is passed on."""
+    return (a.low, SX(0)) if a.stays else ((a.low + a.high) / 2, (a.high - a.low) / 2)
+
+
+def _around(middle: SX, radius: SX) -> _Span:
+    return _Span(middle - radius, middle + radius, False)
+
+
+def _sum(a: _Span, b: _Span) -> _Span:
+    return _Span(a.low + b.low, a.high + b.high, False)
+
+
+def _negative(a: _Span, _: _Span) -> _Span:
+    return _Span(-a.high, -a.low, False)
+
+
+def _product(a: _Span, b: _Span) -> _Span:
+    for factor, other in ((a, b), (b, a)):
+        if factor.stays and factor.low.is_constant():
+            ends = (factor.low * other.low, factor.low * other.high)
+            return _Span(*(ends if float(factor.low) >= 0 else ends[::-1]), False)
+    (m, r), (n, s) = _middle(a), _middle(b)
+    return _around(m * n, ca.fabs(m) * s + ca.fabs(n) * r + r * s)
+
+
+def _inverse(a: _Span, _: _Span) -> _Span:
+    if a.stays:
+        return _constant(1 / a.low)
+    without_zero = a.low * a.high > 0
+    low, high = (ca.if_else(without_zero, 1 / end, SX.nan()) for end in (a.high, a.low))
+    return _Span(low, high, False)
+
+
+def _square(a: _Span, _: _Span) -> _Span:
+    return _power_of(a, 2)
+
+
+def _power_of(a: _Span, n: int) -> _Span:
+    """Return the span of a positive integer power."""
+    if n == 1:
+        return a
+    if n % 2:
+        return _Span(a.low**n, a.high**n, False)
+    middle, radius = _middle(a)
+    nearest = ca.fmax(ca.fabs(middle) - radius, 0)
+    return _Span(nearest**n, (ca.fabs(middle) + radius) ** n, False)
+
+
+def _power(a: _Span, b: _Span) -> _Span:
+    if b.stays and b.low.is_constant() and float(b.low).is_integer():
+        n = int(float(b.low))
+        if not n:
+            return _constant(SX(1))
+        found = _power_of(a, abs(n))
+        return found if n > 0 else _inverse(found, found)
+    base = _Span(ca.log(a.low), ca.log(a.high), a.stays)
+    exponent = _product(b, base)
+    return _Span(ca.exp(exponent.low), ca.exp(exponent.high), False)
+
+
+def _wave(function: Callable[[SX], SX]) -> Callable[[_Span, _Span], _Span]:
+    def rule(a: _Span, _: _Span) -> _Span:
+        middle, radius = _middle(a)
+        value = function(middle)
+        return _Span(ca.fmax(value - radius, -1), ca.fmin(value + radius, 1), False)
+
+    return rule
+
+
+def _tangent(a: _Span, _: _Span) -> _Span:
+    low, high = ca.tan(a.low), ca.tan(a.high)
+    without_pole = ca.logic_and(a.high - a.low < 3, low <= high)
+    return _Span(*(ca.if_else(without_pole, end, SX.nan()) for end in (low, high)), False)
+
+
+def _hyperbolic_cosine(a: _Span, b: _Span) -> _Span:
+    ends = _sum(_result(ca.OP_EXP, [a]), _result(ca.OP_EXP, [_negative(a, b)]))
+    return _Span(ends.low / 2, ends.high / 2, False)
+
+
+def _chosen(condition: _Span, a: _Span) -> _Span:
+    if not condition.stays:
+        raise _UnknownError
+    ends = (SX.binary(ca.OP_IF_ELSE_ZERO, condition.low, end) for end in (a.low, a.high))
+    return _Span(*ends, False)
+
+
+_RULES: dict[int, Callable[[_Span, _Span], _Span]] = {  # of one operand, or of the first and last
+    ca.OP_ADD: _sum,
+    ca.OP_SUB: lambda a, b: _sum(a, _negative(b, b)),
+    ca.OP_NEG: _negative,
+    ca.OP_TWICE: lambda a, b: _sum(a, a),
+    ca.OP_MUL: _product,
+    ca.OP_INV: _inverse,
+    ca.OP_DIV: lambda a, b: _product(a, _inverse(b, b)),
+    ca.OP_SQ: _square,
+    ca.OP_POW: _power,
+    ca.OP_CONSTPOW: _power,
+    ca.OP_SIN: _wave(ca.sin),
+    ca.OP_COS: _wave(ca.cos),
+    ca.OP_TAN: _tangent,
+    ca.OP_ACOS: lambda a, b: _Span(ca.acos(a.high), ca.acos(a.low), False),
+    ca.OP_COSH: _hyperbolic_cosine,
+    ca.OP_IF_ELSE_ZERO: _chosen,
+}

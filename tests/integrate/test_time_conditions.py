@@ -1,0 +1,132 @@
+"""Conditions of time alone that are not linear in time: every switch is found, also by FMUs.
+
+The state of each model is the integral of a value while its condition holds.
+"""
+
+from math import asin, atan, atanh, exp, log, pi, sqrt
+
+import casadi as ca
+import pytest
+
+import cosim
+from casadi_models.dae import Model
+from casadi_models.dae.hybrid import hybrid
+from casadi_models.dae.time_search import TimeSearch
+
+WAYS = [
+    "dop853",
+    "cvodes",
+    "ModelExchange 2",
+    "CoSimulation 2",
+    "ModelExchange 3",
+    "CoSimulation 3",
+]
+
+
+def integral(condition, stop_time, value=1.0):
+    model = Model("integral", stop_time=stop_time)
+    y = model.state("y", "1", 0.0, "integral")
+    a = model.parameter("a", "1", 1.0, "factor")
+    model.derivative(y, ca.if_else(condition(model.t, a), value, 0))
+    return model.freeze()
+
+
+# name: condition, stop time, value while it holds, integral, number of switches
+CASES = {
+    "pulses at 50 Hz": (
+        lambda t, a: ca.sin(100 * pi * a * t) > 0.99,
+        10.0, 1.0, 5 * (pi - 2 * asin(0.99)) / pi, 1000,
+    ),
+    "square": (lambda t, a: (t - pi * a) ** 2 < 1e-6, 10.0, 1000.0, 2.0, 2),
+    "thin square": (lambda t, a: (t - a) ** 2 < 1e-12, 10.0, 1e6, 2.0, 2),
+    "Gaussian": (
+        lambda t, a: ca.exp(-(((t - 3) / 1e-6) ** 2)) > a / 2,
+        10.0, 1e6, 2 * sqrt(log(2)), 2,
+    ),
+    "1 kHz": (lambda t, a: ca.sin(2000 * pi * (t + 1e-5 * a)) > 0, 1.0, 1.0, 0.5, 2000),
+    "chirp": (
+        lambda t, a: ca.sin(200 * a * t**2) > 0,
+        sqrt(200 * pi / 200), 1.0,
+        sum(sqrt((2 * k + 1) * pi / 200) - sqrt(2 * k * pi / 200) for k in range(100)), 199,
+    ),
+    "touching by value": (lambda t, a: ca.sin(t) > a, 10.0, 1.0, 0.0, 0),
+    "touching by curvature": (lambda t, a: ca.sin(t) + ca.cos(t) > sqrt(2) * a, 10.0, 1.0, 0.0, 0),
+    "touching flatly": (lambda t, a: (a - ca.sin(t)) ** 2 >= 0, 10.0, 1.0, 10.0, 0),
+    "nearly touching": (
+        lambda t, a: ca.sin(t) + ca.cos(t) > a * sqrt(2) * (1 - 5e-11), 10.0, 1.0, 4e-5, 4,
+    ),
+    "poles": (lambda t, a: ca.tan(t) > 5 * a, 10.0, 1.0, 3 * (pi / 2 - atan(5)), 6),
+    "pole at an output": (lambda t, a: 1 / (t - 2 * a) > 0, 10.0, 1.0, 8.0, 1),
+    "floor": (lambda t, a: ca.floor(2 * ca.sin(3 * a * t)) > 0, 10.0, 1.0, 10 * pi / 9, 10),
+    "logarithm": (lambda t, a: ca.log(t) > a, 10.0, 1.0, 10 - exp(1), 1),
+    "power": (lambda t, a: (t + 0.5) ** (3 * a) > 8, 10.0, 1.0, 8.5, 1),
+    "step": (lambda t, a: ca.tanh((t - 3) * 1e6) > a / 2, 10.0, 1.0, 7 - 1e-6 * atanh(0.5), 1),
+    "both": (
+        lambda t, a: ca.logic_and(ca.sin(t) > 0, ca.cos(t - pi / 2) > a / 2),
+        9.0, 1.0, 4 * pi / 3, 6,
+    ),
+}  # fmt: skip
+
+
+def ran(dae, way, folder):
+    if " " not in way:
+        return cosim.simulate(dae, solver=way)
+    interface, fmi = way.split()
+    path = cosim.export_fmu(dae, folder / "model.fmu", fmi=int(fmi))
+    return cosim.simulate_fmu(path, interface=interface)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("case", CASES)
+def test_every_switch_is_found_at_its_time(case, way, tmp_path):
+    condition, stop_time, value, exact, count = CASES[case]
+    run = ran(integral(condition, stop_time, value), way, tmp_path)
+    # rounding of the times of switches; measured 5e-10 of 1e6 times the time, 1e-14 else
+    assert run.final["y"] == pytest.approx(exact, abs=1e-9 + 4e-16 * count * value)
+    if case != "both":  # which switch at the same time
+        assert len(run.events) == pytest.approx(count, abs=1)  # one may be at the end
+
+
+@pytest.mark.parametrize("way", ["dop853", "ModelExchange 2", "CoSimulation 3"])
+def test_switches_follow_parameters_and_other_ends_of_the_run(way, tmp_path):
+    dae, more = integral(lambda t, a: ca.sin(100 * pi * a * t) > 0.99, 1.0), {"a": 2.0}
+    if way == "dop853":
+        run = cosim.simulate(dae, solver=way, start_values=more, stop_time=2.0)
+    else:
+        interface, fmi = way.split()
+        path = cosim.export_fmu(dae, tmp_path / "model.fmu", fmi=int(fmi))
+        run = cosim.simulate_fmu(path, interface=interface, start_values=more, stop_time=2.0)
+    assert len(run.events) == 400
+    assert run.final["y"] == pytest.approx(2 * (pi - 2 * asin(0.99)) / (2 * pi), abs=1e-12)
+
+
+def test_a_jump_is_found_where_no_bounds_are_known(tmp_path):
+    """`atan2` falls from pi to -pi: by samples."""
+    dae = integral(lambda t, a: ca.atan2(ca.sin(t), a * ca.cos(t) / 2) > pi / 2, 6.0)
+    for way in WAYS:
+        run = ran(dae, way, tmp_path)
+        assert run.final["y"] == pytest.approx(pi / 2, abs=1e-9), way
+
+
+def test_search_takes_spans_and_not_samples():
+    """20,000 switches cost as many evaluations each as 50 do."""
+    counts = []
+    for frequency in (50, 20_000):
+        system = hybrid(integral(lambda t, a, f=frequency: ca.sin(2 * pi * f * a * t) > 0.3, 1.0))
+        search, calls = TimeSearch(system), [0]
+        inner = search._over._evaluate
+
+        def counted(inner=inner, calls=calls):
+            calls[0] += 1
+            inner()
+
+        search._over._evaluate = counted
+        t, switches, mode = 0.0, 0, -1.0
+        while switches < 20:
+            t, left = search.first(t, [mode], [1.0], 1.0)
+            assert left == {0}
+            switches, mode = switches + 1, -mode
+        calls[0] /= switches
+        counts.append(calls[0])
+    assert counts[1] < 40  # measured 22; 13 at 50 Hz
+    assert counts[1] - counts[0] < 15
