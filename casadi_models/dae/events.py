@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import WeakSet
 
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import quoted
+from casadi_models.dae.expressions import quoted, symbols
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -31,6 +32,27 @@ class Event:
     message: str = ""
 
 
+_LIVING = WeakSet["Happening"]()  # models, in which `smooth` looks for the one that is meant
+
+
+def smooth(expression: Any) -> SX:
+    """Return an expression whose relations are no events: it is smooth where they switch.
+
+    The same as `Model.smooth` of the model that declared the symbols of the expression.
+
+    Raises:
+        ValueError: No model declared them all.
+    """
+    value = SX(expression)
+    used = symbols(value)
+    if not used:
+        return value
+    for model in list(_LIVING):
+        if used.keys() <= model._declared:
+            return model.smooth(value)
+    raise ValueError(f"smooth: no model has declared all of {quoted(used.values())}; declare them")
+
+
 class Happening:
     """The part of `Model` that declares events; `Model` inherits it."""
 
@@ -41,6 +63,7 @@ class Happening:
         super().__init__()
         self._events: list[Event] = []
         self._smooth: list[SX] = []
+        _LIVING.add(self)
 
     def when(self, condition: Any, values: Mapping[SX, Any], *, name: str = "") -> None:
         """Assign new values to states at each instant at which a condition becomes true.
@@ -84,6 +107,12 @@ class Happening:
         value = self._expression("smooth expression", expression)
         self._smooth.append(value)
         return value
+
+    @property
+    def _declared(self) -> set[int]:
+        """What identifies the time and each symbol that was declared."""
+        every = (self.t, *(s for own in self._symbols.values() for s in own.values()))
+        return {symbol.element_hash() for symbol in every}
 
     def _shared_events(self, conditions: SX, values: SX) -> Iterator[Event]:
         """Yield the events with their expressions from columns of all of them."""

@@ -357,15 +357,23 @@ def test_two_crossings_within_an_output_interval_are_seen():
     assert run.events[0].time == pytest.approx(np.arcsin(0.9999) / np.pi, abs=1e-9)
 
 
-def test_smooth_relations_are_no_events():
+@pytest.mark.parametrize("by_model", [True, False])
+def test_smooth_relations_are_no_events(by_model):
+    Model("another").state("x", "m", -1.0, "place")
     model = Model("smooth", stop_time=2.0)
     x = model.state("x", "m", -1.0, "place")
     model.derivative(x, 1)
     y = model.state("y", "m", 0.0, "integral")
-    model.derivative(y, model.smooth(ca.fmax(x, 0) ** 4))
+    smooth = model.smooth if by_model else cosim.smooth
+    model.derivative(y, smooth(ca.fmax(x, 0) ** 4))
     run = simulate(model.freeze())
     assert run.events == ()
     assert run.final["y"] == pytest.approx(0.2, abs=1e-9)
+
+
+def test_smooth_needs_the_symbols_of_a_model():
+    with pytest.raises(ValueError, match="no model has declared all of 'stranger'"):
+        cosim.smooth(ca.fabs(ca.SX.sym("stranger")))
 
 
 def test_relations_in_a_dae_are_located_on_its_unknowns():
