@@ -227,12 +227,13 @@ def _on_common_times(
     return part, resampled, note + f"the {other} run is {how}"
 
 
-def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, ...]:
+def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Leave out the last row if both runs were stopped, one just before an output time."""
     n, stopped = _apart(first, second), "stop" in first.stats and "stop" in second.stats
     if not (n and stopped and max(len(first), len(second)) - n < 3):
         return first, second
-    return tuple(replace(r, time=r.time[:n], values=r.values[:n]) for r in (first, second))
+    first, second = (replace(r, time=r.time[:n], values=r.values[:n]) for r in (first, second))
+    return first, second
 
 
 def _apart(first: Trajectory, second: Trajectory) -> int | None:
