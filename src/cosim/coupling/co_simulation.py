@@ -191,8 +191,7 @@ class CoSimulation:
             tighter = _TIGHTER
             if last is not None:
                 sizes = np.array([column.nominal for column in run.columns])
-                # rows at the end differ if a part ends the run: each run has its own time of it
-                n = max(1, min(len(run), len(last)) - ("stop" in run.stats))
+                n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
                 change = np.abs(run.values[:n] - last.values[:n]).max(axis=0) / sizes
                 # the error falls like the tolerance; less than that is on the safe side
                 falls = min(ratio, 0.8) ** _FALLS
@@ -295,8 +294,8 @@ class CoSimulation:
                 stats["interface_error"] = float(system.mismatch)
         if system.how == Ending.ENDED_BY_FMU:
             name = list(self.parts)[system.part]
-            why = why_it_ended(self.parts[name].instance.log_texts) or "the FMU ends the run"
-            stats |= {"stop": f"{why} (part '{name}'), from {system.time:.12g} s on"}
+            why = why_it_ended(self.parts[name].instance.log_texts)
+            stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
             stats |= {"stop_time": float(system.time)}
         if notes := self._notes(system, settings):
             stats["note"] = "; ".join(notes)

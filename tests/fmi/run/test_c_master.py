@@ -149,7 +149,7 @@ def test_an_fmu_that_ends_the_simulation_ends_the_run(fmi, balls):
         assert run.time[-1] == pytest.approx(landing, abs=1e-7)
         assert (np.diff(run.time) > 0).all()
         assert run.final["h"] == pytest.approx(0, abs=1e-6)
-        assert run.stats["stop"] == f"the FMU ends the run, from {run.time[-1]:.12g} s on"
+        assert run.stats["stop"] == f"the FMU ends the run from {run.time[-1]:.12g} s on"
 
 
 @INTERFACES

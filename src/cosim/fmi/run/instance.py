@@ -240,9 +240,9 @@ def instantiated(
 
 
 def why_it_ended(texts: Sequence[str]) -> str:
-    """Return why an FMU that was exported here ended the run, by its log; empty for others."""
+    """Return why an FMU ended the run, by its log if it was exported here."""
     found = [match[1] for text in texts if (match := _END_OF_RUN.search(text))]
-    return sentence(found[-1]) if found else ""
+    return sentence(found[-1]) if found else "the FMU ends the run"
 
 
 def _instance(

@@ -84,8 +84,7 @@ class OpenedFmu:
             raise
         done = perf_counter()
         if (end := found.stats.get("stop_time")) is not None:
-            why = why_it_ended(instance.log_texts) or "the FMU ends the run,"
-            found.stats["stop"] = f"{why} from {end:.12g} s on"
+            found.stats["stop"] = f"{why_it_ended(instance.log_texts)} from {end:.12g} s on"
         stats = {
             **found.stats,
             "solver": f"{master} {self.interface}",

@@ -163,13 +163,9 @@ def _note(many_steps: tuple[float, float] | None) -> dict[str, str]:
     if many_steps is None:
         return {}
     begin, end = many_steps
-    return {
-        "note": (
-            f"CVODE took more than {USUAL_STEPS} steps between two outputs, from {begin:.6g} to "
-            f"{end:.6g} s: a jump, or a singularity from which it may have continued along "
-            "another solution; compare with co-simulation"
-        )
-    }
+    note = f"CVODE took more than {USUAL_STEPS} steps between two outputs, from {begin:.6g} to "
+    note += f"{end:.6g} s: a jump, or a singularity from which it may have continued along another "
+    return {"note": f"{note}solution; compare with co-simulation"}
 
 
 def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Sequence[int]) -> Any:
