@@ -7,6 +7,7 @@ meaning, start value, nominal value and bounds, which travel with it to XML, CSV
 """
 
 from casadi_models.dae.drawing import Drawing
+from casadi_models.dae.events import smooth
 from casadi_models.dae.family import Family
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
@@ -27,4 +28,5 @@ __all__ = [
     "StartRule",
     "StartThrough",
     "Variable",
+    "smooth",
 ]

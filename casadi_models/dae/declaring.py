@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Unpack
 
 import casadi as ca
@@ -89,6 +90,17 @@ class Declaring:
             facts.setdefault("minimum", value / _SPREAD)
             facts.setdefault("maximum", value * _SPREAD)
         return self._declare("p", self._variable(name, unit, meaning, facts, value))
+
+    def bound(self, parameter: SX, minimum: float, maximum: float) -> bool:
+        """Narrow the bounds of a parameter; return False for any other expression."""
+        for name, symbol in self._symbols["p"].items():
+            if parameter.element_hash() == symbol.element_hash():
+                known = self._variables[name]
+                low, high = max(minimum, known.minimum), min(maximum, known.maximum)
+                with self._naming_the_model():
+                    self._variables[name] = replace(known, minimum=low, maximum=high)
+                return True
+        return False
 
     def output(
         self, name: str, unit: str, expression: Any, meaning: str, **facts: Unpack[Facts]

@@ -6,6 +6,18 @@ from math import isfinite
 import casadi as ca
 from casadi import SX
 
+COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
+RELATIONS = {
+    *(ca.OP_LT, ca.OP_LE, ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMIN, ca.OP_FMAX),
+    *(ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN),
+}  # operations at whose switches there are events
+
+
+def operations(expression: SX) -> set[int]:
+    """Return CasADi's codes of the operations of an expression."""
+    function = ca.Function("f", ca.symvar(expression), [expression])
+    return {function.instruction_id(i) for i in range(function.n_instructions())}
+
 
 def column(expressions: Iterable[SX]) -> SX:
     """Stack columns into one dense column, (n, 1); n may be 0."""

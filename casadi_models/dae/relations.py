@@ -10,13 +10,11 @@ from itertools import accumulate, pairwise
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.expressions import RELATIONS as RELATIONS
 from casadi_models.dae.frozen import Dae
 
 COMPARISONS = ("<", "<=")
 _COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay equal
-_OF_ONE = (ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL)
-_OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
-RELATIONS = {*_COMPARISONS, *_OF_ONE, *_OF_TWO}
 # Operations that are defined on one side of a boundary, and may be continuous there
 _BOUNDED = {
     ca.OP_SQRT: "sqrt",

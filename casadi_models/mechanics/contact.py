@@ -36,7 +36,8 @@ def impact(
         speeds: The generalized speeds u, states of the model, (n, 1).
         mass: Their mass matrix M, (n, n).
         directions: W, the derivatives of the gap speeds by u, one column per contact, (n, k).
-        restitution: e, 0 to 1; a number or a parameter.
+        restitution: e, 0 to 1; a number, a parameter, which gets these bounds, or an expression,
+            for which an impact is an error if it is outside.
         name: For messages and `Trajectory.events`.
 
     Raises:
@@ -51,6 +52,8 @@ def impact(
             f"'{name}': {n} speeds, but a mass matrix of shape {m.shape} and directions of shape "
             f"{w.shape}; give ({n}, {n}) and ({n}, contacts)"
         )
+    if not (e.is_constant() or model.bound(e, 0.0, 1.0)):
+        e += ca.floor(ca.sqrt(e * (1 - e)))  # 0 within 0 to 1, outside no number
     along = ca.solve(m, w)
     impulses = ca.solve(w.T @ along, -(1 + e) * (w.T @ speeds))
     model.when(condition, _values(speeds, speeds + along @ impulses), name=name)

@@ -31,8 +31,8 @@ static inline int communicate(Fmu *fmu, double *time, double length, double next
     const int status =
         call->do_step_3(call->instance, *time, length, true, &event, &terminate, &early, &last);
     if (failed(fmu, "fmi3DoStep", status)) return CALL_FAILED;
-    if (early) return EARLY_RETURN;
-    *time = next;
+    if (early && !terminate) return EARLY_RETURN;
+    *time = terminate ? last : next;
     return terminate ? ENDED_BY_FMU : DONE;
 }
 
@@ -49,11 +49,12 @@ static inline int co_simulation(Run *run, Fmu *fmu) {
             if (!run->any_step) return DONE;
             next = run->stop;
         }
+        const double before = time;
         const int how = communicate(fmu, &time, next - time, next);
         run->time = time;
         if (how == CALL_FAILED || how == EARLY_RETURN || how == STUCK) return how;
+        if (how == ENDED_BY_FMU && time <= before) return how; /* its row is there */
         ++run->steps;
-        if (how == ENDED_BY_FMU && fmu->call->version == 2) return how; /* between output times */
         if (record(fmu, run->recording, run->rows)) return CALL_FAILED;
         ++run->rows;
         if (how != DONE) return how;

@@ -2,7 +2,8 @@
  *
  * At a communication point the interface is settled, see interface.h. A macro step whose error is
  * too large is taken back. With the iterated method, one ends where an event of a part does; what
- * happens there happens in all parts before the next step begins.
+ * happens there happens in all parts before the next step begins. A part that ends the run ends
+ * that of the system: in event mode at this time, else at the last communication point before it.
  */
 #ifndef COUPLING_H
 #define COUPLING_H
@@ -36,6 +37,18 @@ static inline int restore_all_but(Coupling *self, const Part *one) {
     return 0;
 }
 
+/* A part ends the run at the present point, which becomes the last row. */
+static inline int end_here(Coupling *self) {
+    System *system = self->system;
+    const long long part = system->part;
+    if (system->rows == system->points ||
+        (system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t)))
+        --system->rows;
+    if (record_all(self, system->rows++)) return CALL_FAILED;
+    system->part = part;
+    return ENDED_BY_FMU;
+}
+
 /* All that happens at the present point, in event mode of the parts that have one, until no input
  * changes by it. */
 static inline int let_happen(Coupling *self) {
@@ -47,7 +60,7 @@ static inline int let_happen(Coupling *self) {
             if (!system->parts[p].event_mode) continue;
             const int how = part_update(&self->fmu, system->parts + p);
             if (how != STEPPED) give_up(self, p);
-            if (how != STEPPED) return how == PART_ENDED ? ENDED_BY_FMU : CALL_FAILED;
+            if (how != STEPPED) return how == PART_ENDED ? end_here(self) : CALL_FAILED;
         }
         memcpy(self->w, self->now.u, size);
         const int how = settle_values(self, self->now.u);
@@ -149,9 +162,12 @@ static inline int run_adaptive(Coupling *self) {
         const double factor =
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
         if (how == REJECTED || (too_far && !shortest)) {
-            if (shortest) return STEP_VANISHED;
+            if (shortest && !self->ends) return STEP_VANISHED;
             ++system->rejected;
+            const long long part = system->part;
             if (restore_all_but(self, NULL)) return CALL_FAILED;
+            system->part = part;
+            if (shortest) return end_here(self);
             h = length * fmin(fmax(factor, SHORTER), SAFE);
             continue;
         }

@@ -54,6 +54,7 @@ typedef struct {
     int ends_at_events; /* whether macro steps end at events of parts */
     double event;       /* the time of one that ends the next macro step */
     int standstills;    /* events without a step between */
+    int ends;           /* whether a part ends the run within the macro step */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */

@@ -285,7 +285,8 @@ static inline int after_failed_step(Coupling *self, int how) {
         self->event = system->parts[system->part].reached;
         return EVENT_WITHIN;
     }
-    if (how == NOT_STEPPED && may_be_shortened(self)) {
+    self->ends = how == PART_ENDED;
+    if ((how == NOT_STEPPED || self->ends) && may_be_shortened(self)) {
         self->fmu.function = NULL;
         return REJECTED;
     }
@@ -318,6 +319,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     if (iterates) predict(self, MOST_POINTS, &self->next);
     as_vector(self, &self->next, w);
     double first = 0;
+    self->ends = 0;
     int agreed = !iterates;
     for (int pass = 0; pass < MOST_ITERATIONS; ++pass) {
         ++system->iterations;

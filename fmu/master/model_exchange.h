@@ -214,6 +214,14 @@ static inline int until_event(Exchange *self, double goal, bool *event) {
     return how;
 }
 
+/* The FMU ends the run: where it is becomes the last row. */
+static inline int ended(Exchange *self) {
+    Run *run = self->run;
+    if (run->rows > 0 && near(run->times[run->rows - 1], self->t)) --run->rows;
+    if (run->rows == run->points) --run->rows;
+    return record(self->fmu, run->recording, run->rows++) ? CALL_FAILED : ENDED_BY_FMU;
+}
+
 static inline int model_exchange(Run *run, Fmu *fmu) {
     Exchange self = {.run = run, .fmu = fmu, .t = run->start};
     self.ode = (Ode){exchange_slope, exchange_scale, &self};
@@ -232,13 +240,13 @@ static inline int model_exchange(Run *run, Fmu *fmu) {
         bool event = false;
         if (goal > self.t) {
             const int how = until_event(&self, goal, &event);
-            if (how != DONE) return how;
+            if (how != DONE) return how == ENDED_BY_FMU ? ended(&self) : how;
         }
         if (timed && self.t >= goal) event = true;
         if (self.t >= run->stop) return DONE;
         if (event) {
             const int how = handle_event(&self);
-            if (how != DONE) return how;
+            if (how != DONE) return how == ENDED_BY_FMU ? ended(&self) : how;
         }
         standing = self.t > before ? 0 : standing + 1;
         if (standing > MOST_STANDSTILLS) return STUCK;

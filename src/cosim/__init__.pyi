@@ -2,6 +2,7 @@
 
 from casadi_models.dae import Dae as Dae
 from casadi_models.dae import Model as Model
+from casadi_models.dae import smooth as smooth
 from casadi_models.mechanics import contact as contact
 from casadi_models.mechanics import kane as kane
 from casadi_models.mechanics import rotations as rotations

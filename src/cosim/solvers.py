@@ -8,16 +8,6 @@ from cosim.integrate.solvers import SOLVERS
 from cosim.model.solver import Goal, Solver, Tolerance
 
 __all__ = [
-    "SOLVERS",
-    "Cvodes",
-    "CvodesAdams",
-    "Dop853",
-    "Erk",
-    "Goal",
-    "Idas",
-    "Ode8",
-    "Rk4",
-    "Rosenbrock",
-    "Solver",
-    "Tolerance",
-]
+    "SOLVERS", "Cvodes", "CvodesAdams", "Dop853", "Erk", "Goal", "Idas", "Ode8", "Rk4",
+    "Rosenbrock", "Solver", "Tolerance",
+]  # fmt: skip

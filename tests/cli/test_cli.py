@@ -86,6 +86,20 @@ def test_file_that_is_no_fmu_is_reported(verb, content, expected, tmp_path, caps
     assert capsys.readouterr().err == f"FmuError: cannot read {path}: {expected}\n"
 
 
+def test_check_finds_that_a_file_is_no_fmu(tmp_path, capsys):
+    path = tmp_path / "a.fmu"
+    assert main(["check", str(path)]) == 1  # there is nothing to check
+    path.write_bytes(b"PK\3\4 and then garbage")
+    for options in ((), ("--run", "--trust")):
+        assert main(["check", str(path), *options]) == 4
+        assert "it is not a zip archive" in capsys.readouterr().out
+
+
+def test_a_missing_file_of_a_model_is_an_unknown_model(capsys):
+    assert main(["simulate", "nofile.py:build"]) == 3
+    assert capsys.readouterr().err.startswith("UnknownName: nofile.py is not a file")
+
+
 # -- failed and interrupted runs, missing tools: 1, 130, 5 ----------------------------------------
 
 

@@ -62,7 +62,6 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle/multipliers --solver erk", "erk cannot integrate; use idas"),
         ("simulate bicycle --outputs phi,phi", "output 'phi' is named twice"),
         ("simulate swing.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
-        ("simulate swing.py:build", "swing.py is not a file"),
         ("export bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
         ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
         ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one backend only"),

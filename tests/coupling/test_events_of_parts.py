@@ -141,3 +141,44 @@ def test_events_that_cause_each_other_without_end_are_an_error():
     system = cosim.couple(parts, {"a.u": "b.out", "b.u": "a.out"})
     with pytest.raises(cosim.errors.SolverError, match=r"1 s.*(Zeno|without end)"):
         system.simulate(stop_time=STOP, macro_step=0.1)
+
+
+@pytest.mark.parametrize("method", ["iterated", "extrapolated", "gauss_seidel"])
+@pytest.mark.parametrize("first", ["clock", "plant"])
+def test_a_part_that_ends_the_run_ends_that_of_the_system(first, method):
+    clock = part("clock")
+    x = clock.input("x", "m", 0.0, "place of the mass")
+    clock.stop(x < 0, "the mass is back")
+    clock.output("u", "N", 0.1 * clock.t, "force")
+    parts = {"plant": mass(), "clock": clock.freeze()}
+    order = [first, *(parts.keys() - {first})]
+    wires = {"plant.u": "clock.u", "clock.x": "plant.place"}
+    system = cosim.couple({name: parts[name] for name in order}, wires)
+    exact = cosim.simulate(system.dae, solver="dop853", relative_tolerance=1e-12)
+    assert exact.stats["stop"].startswith("the mass is back")
+    settings = {"macro_step": 0.01} if method == "gauss_seidel" else {"accuracy": 1e-7}
+    run = system.simulate(stop_time=STOP, method=method, **settings)
+    assert run.complete
+    assert run.stats["stop"].startswith("the mass is back (part 'clock') from 2.0")
+    if method == "gauss_seidel":
+        assert exact.time[-1] - 0.06 < run.time[-1] <= exact.time[-1] + 0.01
+        return
+    assert run.time[-1] == run.stats["stop_time"] == pytest.approx(exact.time[-1], abs=1e-6)
+    assert len(run) == len(exact)
+    np.testing.assert_allclose(run["plant.x"], exact["plant.x"], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["iterated", "gauss_seidel"])
+def test_a_part_without_event_mode_ends_the_run_as_near_as_steps_come(method, tmp_path):
+    clock = part("clock")
+    x = clock.input("x", "m", 0.0, "place of the mass")
+    clock.stop(x < 0, "the mass is back")
+    file = cosim.export_fmu(clock.freeze(), tmp_path / "clock.fmu", fmi=2)
+    system = cosim.couple({"plant": mass(), "clock": file}, {"clock.x": "plant.place"})
+    exact = cosim.simulate(mass(), solver="dop853", relative_tolerance=1e-12, stop_when="x < 0")
+    settings = {"macro_step": 0.01} if method == "gauss_seidel" else {"accuracy": 1e-7}
+    run = system.simulate(stop_time=STOP, output_interval=0.05, method=method, **settings)
+    assert run.complete
+    assert "(part 'clock')" in run.stats["stop"]
+    late = {"iterated": 1e-5, "gauss_seidel": 0.07}[method]
+    assert run.time[-1] == pytest.approx(exact.time[-1], abs=late)

@@ -28,6 +28,21 @@ def test_ssp_gives_the_same_run_as_the_system_that_wrote_it(ssp):
     assert found.names == expected.names
 
 
+def test_ssp_keeps_the_name_of_the_system(ssp):
+    assert ssp.stem == "r"
+    assert cosim.read_ssp(ssp).name == "ride"
+
+
+def test_start_values_in_files_are_read(ssp, tmp_path):
+    system = read_system(f"{FOLDER}/ride.toml")
+    values = {"rider.lag": 0.04, "bicycle.phi_dot": 0.25}
+    path = cosim.write_ssp(
+        tmp_path / "own.ssp", system.files, [], values=values, parameter_files=True
+    )
+    found = cosim.read_ssp(path).start_values
+    assert {".".join(name): value for name, value in found.items()} == values
+
+
 def test_fmpy_reads_the_same_connections(ssp):
     description = read_ssd(str(ssp))
     assert len(description.system.connections) == len(cosim.read_ssp(ssp).connections) == 6

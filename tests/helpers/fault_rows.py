@@ -85,7 +85,7 @@ def _names() -> Iterator[Row]:
         ("\u202ebicycle", 3, "u202e"),
         ("x" * 300, 3, "has no model"),
         ("a.py", 2, "PATH.py:FUNCTION"),
-        ("a.py:f", 2, "a.py is not a file"),
+        ("a.py:f", 3, "a.py is not a file"),
     )
     for verb in ("info", "simulate", "export", "crosscheck", "tradeoff", "plot"):
         target = ("-o", "p.png") if verb == "plot" else ()

@@ -7,6 +7,7 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from casadi_models.mechanics.contact import friction, impact
+from cosim.errors import CosimError
 
 
 def carts(masses, restitution, stop_time):
@@ -71,6 +72,33 @@ def test_restitution_above_1_is_rejected():
     v = model.state("v", "m/s", 0.0, "speed")
     with pytest.raises(ValueError, match=r"restitution 1\.5 is not within 0 to 1"):
         impact(model, v < -1, v, 1, 1, 1.5)
+
+
+@pytest.mark.parametrize("value", [1.5, -0.5])
+@pytest.mark.parametrize("kind", ["parameter", "expression"])
+def test_a_restitution_that_is_no_number_is_checked_when_it_runs(kind, value):
+    model = Model("ball", stop_time=1.0)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    e = model.parameter("e", "1", 0.7, "restitution")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    impact(model, h < 0, v, 1, 1, e if kind == "parameter" else e * (1 + 1e-3 * v))
+    dae = model.freeze()
+    assert [event.name for event in cosim.simulate(dae).events] == ["impact"]
+    words = r"e = .* out of its range 0 \.\.\. 1" if kind == "parameter" else "'impact' gives .* no"
+    with pytest.raises(CosimError, match=words):
+        cosim.simulate(dae, start_values={"e": value})
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_the_bounds_of_a_restitution_are_no_error(value):
+    model = Model("puck", stop_time=1.0)
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", -1.5, "speed")
+    e = model.parameter("e", "1", value, "restitution")
+    model.derivative(x, v)
+    model.derivative(v, 0)
+    impact(model, x < 0, v, 1, 1, 1 - (1 - e))
+    assert cosim.simulate(model.freeze()).final["v"] == 1.5 * value
 
 
 def test_block_on_a_belt_sticks_and_slips():

@@ -117,7 +117,7 @@ def test_file_that_python_cannot_run_is_refused_with_the_reason(content, told, t
 @pytest.mark.parametrize("name", ["none.py", "folder.py"])
 def test_what_is_no_file_is_refused(name, tmp_path):
     (tmp_path / "folder.py").mkdir()
-    message = refusal(f"{tmp_path}/{name}:build", UsageError)
+    message = refusal(f"{tmp_path}/{name}:build", UnknownName)
     assert message == f"{tmp_path}/{name} is not a file; name one as PATH.py:FUNCTION"
 
 

@@ -191,7 +191,7 @@ def test_missing_file_in_a_folder_is_named(tmp_path):
                      r"line 2: .* no model 'bar_on_fram'; did you mean bar_on_frame", id="model"),
         pytest.param("bar_on_frame/reduced", "bar_on_frame/reducd", UnknownName,
                      r"line 2: .* no formulation 'reducd'; did you mean reduced", id="formulation"),
-        pytest.param("bar_on_frame/reduced", "mine.py:build", UsageError,
+        pytest.param("bar_on_frame/reduced", "mine.py:build", UnknownName,
                      r"line 2: .*mine\.py is not a file", id="user model"),
         pytest.param("length = 0.5", "lenght = 0.5", UnknownName,
                      r"line 7: .* no parameter 'lenght'; did you mean length", id="parameter"),

@@ -9,7 +9,7 @@ import pytest
 import cosim
 from cosim.cli.arguments import named_scene
 from cosim.cli.main import main
-from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
+from cosim.errors import FmuError, ParameterError, SolverError, UnknownName, UsageError
 from cosim.verify import crosscheck as crosschecks
 from cosim.verify.comparison import Check
 from cosim.verify.crosscheck import crosscheck
@@ -251,3 +251,26 @@ def test_command_returns_1_if_a_run_failed(capsys):
     printed = capsys.readouterr()
     assert "FAILED" in printed.out
     assert "the step came no further FAILED" in printed.err
+
+
+def test_runs_that_a_condition_stops_next_to_an_output_time_are_compared(tmp_path):
+    """Rounding decides whether the stop is a row of its own."""
+    file = tmp_path / "stop.py"
+    file.write_text(
+        "import cosim\n\n\ndef build():\n"
+        "    model = cosim.Model('st', stop_time=2.0)\n"
+        "    x = model.state('x', '1', 0.0, 'x')\n"
+        "    model.derivative(x, 1.0)\n"
+        "    model.stop(x > 1.0, 'done')\n"
+        "    return model.freeze()\n"
+    )
+    checks = list(cosim.crosscheck(f"{file}:build"))
+    assert [str(check.verdict) for check in checks] == ["ok", "ok"]
+
+
+def test_runs_that_stop_at_different_times_do_not_agree():
+    runs = []
+    for end in (0.52, 0.77):
+        runs.append(cosim.simulate("crank_shaft", stop_time=1, stop_when=f"phi > 50 * {end}"))
+    with pytest.raises(UsageError, match="different output times"):
+        cosim.compare(*runs, resample=False)

@@ -19,7 +19,7 @@ from cosim.codegen.compiler import cached_library
 from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.errors import FmuError, Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recorded, Recording
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.instance import by_name, why_it_ended
 from cosim.fmi.run.request import column_of, output_names
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
@@ -191,7 +191,8 @@ class CoSimulation:
             tighter = _TIGHTER
             if last is not None:
                 sizes = np.array([column.nominal for column in run.columns])
-                change = np.abs(run.values - last.values).max(axis=0) / sizes
+                n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
+                change = np.abs(run.values[:n] - last.values[:n]).max(axis=0) / sizes
                 # the error falls like the tolerance; less than that is on the safe side
                 falls = min(ratio, 0.8) ** _FALLS
                 estimate = float(change.max()) * falls / (1 - falls)
@@ -273,6 +274,7 @@ class CoSimulation:
         interrupted: bool,
     ) -> Trajectory:
         rows = int(system.rows)
+        times = np.minimum(times[:rows], system.time)
         shown = [
             replace(column_of(by_name(self.parts[name].description)[v]), name=f"{name}.{v}")
             for name, wanted in columns.items()
@@ -287,12 +289,19 @@ class CoSimulation:
             "order": self.orders(settings.method),
         }
         if settings.macro_step is not None:
-            stats |= {"macro_step": settings.macro_step, "interface_error": float(system.mismatch)}
+            stats["macro_step"] = settings.macro_step
+            if settings.method in (Method.EXTRAPOLATED, Method.ITERATED):
+                stats["interface_error"] = float(system.mismatch)
+        if system.how == Ending.ENDED_BY_FMU:
+            name = list(self.parts)[system.part]
+            why = why_it_ended(self.parts[name].instance.log_texts)
+            stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
+            stats |= {"stop_time": float(system.time)}
         if notes := self._notes(system, settings):
             stats["note"] = "; ".join(notes)
         run = Trajectory(
             self.name,
-            times[:rows],
+            times,
             tuple(shown),
             np.hstack([np.zeros((rows, 0)), *(tables[n][:rows] for n in columns)]),
             stats,
@@ -301,7 +310,7 @@ class CoSimulation:
         )
         if interrupted or system.how == Ending.INTERRUPTED:
             raise Interrupted(f"{self.name}: interrupted", partial=run)
-        if system.how != Ending.DONE:
+        if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
             failure = self._failure(system)
             raise SolverError(
                 f"{self.name}: {failure}", partial=replace(run, status=f"stopped: {failure}")
@@ -360,8 +369,6 @@ class CoSimulation:
             return f"the inputs are not finite after {time}; give a shorter macro_step"
         if system.how == Ending.STUCK:
             return f"events of the parts at {time} cause each other without end"
-        if system.how == Ending.ENDED_BY_FMU:
-            return f"part '{name}' ended the run after {time}"
         if system.how == Ending.STEP_VANISHED:
             return f"the macro steps become too short at {time}"
         if system.how == Ending.CALL_FAILED and system.function and name:

@@ -13,7 +13,7 @@ from casadi_models.dae.variables import is_name
 from cosim.coupling.system import System, couple, transformed
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.archive import SYSTEM_DESCRIPTION, reject_dangerous_xml, unpacked
-from cosim.toml_file import TomlFile, read_toml, typed
+from cosim.toml_file import read_toml, typed
 from cosim.trajectory import Trajectory
 
 _KEYS = ("title", "stop_time", "output_interval", "parts", "connections", "start_values")
@@ -60,7 +60,9 @@ def coupling_report(run: Trajectory) -> str:
 def _read_toml(path: Path) -> System:
     file = read_toml(path)
     file.reject_unknown((), file.data, _KEYS)
-    parts, connections, values = (_table(file, key) for key in _TABLES)
+    parts, connections, values = (
+        dict(typed(file.data.get(key, {}), dict, f"[{key}]", file.at(key))) for key in _TABLES
+    )
     for key in ("parts", "connections"):
         for name, value in (parts if key == "parts" else connections).items():
             typed(value, str, "a text", file.at(key, name))
@@ -80,10 +82,6 @@ def _read_toml(path: Path) -> System:
             folder=path.parent,
             **times,
         )
-
-
-def _table(file: TomlFile, key: str) -> dict[str, Any]:
-    return dict(typed(file.data.get(key, {}), dict, f"[{key}]", file.at(key)))
 
 
 def _identifier(text: str) -> str:

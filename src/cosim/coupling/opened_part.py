@@ -84,6 +84,7 @@ class OpenedPart:
         """
         self.instance, self.explained = self._fmu.ready()
         self.instance.logged_events.clear()
+        self.instance.log_texts.clear()
         self.functions = functions_of(self.instance, self.description)
         begin_initialization(self.instance, self.description, values, **experiment)
 

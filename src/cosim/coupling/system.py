@@ -124,7 +124,7 @@ class System:
             accuracy: Desired largest error of the outputs that the coupling causes, in nominal
                 values; the macro steps are chosen for it, and checked by a second run with
                 others. 1e-6 if neither this nor `macro_step` is given.
-            macro_step: Distance of the communication points, s, instead of `accuracy`.
+            macro_step: Instead of `accuracy`, s; events end macro steps of the methods of order 4.
             method: "iterated" (default; order 4: macro steps are repeated until the inputs at
                 their end agree with the outputs), "extrapolated" (order 4, without repetition),
                 "gauss_seidel" or "jacobi" (order 1: inputs are constant within a macro step).
@@ -137,8 +137,9 @@ class System:
         Returns:
             The recorded variables. Its `stats` holds macro_steps, rejected_steps, iterations,
             part_steps and order (by part), error_estimate where the run was checked, and with
-            `macro_step` interface_error: the largest difference of inputs and outputs, in the sizes
-            of the inputs, at output times within macro steps.
+            `macro_step`, if inputs are cubics, interface_error: the largest difference of inputs
+            and outputs, in the sizes of the inputs, within macro steps. If a part ends the run, it
+            is complete, and stop and stop_time say which part, and when.
 
         Raises:
             UnknownName, UsageError, ParameterError: An argument is wrong.
@@ -173,6 +174,7 @@ class System:
                 for name, value in values.items()
             },
             stop_time=self.stop_time,
+            name=self.name,
         )
 
     def holds(self, resource: ExitStack) -> None:

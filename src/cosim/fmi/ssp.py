@@ -69,6 +69,7 @@ def write_ssp(
     *,
     values: Mapping[str, float] | None = None,
     stop_time: float | None = None,
+    name: str | None = None,
     parameter_files: bool = False,
 ) -> Path:
     """Write an SSP file whose connectors and values have units.
@@ -79,6 +80,7 @@ def write_ssp(
         connections: ("FROM.OUTPUT", "TO.INPUT") pairs.
         values: Start values and parameters by "COMPONENT.VARIABLE", in the FMUs' units.
         stop_time: Stop time of the default experiment, s.
+        name: Of the system; that of the file when None.
         parameter_files: Whether the values are written to separate files, `resources/NAME.ssv`,
             which can be exchanged; otherwise the system description contains them.
 
@@ -101,7 +103,7 @@ def write_ssp(
         stop_time = number("write_ssp", "stop_time", stop_time, positive=True)
     described = {name: _described(path) for name, path in components.items()}
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
-    name, files, used = Path(target).stem, dict[str, bytes](), set[str]()
+    name, files, used = name or Path(target).stem, dict[str, bytes](), set[str]()
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")

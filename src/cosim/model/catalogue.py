@@ -61,7 +61,7 @@ def load_user_model(path: str, function: str) -> Dae:
 
 def _builder(path: str, function: str) -> Callable[[], Any]:
     if not Path(path).is_file():
-        raise UsageError(f"{path} is not a file; name one as PATH.py:FUNCTION")
+        raise UnknownName(f"{path} is not a file; name one as PATH.py:FUNCTION")
     spec = importlib.util.spec_from_file_location(f"_cosim_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path} is not a Python file; name one as PATH.py:FUNCTION")
@@ -98,7 +98,7 @@ def load(name: str) -> Dae:
     """Build the DAE of `MODEL`, `MODEL/FORMULATION`, `PATH.py:FUNCTION` or `PATH.casadi`.
 
     Raises:
-        UnknownName: The catalogue has no such model, or the file no such function.
+        UnknownName: The catalogue has no such model, or there is no such file or function.
         UsageError: The file cannot be read, or its function fails or builds no Dae.
 
     Example:

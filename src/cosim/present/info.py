@@ -25,15 +25,8 @@ _TITLES = {
     "limits": "validity conditions: a run is valid while every margin is positive",
 }
 _KEYS = (
-    "name",
-    "unit",
-    "shown in",
-    "start",
-    "start kind",
-    "minimum",
-    "maximum",
-    "nominal",
-    "meaning",
+    *("name", "unit", "shown in", "start", "start kind"),
+    *("minimum", "maximum", "nominal", "meaning"),
 )
 _VARIABLE_COLUMNS = ("name", "unit", "shown in", "start", "bounds", "meaning")
 

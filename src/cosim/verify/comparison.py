@@ -169,7 +169,7 @@ def compare(
                 "file, set its units: read_csv(path, like=run) or read_csv(path, units={...})"
             )
     note = ""
-    first, second = runs = first.select(names), second.select(names)
+    first, second = runs = _up_to_the_stop(first.select(names), second.select(names))
     if resample and len(first) and len(second) and _apart(first, second) is not None:
         if "file" in second.stats and "file" not in first.stats:
             second, first, note = _on_common_times(second, first, "second", "first")
@@ -225,6 +225,15 @@ def _on_common_times(
         how = f"interpolated, with an estimated error of {scaled:.1e}"
     note = f"compared at {len(time)} times of the {one} run, {time[0]:g} ... {time[-1]:g} s; "
     return part, resampled, note + f"the {other} run is {how}"
+
+
+def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory]:
+    """Leave out the last row if both runs were stopped, one just before an output time."""
+    n, stopped = _apart(first, second), "stop" in first.stats and "stop" in second.stats
+    if not (n and stopped and max(len(first), len(second)) - n < 3):
+        return first, second
+    first, second = (replace(r, time=r.time[:n], values=r.values[:n]) for r in (first, second))
+    return first, second
 
 
 def _apart(first: Trajectory, second: Trajectory) -> int | None:

@@ -215,6 +215,8 @@ def test_what_contradicts_itself_is_refused_at_once(bicycle):
         simulate_many(bicycle, output_times=[2.0, 1.0])
     with pytest.raises(UsageError, match="lanes"):
         simulate_many(bicycle, lanes=3)
+    with pytest.raises(UsageError, match="lanes are for models without events"):
+        simulate_many(event_models.ball(), lanes=4, solver="dop853")
     uneven = simulate_many(bicycle, output_times=[1.0, 1.5, 1.7], solver="cvodes")
     assert uneven.time.tolist() == [1.0, 1.5, 1.7]
 

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers import event_models
 from helpers.fmu_files import remove, with_description
 
 import cosim
@@ -329,6 +330,15 @@ def test_an_fmu_of_model_exchange_takes_as_many_steps_as_it_needs(tmp_path):
     np.testing.assert_allclose(found.numbers["x_final"], np.cos(2 * rates), atol=1e-4)
     assert {*found.reasons} == {1}
     assert "more than 500 steps between two outputs" in found.reasons[1]
+
+
+def test_runs_that_end_themselves_are_complete_for_a_model_and_its_fmu(tmp_path):
+    dae = event_models.stopping()
+    path = cosim.export_fmu(dae, tmp_path / "stopping.fmu")
+    starts = {"x": np.array([0.0, 0.5])}
+    for subject in (dae, path):
+        found = cosim.sweep(subject, starts, outputs=["x"], workers=0)
+        assert found.status == "2 complete"
 
 
 def test_wrong_arguments_are_rejected_before_any_run(growth):

@@ -2,11 +2,12 @@
 
 import argparse
 import sys
+from pathlib import Path
 
 from cosim.cli.tables import note, show_table
 from cosim.errors import FmuError
 from cosim.fmi.check.check import examine
-from cosim.fmi.check.finding import ADVICE, WRONG, Finding, Rule
+from cosim.fmi.check.finding import ADVICE, RULES, WRONG, Finding, Rule
 from cosim.fmi.check.isolated import try_apart
 from cosim.fmi.trust import require_trust
 from cosim.host.signals import TimeLimitReached, time_limit
@@ -14,13 +15,16 @@ from cosim.host.signals import TimeLimitReached, time_limit
 
 def run(args: argparse.Namespace) -> int:
     """Show the findings; return 4 if something is wrong, else 0."""
-    limit = args.trial_timeout
     try:
-        with time_limit(limit):
+        with time_limit(args.trial_timeout):
             findings = list(examine(args.file))
     except TimeLimitReached:
-        reason = f"{args.file}: its description was not read within {limit:g} s; use --timeout"
-        raise FmuError(reason) from None
+        limit = f"within {args.trial_timeout:g} s; use --timeout"
+        raise FmuError(f"{args.file}: its description was not read {limit}") from None
+    except FmuError as error:
+        if not Path(args.file).is_file():
+            raise
+        findings, args.trials = [RULES["archive"].about("archive", str(error))], False
     if args.trials:
         findings += _trials(args)
     show_table([finding.row() for finding in findings], as_json=args.json)
@@ -35,9 +39,8 @@ def _trials(args: argparse.Namespace) -> list[Finding]:
     try:
         verdict = try_apart(args.file, timeout=args.trial_timeout)
     except FmuError as error:  # errors in the file itself have been found
-        reason = str(error).removeprefix(f"{args.file}: ")
         rule = Rule("run", ADVICE, "cannot run it here either", "run it where it can run")
-        return [rule.about("archive", reason)]
+        return [rule.about("archive", str(error).removeprefix(f"{args.file}: "))]
     note(args, f"passed: {'; '.join(verdict.passed) or 'none'}")
     if args.verbose:
         for reason in verdict.skipped:

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
-from cosim.fmi.run.c_structures import Recorded, Run, functions_of, reject_failure
+from cosim.fmi.run.c_structures import Ending, Recorded, Run, functions_of, reject_failure
 from cosim.fmi.run.instance import Interface, enter_continuous_time, initialize
 from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
 from cosim.host.signals import interruptible
@@ -39,7 +39,7 @@ class CompiledMaster:
         """Initialize the FMU and run it.
 
         Raises:
-            FmuError: A call failed, or the FMU stopped before the stop time.
+            FmuError: A call failed, or the FMU stopped without ending the run.
         """
         instance, description, exchange = self._instance, self._description, self._exchange
         initialize(instance, description, request.values, **request.experiment)
@@ -68,6 +68,9 @@ class CompiledMaster:
         instance.terminate()
         rows.setflags(write=False)
         stats = {"steps": run.steps, "events": run.events}
+        if run.how == Ending.ENDED_BY_FMU:
+            points, rows = np.append(points[: run.rows - 1], run.time), rows[: run.rows]
+            stats["stop_time"] = run.time
         if exchange:
             stats["rhs_calls"] = run.calls
         return MasterRun(points, rows, stats)

@@ -167,7 +167,7 @@ def reject_failure(run: Run, interrupts: Sequence[int], stop: float) -> None:
     reject_failed_call(run, interrupts)
     if run.how == Ending.STEP_VANISHED:
         raise FmuError(f"dop853: step size too small, or too many steps, at t = {run.time:g} s")
-    if run.how != Ending.DONE or run.rows < run.points:
+    if run.how != Ending.ENDED_BY_FMU and (run.how != Ending.DONE or run.rows < run.points):
         raise FmuError(f"the run ended at {run.time:g} s, before the stop time {stop:g} s")
 
 

@@ -45,8 +45,7 @@ def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:
             inputs=request.inputs,
             outputs=request.outputs,
         )
-        may_end = any(event.message for event in request.dae.events)
-        return fmu.run(replace(found, may_end=may_end, max_step=request.max_step))
+        return fmu.run(replace(found, max_step=request.max_step))
 
 
 def reject_native_features(request: RunRequest) -> None:

@@ -2,7 +2,7 @@
 
 import ctypes
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager
 from enum import StrEnum
 from functools import cache, lru_cache
@@ -33,6 +33,7 @@ _FEWER_STEPS = (
     "try closer output times, a looser relative tolerance, or co-simulation, which uses the FMU's "
     "own solver"
 )
+_END_OF_RUN = re.compile(r"the run ends at \S+ s: (.+)$")
 _ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # no message says why
 _CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
 _MESSAGES = 3  # of an FMU's log, in an error
@@ -231,11 +232,17 @@ def instantiated(
             instance = _instance(folder, description, Interface(kind), collect, **callback)
         except Exception as error:
             raise explained(error) from error
-    instance.logged_events = events
+    instance.logged_events, instance.log_texts = events, log
     try:
         yield instance, explained
     finally:
         instance.freeInstance()
+
+
+def why_it_ended(texts: Sequence[str]) -> str:
+    """Return why an FMU ended the run, by its log if it was exported here."""
+    found = [match[1] for text in texts if (match := _END_OF_RUN.search(text))]
+    return sentence(found[-1]) if found else "the FMU ends the run"
 
 
 def _instance(

@@ -20,6 +20,7 @@ from cosim.fmi.run.instance import (
     choose_interface,
     instantiated,
     read_description,
+    why_it_ended,
 )
 from cosim.fmi.run.python_master import run_in_python
 from cosim.fmi.run.request import FmuRequest, MasterRun
@@ -71,6 +72,7 @@ class OpenedFmu:
             }
         instance, explained = self.ready()
         instance.logged_events.clear()
+        instance.log_texts.clear()
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
@@ -81,6 +83,8 @@ class OpenedFmu:
                 raise explained(error) from error
             raise
         done = perf_counter()
+        if (end := found.stats.get("stop_time")) is not None:
+            found.stats["stop"] = f"{why_it_ended(instance.log_texts)} from {end:.12g} s on"
         stats = {
             **found.stats,
             "solver": f"{master} {self.interface}",

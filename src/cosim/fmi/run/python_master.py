@@ -39,7 +39,7 @@ def run_in_python(instance: Any, request: FmuRequest) -> MasterRun:
 
     Raises:
         Exception: A call of the FMU or the solver failed.
-        FmuError: The FMU stopped before the stop time.
+        FmuError: The FMU stopped before the stop time without ending the run.
         KeyboardInterrupt: The user pressed Ctrl-C.
     """
     exchange = request.interface is Interface.MODEL_EXCHANGE
@@ -98,12 +98,11 @@ class _Recorder:
         return self._count / len(self.times)
 
 
-def _ended(time: float, request: FmuRequest, recorder: _Recorder) -> dict[str, Any]:
-    """Record where an FMU ends its run, and return what is to be said of that."""
-    if not request.may_end:
-        raise _stopped_early(time, request)
-    recorder.record(time)
-    return {"stop": f"an event ended the run, from {time:.12g} s on", "stop_time": time}
+def _ended(time: float, recorder: _Recorder) -> dict[str, Any]:
+    """Record where an FMU ends its run, and return the time for the statistics."""
+    if time > recorder.recorded[0][-1]:
+        recorder.record(time)
+    return {"stop_time": time}
 
 
 def _stopped_early(time: float, request: FmuRequest) -> FmuError:
@@ -148,7 +147,7 @@ def _model_exchange(
                     instance.enterContinuousTimeMode()
                     solver.reset(time)
             if ends and not isclose(time, request.stop):
-                stats = _ended(time, request, recorder)
+                stats = _ended(time, recorder)
             elif isclose(time, target):
                 recorder.record(time)
                 break
@@ -164,13 +163,9 @@ def _note(many_steps: tuple[float, float] | None) -> dict[str, str]:
     if many_steps is None:
         return {}
     begin, end = many_steps
-    return {
-        "note": (
-            f"CVODE took more than {USUAL_STEPS} steps between two outputs, from {begin:.6g} to "
-            f"{end:.6g} s: a jump, or a singularity from which it may have continued along "
-            "another solution; compare with co-simulation"
-        )
-    }
+    note = f"CVODE took more than {USUAL_STEPS} steps between two outputs, from {begin:.6g} to "
+    note += f"{end:.6g} s: a jump, or a singularity from which it may have continued along another "
+    return {"note": f"{note}solution; compare with co-simulation"}
 
 
 def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Sequence[int]) -> Any:
@@ -251,7 +246,7 @@ def _co_simulation(
         if interrupts:
             raise KeyboardInterrupt
         if ends and reached < points[-1]:
-            return _ended(reached, request, recorder)
+            return _ended(reached, recorder)
         if reached < end:
             raise _stopped_early(reached, request)
         recorder.record(end)
@@ -282,7 +277,7 @@ def _plain_step(instance: Any, request: FmuRequest) -> _Step:
         _, ends, early, last = instance.doStep(
             currentCommunicationPoint=begin, communicationStepSize=end - begin
         )
-        if early:
+        if early and not ends:
             raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
         return last if ends else end, ends
 

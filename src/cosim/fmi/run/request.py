@@ -45,7 +45,6 @@ class FmuRequest:
         recorded: The variables to record, of the description.
         inputs: Inputs that follow a time series.
         tolerance: Relative tolerance; None if neither user nor FMU gives one.
-        may_end: Whether a run that the FMU itself ends is complete.
         max_step: Longest step in model exchange, s.
     """
 
@@ -58,7 +57,6 @@ class FmuRequest:
     recorded: tuple[Any, ...]
     inputs: InputSeries | None = None
     tolerance: float | None = None
-    may_end: bool = False
     max_step: float | None = None
 
     @classmethod

@@ -51,7 +51,8 @@ def simulate_fmu(
         Every recorded variable, with its unit.
 
     Raises:
-        FmuError: The file is no FMU that can run here, or the run failed or stopped early.
+        FmuError: The file is no FMU that can run here, or the run failed or stopped
+            early. If the FMU itself ends the run, the run is complete: `stats["stop"]` says why.
         SecurityError: The archive would write outside its folder, or its XML is dangerous.
         UnknownName: A variable, the interface or the master does not exist.
         UsageError, ParameterError: A variable cannot be set or recorded, a number is wrong, or the

@@ -79,10 +79,10 @@ def simulate_many(
         found = in_lanes(request, values, solver.tolerance, threads or processors(), lanes)
     else:
         if lanes is not None:
-            raise UsageError(
-                f"{request.dae.full_name}: lanes are for explicit formulations and dop853, "
-                "compiled, without input series; leave lanes out"
-            )
+            why = "explicit formulations and dop853, compiled, without input series"
+            if hybrid(request.dae) is not None:
+                why = "models without events, which happen at another time in each run"
+            raise UsageError(f"{request.dae.full_name}: lanes are for {why}; leave lanes out")
         chosen, _ = chosen_solver(request.dae, request.solver, projected=request.policy.projects)
         found = one_by_one(request, values)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}

@@ -207,7 +207,7 @@ class FmuSubject:
             except FmuError as error:
                 reasons[i] = str(error)
             else:
-                if len(run) == len(time):
+                if len(run) == len(time) or "stop" in run.stats:
                     states[i], found[i] = RunState.COMPLETE, run.values
                     if "note" in run.stats:
                         notes[i] = run.stats["note"]
@@ -215,7 +215,7 @@ class FmuSubject:
                     reasons[i] = f"it recorded {len(run)} of {len(time)} output times"
         values = np.full((runs, len(time), len(outputs)), np.nan)
         for i, table in found.items():
-            values[i] = table
+            values[i, : len(table)] = table
         counts = np.zeros(runs, dtype=np.int64)
         return Ensemble(
             self.name,
