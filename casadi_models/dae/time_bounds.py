@@ -190,7 +190,8 @@ def _wave(function: Callable[[SX], SX]) -> Callable[[_Span, _Span], _Span]:
 def _tangent(a: _Span, _: _Span) -> _Span:
     low, high = ca.tan(a.low), ca.tan(a.high)
     without_pole = ca.logic_and(a.high - a.low < 3, low <= high)
-    return _Span(*(ca.if_else(without_pole, end, SX.nan()) for end in (low, high)), False)
+    low, high = (ca.if_else(without_pole, end, SX.nan()) for end in (low, high))
+    return _Span(low, high, False)
 
 
 def _hyperbolic_cosine(a: _Span, b: _Span) -> _Span:
@@ -201,8 +202,8 @@ def _hyperbolic_cosine(a: _Span, b: _Span) -> _Span:
 def _chosen(condition: _Span, a: _Span) -> _Span:
     if not condition.stays:
         raise _UnknownError
-    ends = (SX.binary(ca.OP_IF_ELSE_ZERO, condition.low, end) for end in (a.low, a.high))
-    return _Span(*ends, False)
+    low, high = (SX.binary(ca.OP_IF_ELSE_ZERO, condition.low, end) for end in (a.low, a.high))
+    return _Span(low, high, False)
 
 
 _RULES: dict[int, Callable[[_Span, _Span], _Span]] = {  # of one operand, or of the first and last

@@ -8,7 +8,7 @@ so exactly once; otherwise the span is halved. fmu/runtime/time_events.c does th
 from array import array
 from collections.abc import Sequence
 from math import copysign, inf, isfinite, nextafter, ulp
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 from casadi import SX
@@ -25,16 +25,18 @@ class _Call:
     """A function on arrays of its own."""
 
     def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._evaluate = function.buffer()
+        buffer: Any  # CasADi's hints want a size, which a view brings along
+        buffer, self._evaluate = function.buffer()
+        self._buffer = buffer
         sizes = [function.numel_in(i) for i in range(function.n_in())]
         self.given = [array("d", bytes(8 * size)) for size in sizes]
         self.found = [array("d", bytes(8 * function.numel_out(i))) for i in range(function.n_out())]
         for i, values in enumerate(self.given):
             if values:
-                self._buffer.set_arg(i, memoryview(values))
+                buffer.set_arg(i, memoryview(values))
         for i, values in enumerate(self.found):
             if values:
-                self._buffer.set_res(i, memoryview(values))
+                buffer.set_res(i, memoryview(values))
 
     def __call__(self, *times: float) -> "list[array[float]]":
         """Return the results at a time, or over a span."""
