@@ -90,10 +90,7 @@ def _pulse_times(dae: Dae, p: bytes, begin: float, end: float, longest: float) -
 def _parted(t: Vector, values: Vector, size: float) -> Vector:
     """Return times that divide a pulse into parts of little change and equal parts of time.
 
-    Args:
-        t: Times around the pulse, s.
-        values: The term there.
-        size: Its range in the run.
+    The values are those of the term at the times, and the size is its range in the run.
     """
     size = max(size, float(np.ptp(values)))
     change = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(values))))) / size
@@ -114,10 +111,7 @@ def _sampled(dae: Dae, p: bytes, begin: float, end: float, count: int) -> tuple[
 def _places(values: Vector, large: float, count: int) -> list[tuple[int, int]]:
     """Return where a term changes for a small part of some samples: first and last sample.
 
-    Args:
-        values: Samples of the term.
-        large: Change of the term that matters.
-        count: Samples in the longest step.
+    A change matters if it is large; `count` samples are in the longest step.
     """
     size = max(1, count // _BLOCKS)
     width = min(max(3, round(count / size)), (len(values) - 1) // size)

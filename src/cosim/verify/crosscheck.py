@@ -263,14 +263,9 @@ def _against_reference(
     other: Trajectory,
     again: Callable[[RunRequest], Trajectory] | None,
 ) -> Check:
-    """Compare a run that differs with a reference whose error is known.
+    """Compare the names of a run that differs, `other`, with a reference whose error is known.
 
-    Args:
-        request: The run.
-        names: The compared variables.
-        check: The comparison with a plain run.
-        other: The run that differs.
-        again: Function that runs another request; None if the user has chosen the tolerance.
+    `check` has compared it with a plain run. `again` is None if the user has chosen the tolerance.
     """
     assert check.comparison is not None
     bound = check.comparison.bound

@@ -314,9 +314,9 @@ def assert_swings(run, length):
 
 
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
-@pytest.mark.parametrize(("goal", "length"), [({"accuracy": 1e-4}, 1e-3), ({"budget": 1.0}, 1e-5)])
-def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal, length):
-    inputs = {"force": lambda t: pushed(t, length)}
+@pytest.mark.parametrize("goal", [{"accuracy": 1e-4}, {"budget": 1.0}])
+def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
+    inputs = {"force": lambda t: pushed(t, 0.001)}
     with pytest.raises(
         SolverError, match=r"agree exactly, but may have missed .* from 50.000\d+ s on"
     ):
