@@ -73,10 +73,10 @@ class Hybrid:
     @cached_property
     def linear(self) -> tuple[bool, ...]:
         """For each relation, whether its argument depends on time alone, and linearly."""
-        rates = ca.vertsplit(ca.jtimes(self.arguments, self.dae.t, 1)) if self.relations else []
+        t, arguments = self.dae.t, ca.vertsplit(self.arguments) if self.relations else []
         return tuple(
-            alone and not ca.depends_on(rate, self.dae.t)
-            for alone, rate in zip(self.of_time, rates, strict=True)
+            alone and not ca.depends_on(ca.jacobian(argument, t), t) and not _has_cuts(argument)
+            for alone, argument in zip(self.of_time, arguments, strict=True)
         )
 
     @cached_property
@@ -298,6 +298,13 @@ class Hybrid:
             ode[nx : 2 * nx] += change
         ode = ca.densify(ca.substitute(ode, modes, solved))
         return replace(self, dae=replace(dae, ode=ode), sliding=chosen, solved=solved)
+
+
+def _has_cuts(argument: SX) -> bool:
+    """Tell whether an expression jumps where its derivative does not: an angle by `atan2`."""
+    function = ca.Function("argument", ca.symvar(argument), [argument])
+    steps = range(function.n_instructions())
+    return any(function.instruction_id(k) == ca.OP_ATAN2 for k in steps)
 
 
 def hybrid(dae: Dae) -> Hybrid | None:

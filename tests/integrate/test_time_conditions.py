@@ -108,6 +108,12 @@ def test_a_jump_is_found_where_no_bounds_are_known(tmp_path):
         assert run.final["y"] == pytest.approx(pi / 2, abs=1e-9), way
 
 
+@pytest.mark.parametrize("way", WAYS)
+def test_an_angle_falls_though_its_rate_is_constant(way, tmp_path):
+    dae = integral(lambda t, a: ca.atan2(ca.sin(t), ca.cos(t)) > a, 10.0)
+    assert ran(dae, way, tmp_path).final["y"] == pytest.approx(2 * (pi - 1), abs=1e-9)
+
+
 def test_search_takes_spans_and_not_samples():
     """20,000 switches cost as many evaluations each as 50 do."""
     counts = []
