@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <string.h>
 
+_Static_assert(FMU_STATIC >= 1024, "give the bytes of an instance, as -DFMU_STATIC=65536");
 static double block[FMU_STATIC / sizeof(double)];
 static bool taken;
 

@@ -177,7 +177,7 @@ def naming_keywords(function: _Call) -> _Call:
             every = shortened([*known], 12) or "none"
             hint = f"did you mean {near[0]}?" if near else f"it has {every}"
             call = f"{function.__name__}() got an unexpected keyword argument"
-            raise TypeError(f"{call} '{name}'; {hint}")
+            raise TypeError(readable(f"{call} '{name}'; {hint}"))
         return function(*values, **keywords)
 
     return named  # type: ignore[return-value]

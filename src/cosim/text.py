@@ -33,8 +33,9 @@ def bounded(text: str, most: int = LONGEST_MESSAGE) -> str:
 
 
 def readable(message: str) -> str:
-    """Return a message of bounded length, without the middle of endless texts, lists and words."""
-    return bounded(_ENDLESS.sub(lambda found: bounded(found[0], LONGEST_WORD), message))
+    """Return a visible message of bounded length, without the middle of endless texts and lists."""
+    shown = visible(message, lines=True)
+    return bounded(_ENDLESS.sub(lambda found: bounded(found[0], LONGEST_WORD), shown))
 
 
 def csv_cell(text: str) -> str:
