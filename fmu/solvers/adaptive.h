@@ -71,6 +71,13 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         course->last = h;
         if (halted) return HALTED;
         if (++trials > MOST_STEPS) return TOO_MANY_STEPS;
+        if (RELATIONS && stop - t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
+            memcpy(out + next * NX, x, sizeof x);
+            if (z && equations_at(self, stop, x, k[1], z + next * NZ)) return NOT_FINITE;
+            ++course->passed;
+            ++next;
+            continue;
+        }
         if (0.1 * h <= fabs(t) * DBL_EPSILON || h < 1e-18 * (stop - grid->times[0]))
             return STEP_TOO_SMALL;
         const int final = t + 1.01 * h >= stop;

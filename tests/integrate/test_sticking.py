@@ -91,3 +91,18 @@ def test_two_events_do_not_give_one_variable_two_values(backend, tmp_path):
         dae, run, ways = file, cosim.simulate_fmu, {"interface": backend}
     with pytest.raises(CosimError, match=r"'first' and 'second' give d different values at 1 s"):
         run(dae, **ways)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_events_within_rounding_of_the_end_do_not_stop_a_run(solver):
+    model = cosim.Model("timer", stop_time=1.0)
+    x, count = model.state("x", "s", 0.0, "since the last"), model.discrete("n", "1", 0.0, "number")
+    period = model.parameter("T", "s", 0.5, "time between two")
+    model.derivative(x, 1 + 0 * x)
+    model.when(x > period, {x: 0.0, count: count + 1}, name="reset")
+    dae = model.freeze()
+    for length in (0.5, 0.25, 0.2, 0.1, 0.05, 1 / 3, 0.125, 1.0, 0.3, 0.7, 0.15, 1 / 7):
+        for stop in (1.0, 2.0, 3.0):
+            values = {"T": length}
+            run = cosim.simulate(dae, solver=solver, start_values=values, stop_time=stop)
+            assert run.final["n"] * length + run.final["x"] == pytest.approx(stop, abs=1e-6)
