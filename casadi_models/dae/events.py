@@ -44,6 +44,15 @@ def smooth(expression: Any) -> SX:
 
     Raises:
         ValueError: No model declared them all.
+
+    Example:
+        >>> import casadi
+        >>> import cosim
+        >>> model = cosim.Model("brake")
+        >>> v = model.state("v", "m/s", 1.0, "speed")
+        >>> model.derivative(v, -cosim.smooth(casadi.fabs(v)) * v)  # has a derivative at 0
+        >>> round(cosim.simulate(model.freeze(), stop_time=1.0).final["v"], 6)
+        0.5
     """
     value = SX(expression)
     used = symbols(value)

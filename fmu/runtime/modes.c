@@ -13,7 +13,6 @@
 #include "equations.h"
 #include "input_motion.h"
 #include "logging.h"
-#include "time_events.h"
 
 #if HAS_EVENTS
 
@@ -198,6 +197,16 @@ double event_time(const Instance *self) {
     const bool early = self->state.interface == INTERFACE_ME && next != NOT_PLANNED && next > now &&
                        next - now <= SAME_TIME * fmax(fabs(now), fabs(next));
     return early ? next : now;
+}
+
+void evaluate_timed(Instance *self, double t, double arguments[], double rates[]) {
+    const Point at = present(self);
+    pass(self, &at);
+    self->arg[0] = &t;
+    self->res[0] = arguments;
+    self->res[1] = rates;
+    if (model_timed(self->arg, self->res, self->iw, self->w, 0))
+        for (int i = 0; i < N_MODES; i++) arguments[i] = rates[i] = NAN;
 }
 
 static double argument_at(Instance *self, int i, double t) {

@@ -56,6 +56,9 @@ static const double SAME_TIME = 1e-9;
 /* The present time; importers may come a little early to a time event. */
 double event_time(const Instance *self);
 
+/* Arguments of time alone, and their rates; not a number where they have no value. */
+void evaluate_timed(Instance *self, double t, double arguments[], double rates[]);
+
 INSIDE_END
 #else
 static inline Status begin_modes(Instance *self) {

@@ -12,15 +12,6 @@
 
 enum { SEARCHED = 4096, SPAN = 50 }; /* places of a search; its length in largest steps */
 
-void evaluate_timed(Instance *self, double t, double arguments[], double rates[]) {
-    pass_values(self);
-    self->arg[0] = &t;
-    self->res[0] = arguments;
-    self->res[1] = rates;
-    if (model_timed(self->arg, self->res, self->iw, self->w, 0))
-        for (int i = 0; i < N_MODES; i++) arguments[i] = rates[i] = NAN;
-}
-
 void modes_of_time(Instance *self, double t, double modes[]) {
     double arguments[ROOM(N_MODES)], rates[ROOM(N_MODES)];
     evaluate_timed(self, t, arguments, rates);

@@ -13,9 +13,6 @@ void plan_time_events(Instance *self, double now);
 /* Modes of relations of time alone, by value at a time. */
 void modes_of_time(Instance *self, double t, double modes[]);
 
-/* Arguments of time alone, and their rates; not a number where they have no value. */
-void evaluate_timed(Instance *self, double t, double arguments[], double rates[]);
-
 INSIDE_END
 #endif
 

@@ -9,7 +9,6 @@
 
 #include "equations.h"
 #include "evaluation.h"
-#include "time_events.h"
 
 enum {
     LEAST = 4,      /* units in the last place of the end: the length of the shortest span */

@@ -91,7 +91,7 @@ def test_functions_that_build_nothing_are_refused(file, function, error, message
 
 
 def test_missing_file_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="not a file"):
+    with pytest.raises(UnknownName, match="not a file"):
         cosim.load(f"{tmp_path}/none.py:build")
 
 

@@ -98,9 +98,10 @@ def test_wrong_file_ends_with_4_and_a_table(exported, tmp_path, capsys):
     assert shown.err.endswith("1 wrong, 0 advice\n")
 
 
-def test_what_is_no_fmu_is_an_error(tmp_path):
+def test_what_is_no_fmu_is_wrong_and_what_is_missing_an_error(tmp_path):
     (tmp_path / "text.fmu").write_text("text")
-    assert main(["check", str(tmp_path / "text.fmu")]) == 1
+    assert main(["check", str(tmp_path / "text.fmu")]) == 4
+    assert main(["check", str(tmp_path / "none.fmu")]) == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads what is made on Linux")
