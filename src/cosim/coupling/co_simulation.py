@@ -28,7 +28,7 @@ from cosim.trajectory import Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
-_FIRST, _TIGHTER, _OF_PARTS = 0.4, 1 / 16, 0.01  # of the accuracy; of the last; of the coupling's
+_FIRST, _TIGHTER, _OF_PARTS = 0.25, 1 / 16, 0.01  # of the accuracy; of the last; of the coupling's
 _FALLS, _TIGHTEST = 0.75, 1e-13
 _LOOP_UNSOLVED = len(Ending)
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
