@@ -9,7 +9,7 @@ from weakref import WeakSet
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import COMPARISONS, RELATIONS, operations, quoted, symbols
+from casadi_models.dae.expressions import COMPARING, RELATIONS, operations, quoted, symbols
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -144,7 +144,7 @@ class Happening:
         used = operations(rule)
         if ca.OP_CALL in used:
             return
-        if used.isdisjoint(COMPARISONS):
+        if used.isdisjoint(COMPARING):
             raise self._refusal(f"{what} has no comparison; write one, e.g. {rule} > 0")
         if used.isdisjoint(RELATIONS) and ca.depends_on(rule, self._continuous):
             raise self._refusal(

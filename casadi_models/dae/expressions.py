@@ -6,7 +6,7 @@ from math import isfinite
 import casadi as ca
 from casadi import SX
 
-COMPARISONS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
+COMPARING = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
 RELATIONS = {
     *(ca.OP_LT, ca.OP_LE, ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMIN, ca.OP_FMAX),
     *(ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN),

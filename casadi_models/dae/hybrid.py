@@ -16,8 +16,9 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae.events import Event
+from casadi_models.dae.expressions import RELATIONS, operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import RELATIONS, LawsWithModes, Relation, applied
+from casadi_models.dae.relations import LawsWithModes, Relation, applied
 from casadi_models.dae.time_bounds import TimeBounds, time_bounds
 from casadi_models.dae.variables import Variable
 
@@ -75,7 +76,9 @@ class Hybrid:
         """For each relation, whether its argument depends on time alone, and linearly."""
         t, arguments = self.dae.t, ca.vertsplit(self.arguments) if self.relations else []
         return tuple(
-            alone and not ca.depends_on(ca.jacobian(argument, t), t) and not _has_cuts(argument)
+            alone
+            and not ca.depends_on(ca.jacobian(argument, t), t)
+            and ca.OP_ATAN2 not in operations(argument)  # it jumps where its derivative does not
             for alone, argument in zip(self.of_time, arguments, strict=True)
         )
 
@@ -242,15 +245,10 @@ class Hybrid:
             for i, (relation, alone) in enumerate(zip(self.relations, self.of_time, strict=True))
             if not (relation.floor or alone)
         }
-        laws = ca.Function(
-            "laws", self.dae.arguments, [self.dae.ode, self.dae.alg, self.dae.outputs]
-        )
-        calls = any(laws.instruction_id(k) == ca.OP_CALL for k in range(laws.n_instructions()))
-        return (
-            self
-            if calls or not modes
-            else replace(self, dae=_polynomial(self.dae, modes, taken=True))
-        )
+        laws = ca.vertcat(self.dae.ode, self.dae.alg, self.dae.outputs)
+        if not modes or ca.OP_CALL in operations(laws):
+            return self
+        return replace(self, dae=_polynomial(self.dae, modes, taken=True))
 
     def slid(self, which: Collection[int]) -> "Hybrid":
         """Return the equations in which the modes of some relations keep their arguments at 0.
@@ -300,13 +298,6 @@ class Hybrid:
         return replace(self, dae=replace(dae, ode=ode), sliding=chosen, solved=solved)
 
 
-def _has_cuts(argument: SX) -> bool:
-    """Tell whether an expression jumps where its derivative does not: an angle by `atan2`."""
-    function = ca.Function("argument", ca.symvar(argument), [argument])
-    steps = range(function.n_instructions())
-    return any(function.instruction_id(k) == ca.OP_ATAN2 for k in steps)
-
-
 def hybrid(dae: Dae) -> Hybrid | None:
     """Return the equations of a model with every relation frozen at a mode; None without events.
 
@@ -316,9 +307,7 @@ def hybrid(dae: Dae) -> Hybrid | None:
     Raises:
         ValueError: The equations call several functions of equal sizes.
     """
-    function = ca.Function("laws", dae.arguments, [dae.ode, dae.alg])
-    used = {function.instruction_id(k) for k in range(function.n_instructions())}
-    if used.isdisjoint(RELATIONS) and not dae.events:
+    if operations(ca.vertcat(dae.ode, dae.alg)).isdisjoint(RELATIONS) and not dae.events:
         return None
     conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))
     laws = LawsWithModes([dae.ode, dae.alg, conditions], [dae.outputs], dae)

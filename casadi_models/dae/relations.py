@@ -10,7 +10,7 @@ from itertools import accumulate, pairwise
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import RELATIONS as RELATIONS
+from casadi_models.dae.expressions import RELATIONS
 from casadi_models.dae.frozen import Dae
 
 COMPARISONS = ("<", "<=")

@@ -13,14 +13,14 @@
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
-static void drop_spent_motion(Instance *self) {
-    if (self->state.motion_spent) memset(self->state.motion, 0, sizeof self->state.motion);
-    self->state.motion_spent = false;
-}
-
-/* What comes is unknown, until the importer is asked again. */
+/* What comes is unknown, until the importer tells or is asked again. */
 void forget_motion(Instance *self) {
     memset(self->state.motion, 0, sizeof self->state.motion);
+}
+
+static void drop_spent_motion(Instance *self) {
+    if (self->state.motion_spent) forget_motion(self);
+    self->state.motion_spent = false;
 }
 
 /* One communication step. FMI 2 keeps what was reached when a step fails, and discards; FMI 3

@@ -9,6 +9,7 @@ from pathlib import Path
 import casadi as ca
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import operations
 from cosim.errors import UsageError
 from cosim.memo import cached_per_thread
 
@@ -20,9 +21,7 @@ _PARTNER = {ca.OP_SIN: ca.OP_COS, ca.OP_COS: ca.OP_SIN}
 @cached_per_thread(16)
 def fits_lanes(dae: Dae) -> bool:
     """Return whether every operation of a model has a vector form; function calls have none."""
-    laws = [dae.ode, dae.outputs, dae.margins]
-    function = ca.Function("laws", dae.arguments, [ca.vertcat(*laws)])
-    codes = {function.instruction_id(i) for i in range(function.n_instructions())}
+    codes = operations(ca.vertcat(dae.ode, dae.outputs, dae.margins))
     return codes <= {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_LANE_FORMS}
 
 
