@@ -123,8 +123,12 @@ def test_files_of_fmi_3_take_the_same_cubics_as_those_of_fmi_2(name, tmp_path):
     assert runs[0].stats["order"] == runs[1].stats["order"]
     assert set(runs[1].stats["order"].values()) == {"cubic inputs"}
     assert runs[1].stats["macro_steps"] == runs[0].stats["macro_steps"]
-    assert runs[1].stats["part_steps"] == pytest.approx(runs[0].stats["part_steps"], rel=0.02)
     assert error_of(runs[1], runs[0]) < 1e-9
+    # the agreement of an interface is close to its bound in some chosen steps, in none of these
+    ways = {"stop_time": 1, "output_interval": 0.01, "macro_step": 0.02}
+    second_run, third_run = (system.simulate(**ways) for system in (second, third))
+    assert third_run.stats["part_steps"] == second_run.stats["part_steps"]
+    assert error_of(third_run, second_run) < 1e-9
 
 
 def test_output_times_within_macro_steps_are_recorded_in_order_4():
