@@ -99,6 +99,32 @@ class Hybrid:
             ca.densify(ca.vertcat(SX(0, 1), *values)),
         )
 
+    def rounding(self, name: str) -> ca.Function:
+        """Return a function of t, x, z, u, p and sizes of x: how far relative rounding moves.
+
+        Its result is the change of each argument, to first order, if all that it depends on changes
+        by its size.
+        """
+        dae, sizes = self.dae, SX.sym("sizes", self.dae.x.numel())
+        given = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
+        moved = ca.vertcat(dae.t, ca.fmax(sizes, ca.fabs(dae.x) / 8), dae.z, dae.u)
+        result = ca.densify(ca.fabs(ca.jacobian(self.arguments, given)) @ ca.fabs(moved))
+        return ca.Function(name, [*dae.arguments, sizes], [result], {"cse": True})
+
+    @cached_property
+    def rate_sizes(self) -> SX:
+        """Sizes of the arguments' time derivatives, (n, 1), beside which one may be but rounding.
+
+        Each quantity changes by its nominal value per second, states also by their rates. They are
+        0 for relations of time alone, which are exact.
+        """
+        dae = self.dae
+        fast = (ca.fabs(dae.ode) + [v.nominal for v in dae.states]) if dae.states else dae.ode
+        rates = ca.vertcat(1, fast, [v.nominal for v in dae.algebraics])
+        given = ca.vertcat(dae.t, dae.x, dae.z)
+        sizes = ca.fabs(ca.jacobian(self.arguments, given)) @ rates
+        return ca.densify(sizes * [float(not alone) for alone in self.of_time])
+
     def described(self, i: int) -> str:
         """Return a relation as text, e.g. "sign of v"."""
         return self._descriptions[i]
@@ -119,14 +145,14 @@ class Hybrid:
         """Return a function of t, x, z, u, p and du/dt, where z solves the algebraic equations.
 
         Its results are the arguments of the relations with their first time derivatives along a
-        solution, and `solved` with its time derivative; then the second time derivatives and dx/dt,
-        unless `closely` is False.
+        solution, and `solved` with its time derivative; then the second time derivatives,
+        `rate_sizes` and dx/dt, unless `closely` is False.
         """
         dae = self.dae
         w, v = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
         rates = self.rates(self.arguments, w, v)
         results = [self.arguments, rates, self.solved, self.rates(self.solved, w, v)]
-        results += [self.rates(rates, w, v), dae.ode] if closely else []
+        results += [self.rates(rates, w, v), self.rate_sizes, dae.ode] if closely else []
         return self._with_unknown_rates(name, dae.ode, w, [v], results)
 
     @property
@@ -168,12 +194,12 @@ class Hybrid:
         """Return a function of t, x, z, u, p and du/dt, where z solves the algebraic equations.
 
         Its results decide what happens at an event: arguments of the relations and their time
-        derivatives, the fastest rate of a state, `rules`, and the largest violated invariant.
+        derivatives, `rate_sizes`, `rules`, and the largest violated invariant.
         """
         dae, violated = self.dae, [invariant.residual for invariant in self.dae.invariants]
         w, v = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
-        fastest, defect = (ca.norm_inf(ca.vertcat(0, *column)) for column in ([dae.ode], violated))
-        results = [self.arguments, self.rates(self.arguments, w, v), fastest, *self.rules, defect]
+        rates, defect = self.rates(self.arguments, w, v), ca.norm_inf(ca.vertcat(0, *violated))
+        results = [self.arguments, rates, self.rate_sizes, *self.rules, defect]
         return self._with_unknown_rates(name, dae.ode, w, [v], results)
 
     def _with_unknown_rates(

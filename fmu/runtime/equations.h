@@ -13,7 +13,8 @@
    model_rank               t, x, z, u, p                         -> distance (1)
    model_rank_rate          t, x, z, u, p                         -> its time derivative (1)
    model_project            t, x, u, p                            -> x_moved, change (1)
-   model_relations          t, x, z, u, p, du/dt                  -> arguments, rates, seconds
+   model_relations          t, x, z, u, p, du/dt                  -> arguments, rates, seconds,
+   sizes model_rounding           t, x, z, u, p, sizes of x             -> changes of arguments
    model_timed              t, x, z, u, p                         -> arguments, rates
    model_bounds             t, x, z, u, p, length (1)             -> low, high
    model_conditions         t, x, z, u, p                         -> conditions, values, defect (1)
@@ -31,8 +32,9 @@
 
    The last N_MODES of u are the modes of the relations: 1 or -1, the sign of its argument, or the
    floor of it; between -1 and 1 while an argument stays 0. model_relations gives the arguments with
-   their first and second time derivatives along a solution; model_timed those of time alone, the
-   others being 0, with partial derivatives. model_bounds gives, for each of the relations that
+   their first and second time derivatives along a solution, and sizes of the first; model_rounding
+   their changes if all that they depend on changes by its size; model_timed those of time alone,
+   the others being 0, with partial derivatives. model_bounds gives, for each of the relations that
    are `bounded`, bounds of the argument and of its first and second derivative from t to t +
    length; they are not finite where there are none. model_conditions gives the conditions of the
    events, the values that they assign, and the largest violation of an invariant.
@@ -57,14 +59,14 @@ Equation model_start, model_start_directional;
 Equation model_algebraic, model_ode, model_outputs;
 Equation model_directional, model_adjoint, model_jacobian, model_step;
 Equation model_rank, model_rank_rate, model_project;
-Equation model_relations, model_timed, model_conditions, model_bounds;
+Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
 
 WorkSize model_start_work, model_start_directional_work;
 WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
 WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
 WorkSize model_rank_work, model_rank_rate_work, model_project_work;
-WorkSize model_relations_work, model_timed_work, model_conditions_work;
-WorkSize model_bounds_work;
+WorkSize model_relations_work, model_rounding_work, model_timed_work;
+WorkSize model_conditions_work, model_bounds_work;
 
 INSIDE_END
 

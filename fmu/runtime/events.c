@@ -53,7 +53,7 @@ bool run_stopped(const Instance *self) {
 Status begin_events(Instance *self) {
     State *state = &self->state;
     double *modes = state->values + FIRST_MODE, here[ROOM(N_MODES)];
-    Rules now, before;
+    Rules now, before, literal;
     if (evaluate_rules(self, &now) != OK) return fail(self);
     for (int i = 0; i < N_EVENTS; i++)
         if (events[i].message && now.conditions[i] > 0)
@@ -71,16 +71,22 @@ Status begin_events(Instance *self) {
                      parameter->name);
     }
 
-    /* a sample may be due at the start itself */
+    /* a sample may be due at the start itself; at a boundary the value alone was decisive before */
     const double t = state->values[TIME];
+    Seen seen;
+    if (watch_relations(self, &seen) != OK) return fail(self);
     memcpy(here, modes, N_MODES * sizeof *modes);
     modes_of_time(self, t - 8 * DBL_EPSILON * fmax(fabs(t), TINY), modes);
-    const Status status = evaluate_rules(self, &before);
+    Status status = evaluate_rules(self, &before);
+    for (int i = 0; i < N_MODES; i++)
+        modes[i] = seen.arguments[i] == 0 && relations[i].at_zero ? relations[i].at_zero : here[i];
+    if (status == OK) status = evaluate_rules(self, &literal);
     memcpy(modes, here, N_MODES * sizeof *modes);
     if (status != OK) return fail(self);
     for (int i = 0; i < N_EVENTS; i++)
-        state->switching.conditions[i] =
-            events[i].sampled ? fmin(now.conditions[i], before.conditions[i]) : now.conditions[i];
+        state->switching.conditions[i] = events[i].sampled
+                                             ? fmin(now.conditions[i], before.conditions[i])
+                                             : literal.conditions[i];
     return OK;
 }
 
@@ -112,11 +118,11 @@ static Status find_switched(Instance *self, int crossing, bool zero[], bool deci
         } else if (relations[i].of_time) {
             zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
         } else {
-            const double speed = fabs(rates[i]) * span, gap = inside[i] - s->slack;
+            const double speed = fabs(rates[i]) * span, gap = inside[i] - s->slack[i];
             const bool crossed =
-                gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack;
+                gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack[i];
             zero[i] = i == crossing || crossed;
-            if (zero[i]) *way = fmax(*way, fabs(rates[i]) * (t - s->last) / s->slack);
+            if (zero[i]) *way = fmax(*way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }
     }
     return OK;

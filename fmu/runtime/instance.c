@@ -29,7 +29,7 @@ static WorkSize *const work_sizes[] = {
     model_project_work,
 #endif
 #if HAS_EVENTS
-    model_relations_work,   model_timed_work,
+    model_relations_work,   model_rounding_work, model_timed_work,
     model_conditions_work,
 #endif
 #if N_BOUNDED > 0

@@ -55,6 +55,7 @@ static bool see(Instance *self, const Point *at, Seen *seen) {
     self->res[0] = seen->arguments;
     self->res[1] = seen->rates;
     self->res[2] = seen->seconds;
+    self->res[3] = seen->sizes;
     return !model_relations(self->arg, self->res, self->iw, self->w, 0);
 }
 
@@ -151,9 +152,9 @@ void measure(const Instance *self, const double modes[], const Seen *seen, doubl
             inside[i] = NO_BOUNDARY;
         } else if (relations[i].floor) {
             sign = value - mode < mode + 1 - value ? 1 : -1;
-            inside[i] = s->slack + (sign > 0 ? value - mode : mode + 1 - value);
+            inside[i] = s->slack[i] + (sign > 0 ? value - mode : mode + 1 - value);
         } else {
-            inside[i] = s->slack + mode * value;
+            inside[i] = s->slack[i] + mode * value;
         }
         rates[i] = sign == 0 ? 0 : sign * seen->rates[i];
     }
@@ -245,7 +246,7 @@ static double required(Instance *self, const Seen *seen, int i, bool *zero) {
     if (jumps) return relation->floor ? floor(value) : value >= 0 ? 1 : -1;
     if (!*zero && value != boundary) return by_value(self, seen, i, value);
     *zero = true;
-    const double tiny = relation->of_time ? 0 : s->slack;
+    const double tiny = ROUNDING * seen->sizes[i];
     const double rates[] = {seen->rates[i], seen->seconds[i]};
     for (int k = 0; k < 2; k++) {
         const bool up = rates[k] > 0;
@@ -258,14 +259,15 @@ static double required(Instance *self, const Seen *seen, int i, bool *zero) {
 }
 
 static void note_slack(Instance *self) {
-    double fastest = 1, dx[ROOM(NX)] = {0};
+    Switching *s = &self->state.switching;
+    double sizes[ROOM(NX)], moved[ROOM(N_MODES)] = {0};
     const Point at = present(self);
+    for (int i = 0; i < NX; i++) sizes[i] = variables[FIRST_STATE + i].nominal;
     pass(self, &at);
-    self->res[0] = dx;
-    if (model_ode(self->arg, self->res, self->iw, self->w, 0)) return;
-    for (int i = 0; i < NX; i++)
-        if (isfinite(dx[i])) fastest = fmax(fastest, fmax(fabs(dx[i]), fabs(at.x[i]) / 8));
-    self->state.switching.slack = ROUNDING * fastest;
+    self->arg[5] = sizes;
+    self->res[0] = moved;
+    if (model_rounding(self->arg, self->res, self->iw, self->w, 0)) return;
+    for (int i = 0; i < N_MODES; i++) s->slack[i] = isfinite(moved[i]) ? ROUNDING * moved[i] : 0;
 }
 
 /* End the sliding of relations whose modes have left -1 ... 1; true if there are any. */

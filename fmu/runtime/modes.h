@@ -22,9 +22,10 @@ typedef struct {
     double *z, *u;
 } Point;
 
-/* Arguments of the relations, and their time derivatives. */
+/* Arguments of the relations, their time derivatives, and sizes of the first of these. */
 typedef struct {
-    double arguments[ROOM(N_MODES)], rates[ROOM(N_MODES)], seconds[ROOM(N_MODES)];
+    double arguments[ROOM(N_MODES)], rates[ROOM(N_MODES)], seconds[ROOM(N_MODES)],
+        sizes[ROOM(N_MODES)];
 } Seen;
 
 INSIDE_BEGIN

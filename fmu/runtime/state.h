@@ -69,10 +69,10 @@ typedef struct {
     double conditions[ROOM(N_EVENTS)]; /* of events, as they were after the last one */
     double next; /* time event: the first of `due`; `NOT_PLANNED` after a change */
     double last,
-        close;      /* time of the last event; how many in succession were close to each other */
-    double slack;   /* by which an argument passes 0 before that is an event */
-    double stopped; /* 1: an event has ended the run */
-    double waits;   /* 1: a time event waits for the importer; 2 + i: a crossing of relation i */
+        close; /* time of the last event; how many in succession were close to each other */
+    double slack[ROOM(N_MODES)]; /* by which an argument passes 0 before that is an event */
+    double stopped;              /* 1: an event has ended the run */
+    double waits; /* 1: a time event waits for the importer; 2 + i: a crossing of relation i */
 } Switching;
 
 enum { SWITCHING_SIZE = sizeof(Switching) / sizeof(double) };

@@ -1,7 +1,7 @@
 /* Events of the states within a run: modes, assignments, and what these make happen at the same
  * instant. Where a relation slides or rests, or a run ends, the caller has to go on.
  *
- * evaluate(t, x, z, u, c) -> (arguments and rates of the relations, fastest rate of a state,
+ * evaluate(t, x, z, u, c) -> (arguments and rates of the relations, sizes of these rates,
  * conditions, assigned values, violation of the invariants, z), z from its guess.
  */
 #ifndef SWITCH_H
@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     Equations *evaluate;
     const int *watched; /* the mode of each relation that is watched */
-    const int *floors, *of_time;
+    const int *floors;
     const Rule *rules;
     const int *assigned; /* states */
 } Switches;
@@ -37,7 +37,7 @@ typedef struct {
 static const Switches switches;
 
 typedef struct {
-    double arguments[MODES + 1], rates[MODES + 1], fastest;
+    double arguments[MODES + 1], rates[MODES + 1], sizes[MODES + 1];
     double conditions[EVENTS + 1], values[ASSIGNED + 1], defect, z[NZ + 1];
 } Decision;
 
@@ -49,7 +49,7 @@ static inline int decision_at(Problem *self, double t, const double *x, Decision
     self->arg[4] = self->c;
     self->res[0] = found->arguments;
     self->res[1] = found->rates;
-    self->res[2] = &found->fastest;
+    self->res[2] = found->sizes;
     self->res[3] = found->conditions;
     self->res[4] = found->values;
     self->res[5] = &found->defect;
@@ -66,7 +66,7 @@ static inline int required(const Decision *at, int i, double *mode, int *zero) {
         return 0;
     }
     *zero = 1;
-    const double tiny = switches.of_time[i] ? 0 : SWITCH_ROUNDING * fmax(1, at->fastest);
+    const double tiny = SWITCH_ROUNDING * at->sizes[i];
     const int up = at->rates[i] > 0;
     if (!(fabs(at->rates[i]) > tiny)) return 1;
     *mode = switches.floors[i] ? boundary - !up : up ? 1 : -1;
@@ -89,7 +89,7 @@ static inline int settle(Problem *self, double t, const double *x, const int *ze
             modes[i] = back = mode;
             changed = 1;
             if (!at_zero || switches.floors[i]) continue;
-            Decision other = {{0}, {0}, 0, {0}, {0}, 0, {0}};
+            Decision other = {{0}, {0}, {0}, {0}, {0}, 0, {0}};
             if (decision_at(self, t, x, &other) || required(&other, i, &back, &at_zero) ||
                 back != mode)
                 return 1; /* it slides */
@@ -102,7 +102,7 @@ static inline int settle(Problem *self, double t, const double *x, const int *ze
 /* Assigns the new values of events that have risen. Returns 0 where the run can go on. */
 static inline int assign(Problem *self, double t, double *x, const Decision *at, const int *risen,
                          int *zero) {
-    Decision after = {{0}, {0}, 0, {0}, {0}, 0, {0}};
+    Decision after = {{0}, {0}, {0}, {0}, {0}, 0, {0}};
     int given[NX] = {0};
     for (int i = 0, k = 0; i < EVENTS; k += switches.rules[i++].count)
         for (int j = k; risen[i] && j < k + switches.rules[i].count; ++j) {
@@ -155,7 +155,7 @@ static inline int pass_event(Problem *self, const Crossing *crossing, double *x)
     double *modes = self->u + NU - MODES, before[MODES + 1], dx[NX], state[NX], order[EVENTS + 1];
     int zero[MODES + 1] = {0}, zero_before[MODES + 1];
     const double t = crossing->time;
-    Decision at = {{0}, {0}, 0, {0}, {0}, 0, {0}};
+    Decision at = {{0}, {0}, {0}, {0}, {0}, 0, {0}};
     Place place;
     if (!switches.evaluate || self->records == self->last_record) return 1;
     if (look_afresh(self, t, x, dx, &place) || decision_at(self, t, x, &at)) return 1;

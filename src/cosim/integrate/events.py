@@ -14,6 +14,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.pulses import pulse_times
@@ -193,12 +194,8 @@ class _Course:
                     "already; give a condition that becomes true later"
                 )
         if system.events:
-            sampled = np.array([event.sampled for event in system.events], dtype=bool)
-            before = conditions
-            if sampled.any():
-                before = np.where(sampled, self._samples_before(conditions), conditions)
             begin = self.at
-            self._happen(before)
+            self._happen(self._conditions_before(conditions))
             self.instants.append((begin, self.at))
         self._write(self.at.t)
 
@@ -442,14 +439,24 @@ class _Course:
         u = np.concatenate((at.u, at.modes))
         return _rules(self.system)(at.t, at.x, at.z, u, self.values.p)[0]
 
-    def _samples_before(self, counts: Vector) -> Vector:
-        """Return the numbers of samples before the start: one is due at the start itself."""
+    def _conditions_before(self, conditions: Vector) -> Vector:
+        """Return the conditions before the start: at a boundary that of the value alone holds.
+
+        Of samples it is their number: one is due at the start itself.
+        """
+        sampled = np.array([event.sampled for event in self.system.events], dtype=bool)
+        seen, modes = self.at.watched(self.system, self.values.p).arguments[0], self.at.modes.copy()
+        for i, relation in enumerate(self.system.relations):
+            if seen[i] == 0 and relation.operation in COMPARISONS:
+                modes[i] = relation.at_zero
+        before = self._conditions_at(replace(self.at, modes=modes))
+        if not sampled.any():
+            return before
         earlier = self.at.t - 8 * np.spacing(max(abs(self.at.t), _TINY))
         literal = ca.Function("conditions", self.dae.arguments,
                               [ca.vertcat(*(e.condition for e in self.dae.events))])  # fmt: skip
         found = literal(earlier, self.at.x, self.at.z, self.at.u, self.values.p)
-        earlier_counts: Vector = np.minimum(counts, np.array(found, dtype=float).ravel())
-        return earlier_counts
+        return np.where(sampled, np.minimum(conditions, np.array(found).ravel()), before)
 
     def _next_jump(self, t: float) -> float:
         if self.series is None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from casadi import MX, SX
+from casadi import MX
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
@@ -55,6 +55,7 @@ class Watched(NamedTuple):
         arguments, rates: Arguments of the relations, and their time derivatives.
         solved, solved_rates: Modes of those that slide, and their time derivatives.
         seconds: Second time derivatives of the arguments.
+        rate_sizes: Sizes of `rates`, see `Hybrid.rate_sizes`.
         ode: Time derivatives of the states.
     """
 
@@ -64,6 +65,7 @@ class Watched(NamedTuple):
     solved: Vector
     solved_rates: Vector
     seconds: Vector
+    rate_sizes: Vector
     ode: Vector
 
 
@@ -107,7 +109,7 @@ def watch(
         rows: States, guesses of the algebraic unknowns, inputs with modes, and slopes of these,
             one row per time.
         p: Parameters.
-        closely: Whether second derivatives and dx/dt are evaluated; otherwise they are empty.
+        closely: Whether the last three fields are evaluated; otherwise they are empty.
     """
     n, size = len(times), _BLOCK
     if n <= _FEW or closely:
@@ -131,9 +133,7 @@ def watch(
 
 @cached_per_thread(16)
 def _spread(system: Hybrid) -> Evaluator:
-    dae, sizes = system.dae, SX.sym("sizes", system.dae.x.numel())
-    spread = ca.fabs(ca.jacobian(system.arguments, dae.x)) @ sizes
-    return Evaluator(ca.Function("spread", [*dae.arguments, sizes], [ca.densify(spread)]))
+    return Evaluator(system.rounding("spread"))
 
 
 @dataclass(frozen=True)
@@ -215,11 +215,7 @@ def settled(
             continue
         at = replace(at, modes=modes)
         free = (i for i in range(len(modes)) if i not in at.sliding and i not in decided)
-        if sizes is None:
-            fastest = max(1.0, float(np.abs(row.ode).max(initial=0.0)))
-            scales = np.where(system.of_time, 0.0, _ROUNDING * fastest)
-        else:
-            scales = _ROUNDING * sizes
+        scales = _ROUNDING * (row.rate_sizes[0] if sizes is None else sizes)
         tried = (_changed(system, at, row, i, p, scales[i]) for i in free)
         changed = next((other for other in tried if other is not at), None)
         if changed is None:

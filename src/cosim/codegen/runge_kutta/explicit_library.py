@@ -35,7 +35,7 @@ class WatchText(NamedTuple):
     watch: ca.Function | None = None
     decide: ca.Function | None = None
     sizes: tuple[int, int, int] = (0, 0, 0)
-    tables: str = "static const Switches switches = {NULL, NULL, NULL, NULL, NULL, NULL};"
+    tables: str = "static const Switches switches = {NULL, NULL, NULL, NULL, NULL};"
 
 
 NO_EVENTS = WatchText()

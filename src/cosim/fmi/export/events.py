@@ -65,12 +65,13 @@ def event_functions(system: Hybrid) -> list[ca.Function]:
     timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
     seen = system.watching("seen")
     symbols = seen.mx_in()
-    arguments, rates, _, _, seconds, _ = seen.call(symbols, True)
+    arguments, rates, _, _, seconds, sizes, _ = seen.call(symbols, True)
     span = system.time_bounds
     over, ends = [*dae.arguments, span.length], [span.low, span.high]
     bounds = [ca.Function("model_bounds", over, ends, {"cse": True})] if span.relations else []
     return [
-        ca.Function("model_relations", symbols, [arguments, rates, seconds]),
+        ca.Function("model_relations", symbols, [arguments, rates, seconds, sizes]),
+        system.rounding("model_rounding"),
         ca.Function("model_timed", dae.arguments, timed, {"cse": True}),
         ca.Function("model_conditions", dae.arguments, [*system.rules, defect], {"cse": True}),
         *bounds,

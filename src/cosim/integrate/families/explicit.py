@@ -132,10 +132,7 @@ def _events(system: Hybrid, inputs: InputSeries | None, constants: int) -> Watch
     results = system.deciding("deciding")(t, x, solved, now, p, slopes)
     decide = ca.Function("decide", symbols[:5], [*results, solved])
     assigned = [state for event in system.events for state in event.states]
-    columns = {
-        "watched": system.of_states, "floors": system.floors, "of_time": system.of_time,
-        "assigned": assigned,
-    }  # fmt: skip
+    columns = {"watched": system.of_states, "floors": system.floors, "assigned": assigned}
     tables = [
         f"static const int {name}[] = {{{', '.join(str(int(row)) for row in (*rows, -1))}}};"
         for name, rows in columns.items()
@@ -146,7 +143,7 @@ def _events(system: Hybrid, inputs: InputSeries | None, constants: int) -> Watch
     ]
     tables += [
         f"static const Rule rules[] = {{{''.join(rules)}{{0, 0, 0}}}};",
-        "static const Switches switches = {decide, watched, floors, of_time, rules, assigned};",
+        "static const Switches switches = {decide, watched, floors, rules, assigned};",
     ]
     sizes = len(system.relations), len(system.events), len(assigned)
     return WatchText(watch, decide, sizes, "\n".join(tables))
