@@ -72,7 +72,8 @@ def wheel() -> Dae:
     road = height * ca.exp(-(((model.t - 1) / 0.15) ** 2))
     model.derivative(position, speed)
     model.derivative(speed, (force - c * (position - road)) / mass)
-    model.output("tyre_force", "N", c * (road - position), "change of the force on the road")
+    tyre = c * (road - position)
+    model.output("tyre_force", "N", tyre, "change of the force on the road", nominal=1000.0)
     return model.freeze()
 
 

@@ -123,7 +123,7 @@ def test_files_of_fmi_3_take_the_same_cubics_as_those_of_fmi_2(name, tmp_path):
     assert runs[0].stats["order"] == runs[1].stats["order"]
     assert set(runs[1].stats["order"].values()) == {"cubic inputs"}
     assert runs[1].stats["macro_steps"] == runs[0].stats["macro_steps"]
-    assert error_of(runs[1], runs[0]) < 1e-9
+    assert error_of(runs[1], runs[0]) < 1e-8
     # the agreement of an interface is close to its bound in some chosen steps, in none of these
     ways = {"stop_time": 1, "output_interval": 0.01, "macro_step": 0.02}
     second_run, third_run = (system.simulate(**ways) for system in (second, third))

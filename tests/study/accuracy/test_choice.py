@@ -341,7 +341,7 @@ def test_exact_agreement_is_rejected_where_equations_contain_time():
     """The pulse is shorter than the places at which the equations are looked at are apart."""
     model = Model("tap", stop_time=100.0)
     x = model.state("x", "m", 0.0, "place")
-    model.derivative(x, ca.exp(-(((model.t - 50.00031) / 1e-6) ** 2)))
+    model.derivative(x, ca.exp(-(((model.t - 50.00031) / 1e-9) ** 2)))
     with pytest.raises(SolverError, match=r"agree exactly, but may have missed what changes"):
         simulate(model.freeze(), accuracy=1e-4)
 
