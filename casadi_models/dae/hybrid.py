@@ -123,7 +123,8 @@ class Hybrid:
         rates = ca.vertcat(1, fast, [v.nominal for v in dae.algebraics])
         given = ca.vertcat(dae.t, dae.x, dae.z)
         sizes = ca.fabs(ca.jacobian(self.arguments, given)) @ rates
-        return ca.densify(sizes * [float(not alone) for alone in self.of_time])
+        rows = (sizes[i] * (not alone) for i, alone in enumerate(self.of_time))
+        return ca.densify(ca.vertcat(SX(0, 1), *rows))
 
     def described(self, i: int) -> str:
         """Return a relation as text, e.g. "sign of v"."""

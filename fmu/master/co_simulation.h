@@ -63,19 +63,4 @@ static inline int co_simulation(Run *run, Fmu *fmu) {
     return DONE;
 }
 
-/* `points` steps, their ends summed up with rounding errors; the only row takes what each gives. */
-static inline int summed_steps(Run *run, Fmu *fmu) {
-    run->time = run->start;
-    while (run->steps < run->points) {
-        if (halted) return INTERRUPTED;
-        const int how = communicate(fmu, &run->time, run->interval, run->time + run->interval);
-        if (how != DONE) return how;
-        ++run->steps;
-        if (record(fmu, run->recording, 0)) return CALL_FAILED;
-        for (long long i = 0; i < run->recording->width; ++i)
-            if (!isfinite(run->recording->rows[i])) return NOT_A_NUMBER;
-    }
-    return DONE;
-}
-
 #endif

@@ -29,11 +29,32 @@ SIGNATURES = {
     "const fmi2Integer order[], const fmi2Real value[]",
     "fmi2GetRealOutputDerivatives": "fmi2Component c, const fmi2ValueReference vr[], size_t n, "
     "const fmi2Integer order[], fmi2Real value[]",
+    "fmi2GetDerivatives": "fmi2Component c, fmi2Real x[], size_t n",
+    "fmi2GetContinuousStates": "fmi2Component c, fmi2Real x[], size_t n",
+    "fmi2SetContinuousStates": "fmi2Component c, const fmi2Real x[], size_t n",
+    "fmi2GetNominalsOfContinuousStates": "fmi2Component c, fmi2Real x[], size_t n",
+    "fmi2CompletedIntegratorStep": "fmi2Component c, fmi2Boolean keep, fmi2Boolean *enter, "
+    "fmi2Boolean *terminate",
+    "fmi2NewDiscreteStates": "fmi2Component c, fmi2EventInfo *info",
+    "fmi2Terminate": "fmi2Component c",
+    "fmi2Reset": "fmi2Component c",
+    "fmi2SerializeFMUstate": "fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size",
+    "fmi2SerializedFMUstateSize": "fmi2Component c, fmi2FMUstate state, size_t *size",
+    "fmi2GetDirectionalDerivative": "fmi2Component c, const fmi2ValueReference unknowns[], "
+    "size_t m, const fmi2ValueReference knowns[], size_t n, const fmi2Real seed[], "
+    "fmi2Real value[]",
+    "fmi2GetVersion": "void",
+    "fmi2GetTypesPlatform": "void",
+    "fmi2SetDebugLogging": "fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]",
     "fmi3GetAdjointDerivative": "fmi3Instance c, const fmi3ValueReference unknowns[], size_t m, "
     "const fmi3ValueReference knowns[], size_t n, const fmi3Float64 seed[], size_t o, "
     "fmi3Float64 value[], size_t p",
 }
-_RESULTS = {"fmi2Instantiate": "fmi2Component"}
+_RESULTS = {
+    "fmi2Instantiate": "fmi2Component",
+    "fmi2GetVersion": "const char *",
+    "fmi2GetTypesPlatform": "const char *",
+}
 
 
 def wrapped(
@@ -57,15 +78,16 @@ def wrapped(
     for function, body in bodies.items():
         kind = _RESULTS.get(function, f"{function[:4]}Status")
         parameters = SIGNATURES[function]
-        definition = re.compile(rf"^{kind} {function}\(", re.MULTILINE)
+        definition = re.compile(rf"^{re.escape(kind)} ?{function}\(", re.MULTILINE)
         (name,) = [
             n for n, c in files.items() if n.endswith(".c") and definition.search(c.decode())
         ]
-        names = ", ".join(re.findall(r"(\w+)(?:\[\])?(?:,|$)", parameters))
+        names = ", ".join(re.findall(r"(\w+)(?:\[\])?(?:,|$)", parameters.replace("void", "")))
         inner = definition.sub(f"static {kind} inner_{function}(", files[name].decode())
         own = body.replace("CALL", f"inner_{function}({names})")
         own = re.sub(r"REF\((.*?)\)", lambda match: references[match[1]], own)
-        head = "#include <math.h>\n#include <stdio.h>\n#include <stdlib.h>\nextern double limit;\n"
+        heads = ("math", "stdio", "stdlib", "string")
+        head = "".join(f"#include <{h}.h>\n" for h in heads) + "extern double limit;\n"
         files[name] = f"{head}{inner}\n{kind} {function}({parameters}) {{{own}}}\n".encode()
     files["sources/equations.c"] += b"\ndouble limit;\n"
     sources = {Path(n).name: c for n, c in files.items() if n.startswith("sources/")}

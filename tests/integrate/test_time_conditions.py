@@ -18,7 +18,6 @@ WAYS = [
     "cvodes",
     "ModelExchange 2",
     "CoSimulation 2",
-    "ModelExchange 3",
     "CoSimulation 3",
 ]
 
@@ -87,7 +86,7 @@ def test_every_switch_is_found_at_its_time(case, way, tmp_path):
         assert len(run.events) == pytest.approx(count, abs=1)  # one may be at the end
 
 
-@pytest.mark.parametrize("way", ["dop853", "ModelExchange 2", "CoSimulation 3"])
+@pytest.mark.parametrize("way", ["dop853", "ModelExchange 2", "ModelExchange 3", "CoSimulation 3"])
 def test_switches_follow_parameters_and_other_ends_of_the_run(way, tmp_path):
     dae, more = integral(lambda t, a: ca.sin(100 * pi * a * t) > 0.99, 1.0), {"a": 2.0}
     if way == "dop853":

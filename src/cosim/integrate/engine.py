@@ -1,7 +1,7 @@
 """`Problem`: a model over a grid of output times; `Engine`: a solver for it, ready to be called."""
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -24,6 +24,21 @@ class Counts(NamedTuple):
     rhs_calls: int | None = None
     jacobian_calls: int | None = None
     cause: str = ""
+
+    @classmethod
+    def total(cls, every: "Sequence[Counts]") -> "Counts":
+        """Return the sums over parts of a run, with the last cause; None where one is not known."""
+
+        def total(numbers: Iterable[int | None]) -> int | None:
+            known = [number for number in numbers if number is not None]
+            return sum(known) if len(known) == len(every) else None
+
+        return cls(
+            total(counts.steps for counts in every),
+            total(counts.rhs_calls for counts in every),
+            total(counts.jacobian_calls for counts in every),
+            every[-1].cause if every else "",
+        )
 
 
 @dataclass(frozen=True)

@@ -123,20 +123,6 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     )
 
 
-def _summed(found: Sequence[Reached]) -> Counts:
-    def total(numbers: Iterable[int | None]) -> int | None:
-        known = [number for number in numbers if number is not None]
-        return sum(known) if len(known) == len(found) else None
-
-    every = [reached.counts for reached in found]
-    return Counts(
-        total(counts.steps for counts in every),
-        total(counts.rhs_calls for counts in every),
-        total(counts.jacobian_calls for counts in every),
-        every[-1].cause if every else "",
-    )
-
-
 @cached_per_thread(16)
 def _rules(system: Hybrid) -> Evaluator:
     """Return a function of t, x, z, u, p: conditions of all events, and their new values."""
@@ -223,7 +209,7 @@ class _Course:
             states,
             algebraics,
             u,
-            _summed(self.reached),
+            Counts.total([reached.counts for reached in self.reached]),
             reason,
             sum(reached.solve_time for reached in self.reached),
             self.events,

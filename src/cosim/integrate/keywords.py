@@ -45,12 +45,9 @@ class RareKeywords(TypedDict, total=False):
     record_events: bool
 
 
-class SharedKeywords(RareKeywords, total=False):
+class SharedKeywords(RareKeywords, TimeKeywords, total=False):
     """Keywords that runs of many variants share; see `cosim.simulate`."""
 
-    start_time: float | None
-    stop_time: float | None
-    output_interval: float | None
     inputs: Any
     outputs: Sequence[str] | None
     solver: str | Solver | Tolerance | None

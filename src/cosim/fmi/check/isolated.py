@@ -10,11 +10,12 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from cosim.errors import FmuError, MissingTool
+from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.check.finding import ADVICE, TRIAL_RULES, WRONG, Finding, Rule
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
+from cosim.fmi.check.trials.calls import calls, exchange, settings
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives, slopes
 from cosim.fmi.check.trials.motion import motion
 from cosim.fmi.check.trials.process import memory, quiet
@@ -31,7 +32,6 @@ from cosim.fmi.check.trials.start import (
     time,
 )
 from cosim.fmi.check.trials.steps import steps, stop
-from cosim.fmi.run.c_master import co_simulation_library
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
@@ -40,9 +40,9 @@ from cosim.model.values import number
 from cosim.text import sentence
 
 TRIALS: tuple[Trial, ...] = (
-    *(start, initialization, defaults, time, reset, instances, rollback),
+    *(start, initialization, defaults, settings, time, exchange, reset, instances, rollback),
     *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
-    *(motion, stop, steps, sources),
+    *(motion, stop, steps, calls, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger"})
@@ -126,10 +126,7 @@ def try_apart(
             raise FmuError(f"{path} has neither model exchange nor co-simulation; nothing can run")
         for kind in kinds:
             choose_interface(files, bench.fmpy, kind, path)
-        loop = ""
-        with suppress(MissingTool):
-            loop = str(co_simulation_library())
-        given = [str(folder / _ANSWER), str(files), str(path), str(timeout), loop]
+        given = [str(folder / _ANSWER), str(files), str(path), str(timeout)]
         end, answers = monotonic() + timeout, TrialResults()
         tasks = [(trial.__name__, str(kind)) for kind in kinds for trial in trials]
         while tasks and (left := end - monotonic()) > 0:
@@ -195,6 +192,6 @@ def _main(answer: Path, bench: Bench, tasks: list[_TrialTask]) -> None:
 
 
 if __name__ == "__main__":
-    _answer, _files, _name, _timeout, _loop, _tasks = sys.argv[1:]
-    _bench = Bench(Path(_files), _name, float(_timeout), Path(_loop) if _loop else None)
+    _answer, _files, _name, _timeout, _tasks = sys.argv[1:]
+    _bench = Bench(Path(_files), _name, float(_timeout))
     _main(Path(_answer), _bench, json.loads(_tasks))

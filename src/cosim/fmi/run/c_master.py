@@ -2,7 +2,6 @@
 
 import ctypes
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -94,30 +93,15 @@ def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:
     return nominals
 
 
-def co_simulation_library() -> Path:
-    """Compile what drives co-simulation, or take it from the cache: `run_fmu`, `run_steps`.
-
-    Raises:
-        MissingTool: There is no compiler.
-    """
-    text = master_source("co_simulation.h")
-    for function, interface in (("run_fmu", "co_simulation"), ("run_steps", "summed_steps")):
-        text += f"SHARED void {function}(Run *run) {{\n    answer(run, {interface});\n}}\n"
-    return cached_library(f"master {text}", lambda: text)
-
-
-def _model_exchange_library(states: int, indicators: int) -> Path:
-    sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
-    coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
-    text = f"{sizes}{master_source('model_exchange.h')}{coefficients}"
-    text += "SHARED void run_fmu(Run *run) {\n    answer(run, model_exchange);\n}\n"
-    return cached_library(f"master {text}", lambda: text)
-
-
 @cached_per_thread(8)
 def _library(states: int, indicators: int, exchange: bool) -> ctypes.CDLL:
-    place = _model_exchange_library(states, indicators) if exchange else co_simulation_library()
-    library = ctypes.CDLL(str(place))
+    text, interface = master_source("co_simulation.h"), "co_simulation"
+    if exchange:
+        sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
+        coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
+        text, interface = sizes + master_source("model_exchange.h") + coefficients, "model_exchange"
+    text += f"SHARED void run_fmu(Run *run) {{\n    answer(run, {interface});\n}}\n"
+    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
     library.run_fmu.argtypes = [ctypes.POINTER(Run)]
     library.run_fmu.restype = None
     return library

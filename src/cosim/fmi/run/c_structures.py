@@ -164,15 +164,6 @@ def _address(instance: Any, name: str) -> int | None:
 
 def reject_failure(run: Run, interrupts: Sequence[int], stop: float) -> None:
     """Raise the error of a run that failed, in fmpy's words if fmpy has this error."""
-    reject_failed_call(run, interrupts)
-    if run.how == Ending.STEP_VANISHED:
-        raise FmuError(f"dop853: step size too small, or too many steps, at t = {run.time:g} s")
-    if run.how != Ending.ENDED_BY_FMU and (run.how != Ending.DONE or run.rows < run.points):
-        raise FmuError(f"the run ended at {run.time:g} s, before the stop time {stop:g} s")
-
-
-def reject_failed_call(run: Run, interrupts: Sequence[int]) -> None:
-    """Raise the error of a failed FMI call, or KeyboardInterrupt after Ctrl-C."""
     from fmpy.fmi1 import FMICallException
 
     if interrupts or run.how == Ending.INTERRUPTED:
@@ -184,3 +175,7 @@ def reject_failed_call(run: Run, interrupts: Sequence[int]) -> None:
         raise FMICallException(function=name, status=run.status)
     if run.how == Ending.EARLY_RETURN:
         raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
+    if run.how == Ending.STEP_VANISHED:
+        raise FmuError(f"dop853: step size too small, or too many steps, at t = {run.time:g} s")
+    if run.how != Ending.ENDED_BY_FMU and (run.how != Ending.DONE or run.rows < run.points):
+        raise FmuError(f"the run ended at {run.time:g} s, before the stop time {stop:g} s")

@@ -36,6 +36,7 @@ _FEWER_STEPS = (
 _END_OF_RUN = re.compile(r"the run ends at \S+ s: (.+)$")
 _ENDED_WITHIN_A_STEP = re.compile(r"came no further than \S+$")  # no message says why
 _CLOSER = "a singularity, or more steps than one call allows: closer output times allow more"
+_MOST_UPDATES = 1000  # of discrete states at one instant
 _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
 _OK, _FATAL = 0, 4  # a status after which no function of the FMU may be called
@@ -91,10 +92,12 @@ def update_discrete_states(instance: Any, description: Any) -> tuple[bool, float
         Whether the FMU ends the run, and the time of its next event, s; infinity for no event.
     """
     update = instance.newDiscreteStates if is_second(description) else instance.updateDiscreteStates
-    needed, ends, found = True, False, (False, 0.0)
-    while needed and not ends:
-        needed, ends, _, _, *found = update()
-    defined, time = found
+    for _ in range(_MOST_UPDATES):
+        needed, ends, _, _, defined, time = update()
+        if ends or not needed:
+            break
+    else:
+        raise FmuError(f"its discrete states still change after {_MOST_UPDATES} updates")
     return bool(ends), float(time) if defined else inf
 
 

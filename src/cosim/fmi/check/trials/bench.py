@@ -57,13 +57,11 @@ class Bench:
         folder: Where it lies.
         name: What its user calls it.
         timeout: Wall time for all trials, s.
-        loop: Library that makes many steps, see `summed_steps`; None where there is no compiler.
     """
 
     folder: Path
     name: str
     timeout: float = 120.0
-    loop: Path | None = None
 
     @property
     def second(self) -> bool:
@@ -166,19 +164,19 @@ class Session:
         """Where it begins, s."""
         return self.bench.experiment("startTime") or 0.0
 
-    def enter(self, stop_time: float | None = None) -> None:
-        """Enter initialization mode."""
-        times = {"startTime": self.start_time, "stopTime": stop_time}
+    def enter(self, stop_time: float | None = None, start_time: float | None = None) -> None:
+        """Enter initialization mode; `start_time`, s, is that of the experiment if None."""
+        self.time = self.start_time if start_time is None else start_time
+        times = {"startTime": self.time, "stopTime": stop_time}
         if self.bench.second:
             self.instance.setupExperiment(**times)
             self.instance.enterInitializationMode()
         else:
             self.instance.enterInitializationMode(**times)
-        self.time = self.start_time
 
-    def start(self, stop_time: float | None = None) -> None:
+    def start(self, stop_time: float | None = None, start_time: float | None = None) -> None:
         """Initialize, and in model exchange go on to continuous-time mode."""
-        self.enter(stop_time)
+        self.enter(stop_time, start_time)
         self.instance.exitInitializationMode()
         if self.kind == "ModelExchange":
             self.next_event = enter_continuous_time(self.instance, self.bench.fmpy)
@@ -208,8 +206,8 @@ class Session:
     def slopes(self, unknowns: Sequence[Described], known: Described) -> Vector:
         """Return directional derivatives of unknowns to one known, (n,)."""
         references = [int(v.reference) for v in unknowns]
-        found = self.instance.getDirectionalDerivative(references, [int(known.reference)], [1.0])
-        return np.array(found, dtype=float)
+        found = self.instance.getDirectionalDerivative(references, [int(known.reference)], [2.0])
+        return np.array(found, dtype=float) / 2
 
     def steps(self, size: float, most: int) -> Iterator[float]:
         """Make communication steps of one size, s; yield the time after each, their sum."""

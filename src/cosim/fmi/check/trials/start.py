@@ -75,7 +75,7 @@ def time(bench: Bench, kind: str) -> Iterator[Finding]:
     if not clocks:
         raise Skipped("it has no variable for the time")
     with bench.session(kind) as session:
-        session.start()
+        session.start(start_time=session.start_time + bench.step_size(kind))
         if kind == "CoSimulation":
             variable = bench.offers(kind, "canHandleVariableCommunicationStepSize")
             list(session.steps(_WHOLE if variable else bench.step_size(kind), 1))
@@ -212,17 +212,18 @@ def _near_slopes(session: Session, other: Session | None) -> Iterator[Vector]:
     outputs, pairs = session.bench.outputs(), session.bench.states()
     states, rates = [state for state, _ in pairs], [rate for _, rate in pairs]
     if other is not None:
-        _move(other, other.values(states))
+        other.put_states(moved(other.values(states)))
         other.values(outputs)
     yield session.values(rates)
     yield session.values(outputs)
-    _move(session, session.values(states))
+    session.put_states(moved(session.values(states)))
     yield session.values(rates)
     yield session.values(outputs)
 
 
-def _move(session: Session, at: Vector) -> None:
-    session.put_states(at + 1e-3 * np.maximum(np.abs(at), 1.0))
+def moved(at: Vector) -> Vector:
+    """Return states near others, (n,)."""
+    return np.asarray(at + 1e-3 * np.maximum(np.abs(at), 1.0))
 
 
 def _same(
