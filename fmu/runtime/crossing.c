@@ -34,7 +34,8 @@ bool correct_crossing(Instance *self, Crossing *crossing, Bounds *bounds, const 
     double inside[ROOM(N_MODES)], rates[ROOM(N_MODES)];
     const int i = crossing->relation;
     if (!inside_at(self, at, inside, rates)) return false;
-    crossing->time = better_time(bounds, at->t, inside[i] - self->state.switching.slack[i], rates[i]);
+    crossing->time =
+        better_time(bounds, at->t, inside[i] - self->state.switching.slack[i], rates[i]);
     return crossing->time != at->t;
 }
 

@@ -12,11 +12,10 @@
 #define MAGIC UINT64_C(0x636f73696d464d55)
 
 static WorkSize *const work_sizes[] = {
-    model_start_work,       model_algebraic_work,
-    model_ode_work,         model_outputs_work,
+    model_start_work,       model_algebraic_work,         model_ode_work,
+    model_outputs_work,
 #if !NO_DERIVATIVES
-    model_directional_work, model_start_directional_work,
-    model_jacobian_work,
+    model_directional_work, model_start_directional_work, model_jacobian_work,
 #endif
 #if HAS_ADJOINT
     model_adjoint_work,
@@ -25,11 +24,10 @@ static WorkSize *const work_sizes[] = {
     model_step_work,
 #endif
 #if HAS_RANK
-    model_rank_work,        model_rank_rate_work,
-    model_project_work,
+    model_rank_work,        model_rank_rate_work,         model_project_work,
 #endif
 #if HAS_EVENTS
-    model_relations_work,   model_rounding_work, model_timed_work,
+    model_relations_work,   model_rounding_work,          model_timed_work,
     model_conditions_work,
 #endif
 #if N_BOUNDED > 0
