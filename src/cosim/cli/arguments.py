@@ -7,7 +7,7 @@ from typing import Any
 
 from casadi_models.dae import Dae
 from cosim.backend import Backend
-from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.errors import ParameterError, UsageError
 from cosim.integrate.keywords import requested
 from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
@@ -18,7 +18,7 @@ from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
 from cosim.model.values import settable_variable
 from cosim.scene.scene import Scene
-from cosim.scene.scene_file import read_scene, shipped_scenes
+from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import with_solver
 
 TIMES = ("start_time", "stop_time", "output_interval")
@@ -118,15 +118,8 @@ def names_in(text: str) -> tuple[str, ...]:
 
 
 def named_scene(name: str) -> Scene:
-    """Return a model as a scene without settings, or a scene by its file or shipped name."""
-    if name.endswith(".toml"):
-        return read_scene(name)
-    try:
-        return Scene(name, RunRequest(load(name)))
-    except UnknownName:
-        if name not in (file.stem for file in shipped_scenes()):
-            raise
-        return read_scene(f"{name}.toml")
+    """Return a model as a scene without settings, or a scene by its file."""
+    return read_scene(name) if name.endswith(".toml") else Scene(name, RunRequest(load(name)))
 
 
 def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:

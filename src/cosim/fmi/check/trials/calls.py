@@ -37,10 +37,8 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
         slopes = "getDerivatives" if bench.second else "getContinuousStateDerivatives"
         for function, variables in ("getContinuousStates", states), (slopes, rates):
             own = session.values(variables)
-            expected, found = (
-                given if variables is states else own,
-                _all(session, function, len(own)),
-            )
+            expected = given if variables is states else own
+            found = _all(session, function, len(own))
             allowed = _NOISE * np.maximum(np.abs(expected), 1.0)
             wrong = ~((np.abs(found - expected) <= allowed) & (np.abs(own - expected) <= allowed))
             for i in np.flatnonzero(wrong)[:MOST_NAMES]:
