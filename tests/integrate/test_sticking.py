@@ -106,3 +106,18 @@ def test_events_within_rounding_of_the_end_do_not_stop_a_run(solver):
             values = {"T": length}
             run = cosim.simulate(dae, solver=solver, start_values=values, stop_time=stop)
             assert run.final["n"] * length + run.final["x"] == pytest.approx(stop, abs=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "idas"])
+def test_play_follows_its_pin_though_the_solver_drifts_from_it(solver):
+    """The pin sin(t) moves the slot by its edges, 0.3 away on both sides."""
+    model = cosim.Model("play", stop_time=10.0)
+    w, u, du = model.state("w", "1", 0.0, "slot"), ca.sin(model.t), ca.cos(model.t)
+    right, left = (ca.logic_and(s * (u - w) >= 0.3, s * du > 0) for s in (1, -1))
+    model.derivative(w, ca.if_else(ca.logic_or(right, left), du, 0))
+    run = cosim.simulate(model.freeze(), solver=solver)
+    exact = np.sin(run.time) - 0.3  # pushed to the right at first
+    turned = run.time > 1.5 * np.pi
+    assert run.final["w"] == pytest.approx(np.sin(10.0) + 0.3, abs=1e-6)
+    assert np.abs(run["w"] - exact)[(run.time > 0.4) & (run.time < np.pi / 2)].max() < 1e-6
+    assert run["w"][turned].min() == pytest.approx(-0.7, abs=1e-6)

@@ -79,11 +79,11 @@ def _time_limit(text: str) -> float:
 def _subject(name: str) -> str:
     """Return a model, or the file of a shipped scene also by its bare name."""
     file = Path(__file__).parents[1] / "scene" / "shipped" / f"{name}.toml"
-    if "/" in name or not file.is_file():
-        return name
-    from casadi_models import CATALOG
+    if "/" not in name and file.is_file():
+        from casadi_models import CATALOG
 
-    return name if any(entry.partition("/")[0] == name for entry in CATALOG) else file.name
+        name = name if any(e.partition("/")[0] == name for e in CATALOG) else file.name
+    return name
 
 
 TYPES: dict[str, Callable[[str], Any]] = {

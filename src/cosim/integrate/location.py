@@ -13,7 +13,7 @@ from casadi_models.dae.time_search import TimeSearch
 from cosim.arrays import Vector
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.modes import Instant, Watched, guards, watch
+from cosim.integrate.modes import Instant, Watched, guards, stillness, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
@@ -100,10 +100,12 @@ class Piece:
         if self.passed:
             self.begin = begin = self.passed[-1].after
         self.noise = begin.noise(system, p, own_sizes(system.dae, began))
-        self.offsets = np.zeros(len(system.relations))  # of arguments that are 0 by definition
+        self.offsets = np.zeros_like(self.noise)  # of arguments that are 0 by definition
+        self.stays = np.full_like(self.noise, -1.0)  # rates at which these stay 0
         near = [i for i in begin.zero if not system.floors[i]]
         if near:
-            self.offsets[near] = begin.watched(system, p).arguments[0, near]
+            row = begin.watched(system, p)
+            self.offsets[near], self.stays[near] = row.arguments[0, near], stillness(row)[near]
 
     def _passed(self, events: NDArray[np.void]) -> list[Passed]:
         """Return events from their records; see `event_type`."""
@@ -208,6 +210,7 @@ class Piece:
         """
         values = seen.arguments - self.offsets
         inside, towards = guards(self.system, self.begin.modes, values, seen.rates)
+        inside = np.where(np.abs(towards) <= self.stays, np.maximum(inside, 0.0), inside)
         slid = list(self.own.sliding)
         inside[:, slid] = 1 - np.abs(seen.solved)
         towards[:, slid] = -np.sign(seen.solved) * seen.solved_rates

@@ -271,6 +271,12 @@ def _consistent(
     return float(stays), True
 
 
+def stillness(row: Watched) -> Vector:
+    """Return the rates of arguments that are but rounding, (m,), of one row; -1 if they move."""
+    still = _ROUNDING * row.rate_sizes[0]
+    return np.where(np.maximum(np.abs(row.rates[0]), np.abs(row.seconds[0])) <= still, still, -1.0)
+
+
 def literal_modes(system: Hybrid, arguments: Vector) -> Vector:
     """Return the modes by value: 1, or the integer, on a boundary; NaN makes comparisons false."""
     modes = np.where(system.floors, np.floor(arguments), np.where(arguments >= 0, 1.0, -1.0))

@@ -38,14 +38,9 @@ def model_structure(
     for i in positions[Role.VALIDITY]:
         running[i] = tuple(sorted({k for margin in margins for k in running[margin]}))
         initial[i] = tuple(sorted({k for margin in margins for k in initial[margin]}))
-    sections = (
-        (observed, running),
-        (positions[Role.DERIVATIVE], running),
-        (unknown, initial),
-        (margins, running),
-    )
-    whole = ET.Element("ModelStructure")
-    for tag, (members, needs) in zip(dialect.sections, sections, strict=False):
+    groups = observed, positions[Role.DERIVATIVE], unknown, margins
+    lists, whole = (running, running, initial, running), ET.Element("ModelStructure")
+    for tag, members, needs in zip(dialect.sections, groups, lists, strict=False):
         parent = ET.SubElement(whole, tag) if dialect.unknown and members else whole
         for i in sorted(members):
             others = " ".join(str(dialect.first + k) for k in needs[i])

@@ -81,9 +81,8 @@ def calls(bench: Bench, kind: str) -> Iterator[Finding]:
     outputs = bench.outputs()
     with bench.session(kind) as session:
         instance = session.instance
-        names = {f"fmi{bench.described.version}GetVersion": f"{bench.described.version}.0"}
-        if bench.second:
-            names["fmi2GetTypesPlatform"] = "default"
+        second = {"fmi2GetVersion": "2.0", "fmi2GetTypesPlatform": "default"}
+        names = second if bench.second else {"fmi3GetVersion": "3.0"}
         for name, expected in names.items():
             function = instance.dll[name]
             function.restype = ctypes.c_char_p

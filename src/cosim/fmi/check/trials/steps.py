@@ -17,9 +17,8 @@ _FEW_STEPS = 10
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
-    end, made = monotonic() + _SHARE * bench.timeout, 0
-    stop, used, looked = bench.experiment("stopTime"), [memory_in_use()], 0
-    outputs = bench.outputs()
+    end, made, looked = monotonic() + _SHARE * bench.timeout, 0, 0
+    stop, outputs, used = bench.experiment("stopTime"), bench.outputs(), [memory_in_use()]
     with bench.session(kind) as session:
         session.start()
         try:
