@@ -78,11 +78,11 @@ def _time_limit(text: str) -> float:
 
 def _subject(name: str) -> str:
     """Return a model, or the file of a shipped scene also by its bare name."""
-    file = Path(__file__).parents[1] / "scene" / "shipped" / f"{name}.toml"
-    if "/" not in name and file.is_file():
+    shipped = Path(__file__).parents[1] / "scene" / "shipped"
+    if name in {file.stem for file in shipped.glob("*.toml")}:
         from casadi_models import CATALOG
 
-        name = name if any(e.partition("/")[0] == name for e in CATALOG) else file.name
+        return name if any(e.partition("/")[0] == name for e in CATALOG) else f"{name}.toml"
     return name
 
 
