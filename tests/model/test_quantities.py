@@ -58,6 +58,10 @@ def test_text_that_is_no_quantity_is_refused_with_the_variable(text, reason):
         ("1 ft-lb", "N.m", 1.3558179483314004),
         ("-6.4994 lb", "N", -6.4994 * 4.4482216152605),
         ("10 lb", "kg", 4.5359237),  # only a mass fits
+        ("10 lbs", "kg", 4.5359237),
+        ("10 lbs", "N", 44.482216152605),
+        ("5 \u00b5m", "m", 5e-6),
+        ("5 \u03bcm", "m", 5e-6),
         ("3 RPM", "rad/s", 0.1 * math.pi),
         ("3 kN", "N", 3000.0),
         ("5Nm", "N.m", 5.0),

@@ -12,7 +12,7 @@ from cosim.text import LONGEST_WORD, bounded
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
-_FACTOR = re.compile(r"([A-Za-z\u00b0\u03a9\u00b5%]+|1)(?:(?:\^|\*\*)?([-+]?\d+))?")
+_FACTOR = re.compile(r"([A-Za-z\u00b0\u03a9\u00b5\u03bc%]+|1)(?:(?:\^|\*\*)?([-+]?\d+))?")
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
 
 
@@ -77,7 +77,7 @@ def parse_unit(text: str, like: Unit | None = None) -> Unit | None:
         return UNITS[text]
     unit = _product(text, _known)
     if unit is not None and like is not None and not unit.measures_like(like) and "lb" in text:
-        by_mass = _product(text, lambda name: MORE["lbm"] if name == "lb" else _known(name))
+        by_mass = _product(text, lambda one: MORE["lbm"] if one in {"lb", "lbs"} else _known(one))
         if by_mass is not None and by_mass.measures_like(like):
             return by_mass
     return unit
