@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from math import inf
 from typing import Any
 
@@ -212,7 +213,9 @@ class Dae:
         for candidate in self.variables:
             if candidate.name == name:
                 return candidate
-        raise KeyError(f"{self.full_name} has no variable '{name[:80]}'")
+        near = get_close_matches(str(name), [known.name for known in self.variables], 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise KeyError(f"{self.full_name} has no variable '{str(name)[:80]}'{hint}")
 
     def operations(self, *, with_outputs: bool = False) -> int:
         """Count the scalar operations of dx/dt and the residual, parameters being numbers.
