@@ -295,7 +295,7 @@ def test_replaced_dae_whose_columns_do_not_match_is_refused():
 def test_variable_is_found_by_name_or_missed_by_name():
     dae = oscillator()[0].freeze()
     assert dae.variable("k").meaning == "stiffness over mass"
-    with pytest.raises(KeyError, match="no variable 'kk'; did you mean k):
+    with pytest.raises(KeyError, match="no variable 'kk'; did you mean k"):
         dae.variable("kk")
     with pytest.raises(KeyError, match="no variable '3'"):
         dae.variable(3)
