@@ -13,8 +13,8 @@
    model_rank               t, x, z, u, p                         -> distance (1)
    model_rank_rate          t, x, z, u, p                         -> its time derivative (1)
    model_project            t, x, u, p                            -> x_moved, change (1)
-   model_relations          t, x, z, u, p, du/dt                  -> arguments, rates, seconds,
-   sizes model_rounding           t, x, z, u, p, sizes of x             -> changes of arguments
+   model_relations          t, x, z, u, p, du/dt                  -> values, rates, seconds, sizes
+   model_rounding           t, x, z, u, p, sizes of x             -> changes of values
    model_timed              t, x, z, u, p                         -> arguments, rates
    model_bounds             t, x, z, u, p, length (1)             -> low, high
    model_conditions         t, x, z, u, p                         -> conditions, values, defect (1)
@@ -31,7 +31,7 @@
    model_project makes a step of Newton's method towards where the constraints hold.
 
    The last N_MODES of u are the modes of the relations: 1 or -1, the sign of its argument, or the
-   floor of it; between -1 and 1 while an argument stays 0. model_relations gives the arguments with
+   floor of it; between -1 and 1 while an argument stays 0. model_relations gives their values with
    their first and second time derivatives along a solution, and sizes of the first; model_rounding
    their changes if all that they depend on changes by its size; model_timed those of time alone,
    the others being 0, with partial derivatives. model_bounds gives, for each of the relations that

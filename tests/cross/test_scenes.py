@@ -13,7 +13,7 @@ from cosim.backend import FMU_BACKENDS
 from cosim.cli.main import main
 from cosim.fmi.run.exported import run_file
 from cosim.model.solver import Tolerance
-from cosim.scene.scene_file import shipped_scenes
+from cosim.scene import shipped_scenes
 from cosim.verify.crosscheck import crosscheck
 
 NAMES = [path.name for path in shipped_scenes()]

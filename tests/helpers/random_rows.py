@@ -14,7 +14,7 @@ from pathlib import Path
 
 from helpers.fault_rows import ANY, WRONG, Prepare, Row
 
-from cosim.scene.scene_file import shipped_scenes
+from cosim.scene import shipped_scenes
 
 _BAD_NUMBERS = ("nan", "inf", "-inf", "1e999", "abc", "", "1,5", "0x1p3", "1 2", "--", "\u0661e")
 _NUMBERS = ("--stop-time", "--start-time", "--output-interval", "--relative-tolerance")

@@ -15,7 +15,8 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.model.solver import Tolerance
-from cosim.scene.scene_file import find_scene, read_scene, shipped_scenes
+from cosim.scene import shipped_scenes
+from cosim.scene.scene_file import find_scene, read_scene
 from cosim.scene.variants import in_formulation, variant, with_solver
 
 GOOD = """\

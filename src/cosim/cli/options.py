@@ -78,8 +78,9 @@ def _time_limit(text: str) -> float:
 
 def _subject(name: str) -> str:
     """Return a model, or the file of a shipped scene also by its bare name."""
-    shipped = Path(__file__).parents[1] / "scene" / "shipped"
-    if name in {file.stem for file in shipped.glob("*.toml")}:
+    from cosim.scene import shipped_scenes
+
+    if name in {file.stem for file in shipped_scenes()}:
         from casadi_models import CATALOG
 
         return name if any(e.partition("/")[0] == name for e in CATALOG) else f"{name}.toml"

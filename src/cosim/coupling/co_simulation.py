@@ -28,7 +28,8 @@ from cosim.trajectory import Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
-_FIRST, _TIGHTER, _OF_PARTS = 0.25, 1 / 16, 0.01  # of the accuracy; of the last; of the coupling's
+_SMOOTH, _OTHERS = 0.5, 0.25  # tolerance of the first run, of the accuracy
+_TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _FALLS, _TIGHTEST = 0.75, 1e-13
 _LOOP_UNSOLVED = len(Ending)
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
@@ -175,9 +176,9 @@ class CoSimulation:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
         accuracy = settings.accuracy or _ACCURACY
         last, steps, ratio = None, 0, 1.0
-        # of what other parts do within a step, the estimate may miss some
+        # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
-        tolerance = max((0.5 if smooth else _FIRST) * accuracy, 2 * _TIGHTEST)
+        tolerance = max((_SMOOTH if smooth else _OTHERS) * accuracy, 2 * _TIGHTEST)
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:

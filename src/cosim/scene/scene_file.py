@@ -17,14 +17,9 @@ from cosim.model.quantities import quantity
 from cosim.model.request import RunRequest
 from cosim.model.solver import LIMITS, Tolerance
 from cosim.model.values import checked, number
+from cosim.scene import shipped_scenes
 from cosim.scene.scene import FigureSpec, Scene
 from cosim.toml_file import TomlFile, read_toml, text_rows, texts, typed
-
-
-def shipped_scenes() -> tuple[Path, ...]:
-    """Return the files of all scenes that come with the package, by name."""
-    return tuple(sorted((Path(__file__).parent / "shipped").glob("*.toml")))
-
 
 _FIGURE_KEYS = tuple(FigureSpec.__dataclass_fields__)
 

@@ -3,12 +3,11 @@
 import argparse
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import cosim.scene
 from cosim.cli.tables import show_table, terminal_width
 from cosim.model.catalogue import summary
+from cosim.scene import shipped_scenes
 from cosim.toml_file import read_toml
 
 
@@ -43,8 +42,7 @@ def _list(args: argparse.Namespace) -> None:
 
 def _scenes() -> Iterator[dict[str, Any]]:
     """Yield the facts of each shipped scene without loading its model."""
-    folder = Path(cosim.scene.__path__[0]) / "shipped"
-    for path in sorted(folder.glob("*.toml")):
+    for path in shipped_scenes():
         data = read_toml(path).data
         yield {
             "scene": path.name,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cosim.cli.tables import write_text
 from cosim.errors import UnknownName, UsageError
-from cosim.scene.scene_file import shipped_scenes
+from cosim.scene import shipped_scenes
 
 
 def run(args: argparse.Namespace) -> int:

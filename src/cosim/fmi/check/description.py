@@ -223,14 +223,10 @@ def _units(described: Description) -> Iterator[Finding]:
         if base and own:
             exponents = dict(own.base)
             same = all(base[n] == exponents.get(n, 0) for n in BASE_UNITS if n != "rad")
-            if (
-                not (same and isclose(base["factor"], own.factor, rel_tol=_ROUNDING))
-                or base["offset"]
-            ):
-                fault = (
-                    f"unit '{name}' has base units of another quantity, another factor or an offset"
-                )
-                yield RULES["unit-base"].about(DESCRIPTION, fault)
+            close = isclose(base["factor"], own.factor, rel_tol=_ROUNDING) and not base["offset"]
+            if not (same and close):
+                fault = "has base units of another quantity, another factor or an offset"
+                yield RULES["unit-base"].about(DESCRIPTION, f"unit '{name}' {fault}")
         if not base:
             yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' has no base units")
         if name not in used:
@@ -300,14 +296,11 @@ def _unit_of(described: Description, variable: Described) -> Iterator[tuple[Rule
         yield RULES["unit-of-rate"], f"unit '{unit}' is not that of '{state.name}' per second"
 
 
-_SCALE = {"factor": 1.0, "offset": 0.0}  # of a unit against its base units
-
-
 def _base(unit: ET.Element | None) -> dict[str, float]:
     """Return factor, offset and exponents of a unit; empty if the file does not define them."""
     element = None if unit is None else unit.find("BaseUnit")
     if element is None:
         return {}
     exponents = {name: _finite(element.get(name, "0")) or 0.0 for name in BASE_UNITS}
-    numbers = {k: _finite(element.get(k, str(v))) or 0.0 for k, v in _SCALE.items()}
-    return exponents | numbers
+    factor, offset = element.get("factor", "1"), element.get("offset", "0")
+    return exponents | {"factor": _finite(factor) or 0.0, "offset": _finite(offset) or 0.0}
