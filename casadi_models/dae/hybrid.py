@@ -89,6 +89,12 @@ class Hybrid:
         bent = [i for i, (alone, linear) in kinds if alone and not linear]
         return time_bounds(self.dae, {i: self.relations[i].argument for i in bent})
 
+    @cached_property
+    def constant(self) -> list[int]:
+        """Positions of the states that only events change."""
+        rates = enumerate(ca.vertsplit(self.dae.ode) if self.dae.states else [])
+        return [i for i, rate in rates if rate.is_zero()]
+
     @property
     def rules(self) -> tuple[SX, SX]:
         """Conditions of all events, and all values that they assign; columns."""

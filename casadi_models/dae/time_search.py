@@ -1,23 +1,26 @@
-"""`TimeSearch`: when relations that depend on time nonlinearly leave their modes.
+"""`TimeSearch`: when relations that depend on time alone leave their modes.
 
-A run is searched in spans that grow and shrink, like steps. By the bounds of its argument and of
-the two derivatives of that (`time_bounds`), a relation cannot leave its mode within a span, or does
-so exactly once; otherwise the span is halved. fmu/runtime/time_events.c does the same.
+Where an argument is linear in time, this follows at once. For others, a run is searched in spans
+that grow and shrink, like steps. By the bounds of its argument and of the two derivatives of that
+(`time_bounds`), a relation cannot leave its mode within a span, or does so exactly once; otherwise
+the span is halved. fmu/runtime/time_events.c does the same.
 """
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import copysign, inf, isfinite, nextafter, ulp
 from typing import Any, NamedTuple
 
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.frozen import Dae
+from casadi_models.dae.hybrid import Hybrid, hybrid
 from casadi_models.dae.time_bounds import ORDERS
 
 _LEAST = 4  # units in the last place of the end of the run: the length of the shortest span
 _NOISE = 16  # those of the present time within which an event is one that has just been
+_SAME = 1e-12  # share of a run within which a switch is at its begin
 _SAMPLES = 4096  # in the run, of expressions without bounds, and where others have no value
 
 
@@ -87,11 +90,16 @@ class TimeSearch:
         nonlinear = [i for i, own in enumerate(system.of_time) if own and not system.linear[i]]
         self._bounded = len(bounds.relations)
         self._order = [*bounds.relations, *(i for i in nonlinear if i not in bounds.relations)]
+        self._linear = [i for i, linear in enumerate(system.linear) if linear]
         self._floors = system.floors
-        arguments = ca.vertcat(SX(0, 1), *(system.relations[i].argument for i in self._order))
-        results = [ca.densify(column) for column in (arguments, ca.jtimes(arguments, dae.t, 1))]
         rest, ends = [dae.u, dae.p, dae.x, dae.z], [bounds.low, bounds.high]
-        self._at = _Call(ca.Function("at", [dae.t, *rest], results, {"cse": True}))
+
+        def sides(name: str, relations: Sequence[int]) -> _Call:
+            column = ca.vertcat(SX(0, 1), *(system.relations[i].argument for i in relations))
+            results = [ca.densify(a) for a in (column, ca.jtimes(column, dae.t, 1))]
+            return _Call(ca.Function(name, [dae.t, *rest], results, {"cse": True}))
+
+        self._at, self._lines = sides("at", self._order), sides("lines", self._linear)
         over = ca.Function("over", [dae.t, bounds.length, *rest], ends, {"cse": True})
         self._over = _Call(over)
 
@@ -100,7 +108,8 @@ class TimeSearch:
     ) -> tuple[float, frozenset[int]]:
         """Return the next time at which relations leave their modes, and which ones do.
 
-        A relation whose argument jumps there is not among them: its value tells its mode.
+        A relation whose argument jumps there is not among them: its value tells its mode. What
+        comes after the end by rounding alone happens at the end.
 
         Args:
             now: The present time, s.
@@ -110,12 +119,40 @@ class TimeSearch:
         Returns:
             Infinity if there is none up to the end.
         """
-        if not self._order or not now < end:
+        if not now < end:
             return inf, frozenset()
-        for call, place in ((self._at, 1), (self._over, 2)):
+        for call, place in ((self._at, 1), (self._lines, 1), (self._over, 2)):
             call.given[place][:] = array("d", u)
             call.given[place + 1][:] = array("d", p)
         modes = u[len(u) - len(self._floors) :]
+        values, rates = self._lines(0.0) if self._linear else ((), ())
+        times = {
+            i: self._linear_root(i, now, modes[i], value, rate)
+            for i, value, rate in zip(self._linear, values, rates, strict=True)
+        }
+        until = min([end, *times.values()])
+        time, left = self._first_nonlinear(now, modes, until + 8 * ulp(until))
+        times |= dict.fromkeys(left, time)
+        first = min([time, *times.values()])
+        if not first <= end + 8 * ulp(end):
+            return inf, frozenset()
+        near = 8 * ulp(first)
+        return min(first, end), frozenset(i for i, t in times.items() if abs(t - first) <= near)
+
+    def _linear_root(self, i: int, now: float, mode: float, value: float, rate: float) -> float:
+        """Return when an argument `value + rate t` leaves its mode, s; infinity if never."""
+        floor = self._floors[i]
+        if not rate or (not floor and mode * rate > 0):
+            return inf
+        boundary = (mode + 1 if rate > 0 else mode) if floor else 0.0
+        root = (boundary - value) / rate
+        return max(root, nextafter(now, inf))
+
+    def _first_nonlinear(
+        self, now: float, modes: Sequence[float], end: float
+    ) -> tuple[float, frozenset[int]]:
+        if not self._order:
+            return inf, frozenset()
         guards = [g for row in range(len(self._order)) for g in self._guards(row, modes)]
         bounded = [guard for guard in guards if guard.row < self._bounded]
         time, left = self._first_bounded(bounded, now, end) if bounded else (inf, set[int]())
@@ -272,3 +309,26 @@ class TimeSearch:
                 return self._root(guard, low, high)
             low = high
         return inf
+
+
+def switch_times(dae: Dae, begin: float, end: float) -> Iterator[float]:
+    """Yield when relations switch in a model whose equations depend on time alone, s.
+
+    If it has relations, the first time is the begin: the value there may differ from the limit.
+    """
+    system = hybrid(dae)
+    if system is None:
+        return
+    modes = ca.vertcat(
+        *(ca.floor(r.argument) if r.floor else 2 * (r.argument >= 0) - 1 for r in system.relations)
+    )
+    for _ in system.relations:  # arguments may depend on other modes
+        modes = ca.substitute(modes, system.modes, modes)
+    by_value, search = ca.Function("modes", [dae.t], [modes]), TimeSearch(system)
+    now, near = begin, begin + _SAME * (end - begin)
+    yield begin
+    while now < end:
+        now, _ = search.first(now, by_value(now).full().ravel().tolist(), [], end)
+        if near < now < end:
+            yield now
+        now = max(now + _NOISE * ulp(now), near)

@@ -11,6 +11,7 @@ from casadi import SX
 
 from casadi_models.dae import Model
 
+_CLOSING = 1e-12  # m/s; a gap that closes faster does so by motion, not by rounding of an impact
 _NEVER_ZERO = 1e-100  # m/s; below every velocity, and its square is not zero
 _BACKWARD = 1e-3  # of the slow speed; at this speed backward, sliding has ended
 
@@ -29,6 +30,7 @@ def impact(
 
     With the gap speeds g = W^T u, impulses P along W make g+ = -e g:  M (u+ - u) = W P. The kinetic
     energy does not grow for restitutions of 0 to 1; with several contacts, give all the same one.
+    Nothing holds bodies together: one that comes to rest under a load ends the run (Zeno).
 
     Args:
         model: The model.
@@ -56,7 +58,8 @@ def impact(
         e += ca.floor(ca.sqrt(e * (1 - e)))  # 0 within 0 to 1, outside no number
     along = ca.solve(m, w)
     impulses = ca.solve(w.T @ along, -(1 + e) * (w.T @ speeds))
-    model.when(condition, _values(speeds, speeds + along @ impulses), name=name)
+    closes = ca.logic_and(condition, ca.mmin(w.T @ speeds) < -_CLOSING)
+    model.when(closes, _values(speeds, speeds + along @ impulses), name=name)
 
 
 def friction(

@@ -235,7 +235,7 @@ static inline int model_exchange(Run *run, Fmu *fmu) {
     run->rows = 1;
     for (int standing = 0; self.t < run->stop && run->rows < run->points;) {
         const double before = self.t;
-        const bool timed = self.events.next_defined && self.events.next < run->stop;
+        const bool timed = self.events.next_defined && self.events.next <= run->stop;
         double goal = timed ? self.events.next : run->stop;
         bool event = false;
         if (goal > self.t) {
@@ -243,11 +243,11 @@ static inline int model_exchange(Run *run, Fmu *fmu) {
             if (how != DONE) return how == ENDED_BY_FMU ? ended(&self) : how;
         }
         if (timed && self.t >= goal) event = true;
-        if (self.t >= run->stop) return DONE;
         if (event) {
             const int how = handle_event(&self);
             if (how != DONE) return how == ENDED_BY_FMU ? ended(&self) : how;
         }
+        if (self.t >= run->stop) return DONE;
         standing = self.t > before ? 0 : standing + 1;
         if (standing > MOST_STANDSTILLS) return STUCK;
     }

@@ -1,5 +1,7 @@
 """Impacts conserve momentum and lose the energy of their restitution; friction sticks."""
 
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from casadi_models.mechanics.contact import friction, impact
-from cosim.errors import CosimError
+from cosim.errors import CosimError, FmuError, SolverError
+
+FOLDER = Path(__file__).parents[2] / "examples"
 
 
 def carts(masses, restitution, stop_time):
@@ -99,6 +103,27 @@ def test_the_bounds_of_a_restitution_are_no_error(value):
     model.derivative(v, 0)
     impact(model, x < 0, v, 1, 1, 1 - (1 - e))
     assert cosim.simulate(model.freeze()).final["v"] == 1.5 * value
+
+
+def resting_pendulum(restitution):
+    dae = cosim.load(f"{FOLDER / 'pendulum_stop.py'}:build")
+    return dae, {"stop": 0.2, "theta": 1.0, "e": restitution}  # gravity presses it on the stop
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "idas", "rk4"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_body_that_comes_to_rest_on_another_does_not_sink_into_it(solver, restitution):
+    dae, values = resting_pendulum(restitution)
+    with pytest.raises(SolverError, match=r"'stop' happens ever faster .* let the motion rest"):
+        cosim.simulate(dae, solver=solver, start_values=values)
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+def test_a_body_at_rest_does_not_sink_in_an_fmu(interface, tmp_path):
+    dae, values = resting_pendulum(0.0)
+    file = cosim.export_fmu(dae, tmp_path / "stop.fmu")
+    with pytest.raises(FmuError, match="'stop' happens ever faster"):
+        cosim.simulate_fmu(file, interface=interface, start_values=values)
 
 
 def test_block_on_a_belt_sticks_and_slips():

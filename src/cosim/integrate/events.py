@@ -23,7 +23,7 @@ from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
-from cosim.integrate.location import Piece, located, next_of_time
+from cosim.integrate.location import Piece, located, next_of_time, with_slopes
 from cosim.integrate.modes import (
     MOST_ROUNDS,
     Instant,
@@ -37,10 +37,11 @@ from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
 from cosim.model.solver import AdaptiveSolver, Solver
-from cosim.model.values import Values
+from cosim.model.values import Values, own_sizes
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
+_STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 _TINY = 1e-280  # s; a time that is not 0 if it is divided by a period
 _ZENO = 1e-10  # distance of events, relative to the time, of which ...
 _MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed, and ...
@@ -144,11 +145,11 @@ class _Course:
     def __init__(
         self, problem: Problem, system: Hybrid, solver: Solver, start: InitialState, pulses: Vector
     ) -> None:
-        self.pulses = pulses
         self.problem, self.system, self.solver = problem, system, solver
         self.dae, self.grid = problem.dae, problem.grid
         self.values, self.began = start.values, start.x
         self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
+        self.ends = self.series.breaks if self.series else np.empty(0), pulses  # of steps
         n = len(self.grid)
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
@@ -160,7 +161,7 @@ class _Course:
         watches = not system.relations or (problem.compiled and solver.watches)
         self.window = len(self.grid) if watches else _FIRST_WINDOW
         self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
-        self.stop, self.slides = "", False
+        self.stop, self.slides, self.looks = "", False, 1  # at relations per grid interval
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
         at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))
@@ -225,10 +226,10 @@ class _Course:
         """
         at, grid = self.at, self.grid
         due, changing = next_of_time(self.system, at, self.values.p, float(grid[-1]))
-        jump = self._next_jump(at.t)
-        pulse = self.pulses[int(np.searchsorted(self.pulses, at.t, "right")) :][:1].tolist()
-        end = min(due, jump, float(grid[-1]), *pulse)
-        last = min(self.next + self.window, len(grid) - 1)
+        later = (times[times.searchsorted(at.t, "right") :] for times in self.ends)
+        jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
+        end = min(due, jump, float(grid[-1]), pulse)
+        last = min(self.next + min(self.window, _MOST_LOOKS // self.looks), len(grid) - 1)
         if grid[last] < end:
             end = float(grid[last])
         rows = grid[self.next :][grid[self.next :] < end]
@@ -240,7 +241,7 @@ class _Course:
             self._accept(piece, found[0].t)
             event, left = found
             before = self._conditions_at(at)
-            due_rows = 2 * int(np.searchsorted(piece.times, event.t))
+            due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
             self.window = max(self.least_window, min(self.window, due_rows))
             self._switch(event, event.zero - left, left, before)
             return ""
@@ -269,10 +270,19 @@ class _Course:
         own = sliding(self.system, self.at.sliding)
         self.slides |= bool(own.sliding)
         inputs = self.series and self.series.around(float(times[0]))
-        problem = replace(self.problem, dae=own.dae, times=times.tobytes(), inputs=inputs)
-        piece = Piece(self.system, own, problem, self.solver, self.at, self.began, self.values.p)
-        self.reached.append(piece.reached)
-        return piece
+        problem = replace(self.problem, dae=own.dae, inputs=inputs)
+        while True:
+            shares = np.arange(self.looks) / self.looks
+            looks = np.append(times[:-1, None] + np.diff(times)[:, None] * shares, times[-1])
+            own_problem = replace(problem, times=looks.tobytes())
+            start = self.at, self.began, self.values.p
+            piece = Piece(self.system, own, own_problem, self.solver, *start)
+            self.reached.append(piece.reached)
+            steps = (piece.reached.counts.steps or 0) / len(looks)
+            enough = steps <= _STEPS_PER_LOOK or piece.reached.watched or piece.reason
+            if enough or not self.system.of_states:
+                return piece
+            self.looks = min(2 * int(steps * self.looks / _STEPS_PER_LOOK), _MOST_LOOKS)
 
     def _pass(self, piece: Piece) -> None:
         """Record the events that the solver went through, and the rows before each of them."""
@@ -302,14 +312,16 @@ class _Course:
             modes = at.modes.copy()
             modes[i] = np.sign(modes[i])
             at = replace(at, modes=modes, sliding=at.sliding - {i})
-        was, n = self.at.t, len(self.events)
+        last, n = self.at, len(self.events)
         self.at = settled(self.system, replace(at, zero=zero), self.values.p, left)
         self._happen(before, zero | left | begin.switched(self.at), x, dt)
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
         self.instants.append((begin, self.at))
-        self._reject_zeno(was, 1 if len(self.events) > n else _IDLE)
+        happened = len(self.events) > n
+        back = happened and self._returned(last, begin)
+        self._reject_zeno(last.t, 1 if happened else _IDLE, back)
         self._write(self.at.t)
 
     def _moved(self, at: Instant, zero: frozenset[int]) -> tuple[Instant, float]:
@@ -347,13 +359,15 @@ class _Course:
         else:
             raise SolverError(
                 f"{self.dae.full_name}: '{happened[-1]}' happens again and again at "
-                f"{self.at.t:.12g} s, more than {MOST_ROUNDS} times"
+                f"{self.at.t:.12g} s, more than {MOST_ROUNDS} times; let its assignments make its "
+                "condition false"
             )
         self._record(happened, switched, start)
 
     def _record(self, happened: Sequence[str], switched: Iterable[int], before: Vector) -> None:
         """Record the events of an instant, or the relations of the equations that switch there."""
-        cause = self._names(switched)
+        laws = (i for i in sorted(switched) if self.system.in_laws[i])
+        cause = ", ".join(map(self.system.described, laws))
         for name in happened or ([cause] if cause else []):
             place = len(self.instants)
             self.events.append(EventRecord(self.at.t, name, before, self.at.x, place))
@@ -373,7 +387,8 @@ class _Course:
                 if other := by.get(state):
                     what = f"'{other}' and '{name}' give {self.dae.states[state].name}"
                     raise SolverError(
-                        f"{self.dae.full_name}: {what} different values at {at.t:.12g} s"
+                        f"{self.dae.full_name}: {what} different values at {at.t:.12g} s; make "
+                        "one event of them, or conditions that exclude each other"
                     )
             by |= dict.fromkeys(states.tolist(), name)
             x[states] = new[rows]
@@ -381,7 +396,10 @@ class _Course:
                 x[nx + states] = along(system)(at.t, at.x, at.z, u, p, dt)[1][rows]
         if not np.isfinite(x).all():
             name = system.events[which[0]].name
-            raise SolverError(f"{self.dae.full_name}: '{name}' gives a state no finite value")
+            raise SolverError(
+                f"{self.dae.full_name}: '{name}' gives a state no finite value at {at.t:.12g} s; "
+                "assign a finite one"
+            )
         self._reject_inconsistent(x, which)
         was = at.watched(system, p)
         at = replace(at, x=x)
@@ -403,9 +421,18 @@ class _Course:
                     f"violate: {invariant.meaning} (by {after:.2g}); assign consistent values"
                 )
 
-    def _reject_zeno(self, previous: float, weight: int = 1) -> None:
+    def _returned(self, last: Instant, at: Instant) -> bool:
+        """Tell whether an argument is 0 again, at a time and by a motion within the tolerances."""
+        if not isinstance(self.solver, AdaptiveSolver):
+            return False
+        relative, absolute = self.solver.tolerance.pair
+        error = relative * np.abs(at.x) + absolute * own_sizes(self.dae, self.began)
+        soon = at.t - last.t <= relative * max(1.0, at.t)
+        return soon and at.is_back(last, self.system, self.values.p, error)
+
+    def _reject_zeno(self, previous: float, weight: int = 1, back: bool = False) -> None:
         t = self.at.t
-        near = t - previous < _ZENO * max(1.0, abs(t))
+        near = back or t - previous < _ZENO * max(1.0, abs(t))
         self.close = self.close + weight if near else 0
         if self.close > _MOST_CLOSE:
             name = self.events[-1].name if self.events else "events"
@@ -413,11 +440,6 @@ class _Course:
                 f"{self.dae.full_name}: '{name}' happens ever faster before {t:.12g} s (Zeno); "
                 "end the run before with a stop condition, or let the motion rest there"
             )
-
-    def _names(self, relations: Iterable[int]) -> str:
-        """Return the relations of the equations as text, without those of conditions alone."""
-        return ", ".join(self.system.described(i) for i in sorted(relations)
-                         if self.system.in_laws[i])  # fmt: skip
 
     def _conditions_at(self, at: Instant) -> Vector:
         if not self.system.events:
@@ -444,22 +466,10 @@ class _Course:
         found = literal(earlier, self.at.x, self.at.z, self.at.u, self.values.p)
         return np.where(sampled, np.minimum(conditions, np.array(found).ravel()), before)
 
-    def _next_jump(self, t: float) -> float:
-        if self.series is None:
-            return np.inf
-        later = self.series.breaks[self.series.breaks > t]
-        return float(later[0]) if later.size else np.inf
-
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""
-        if self.series is None:
-            return replace(at, du=np.zeros(len(at.u)))
-        own = self.series.around(at.t)
-        known = [variable.name for variable in self.dae.inputs]
-        u, du = self.values.u.copy(), np.zeros(len(self.values.u))
-        for name, value, rate in zip(own.names, own.at(np.array([at.t]))[:, 0], own.slopes(at.t),
-                                     strict=True):  # fmt: skip
-            u[known.index(name)], du[known.index(name)] = value, rate
+        series = self.series and self.series.around(at.t)
+        (u,), (du,) = with_slopes(self.dae, series, self.values.u, np.array([at.t]))
         return replace(at, u=u, du=du)
 
     def _accept(self, piece: Piece, end: float, modes: Vector | None = None) -> None:
@@ -472,8 +482,7 @@ class _Course:
         if count <= 0:
             return
         rows = slice(self.next, self.next + count)
-        first = int(piece.times.searchsorted(grid[self.next]))
-        places = slice(first, first + count)
+        places = piece.times.searchsorted(grid[rows])
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
         if modes is not None:
             self.u[rows, self.u.shape[1] - len(modes) :] = modes

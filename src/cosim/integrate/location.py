@@ -4,10 +4,10 @@ from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.time_search import TimeSearch
 from cosim.arrays import Vector
@@ -142,19 +142,16 @@ class Piece:
             states = np.hstack((ahead[0], found.states))
             return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))
         problem = replace(problem, times=times.tobytes())
-        return scaled_call(problem, self.solver, InitialState(x, z, values, self.began))
+        found = scaled_call(problem, self.solver, InitialState(x, z, values, self.began))
+        if found.events is None or not len(found.events):
+            constant = self.system.constant  # not even by rounding of the solver
+            found.states[constant] = x[constant, None]
+        return found
 
     def _inputs(self, times: Vector) -> tuple[Vector, Vector]:
         """Return inputs with modes, and their slopes, one row per time."""
-        series: InputSeries | None = self.problem.inputs
         row = np.concatenate((self.begin.u, self.begin.modes))
-        u, du = np.tile(row, (len(times), 1)), np.zeros((len(times), len(row)))
-        if series is not None:
-            known = [variable.name for variable in self.own.dae.inputs]
-            places = [known.index(name) for name in series.names]
-            u[:, places] = series.at(times).T
-            du[:, places] = [series.slopes(float(t)) for t in times]
-        return u, du
+        return with_slopes(self.own.dae, self.problem.inputs, row, times)
 
     def at_end(self) -> Instant:
         """Return the instant at its end, in the modes of the piece."""
@@ -180,8 +177,6 @@ class Piece:
 
     def _inputs_at(self, t: float) -> tuple[Vector, Vector]:
         """Return inputs without modes, and their slopes."""
-        if self.problem.inputs is None:
-            return self.begin.u, self.begin.du
         (u,), (du,) = self._inputs(np.array([t]))
         n = len(self.begin.u)
         return u[:n], du[:n]
@@ -243,6 +238,19 @@ class Piece:
         return found.states[:, 1], found.algebraics[:, 1]
 
 
+def with_slopes(
+    dae: Dae, series: InputSeries | None, row: Vector, times: Vector
+) -> tuple[Vector, Vector]:
+    """Return a row of inputs at each time, some of which follow a series, and their slopes."""
+    u, du = np.tile(row, (len(times), 1)), np.zeros((len(times), len(row)))
+    if series is not None:
+        known = [variable.name for variable in dae.inputs]
+        places = [known.index(name) for name in series.names]
+        u[:, places] = series.at(times).T
+        du[:, places] = [series.slopes(float(t)) for t in times]
+    return u, du
+
+
 def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:
     """Return the cubics with given values and slopes at the ends of intervals, (n - 1, m, k).
 
@@ -254,7 +262,7 @@ def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:
     s, h = shares[:, None], np.diff(t)[:, None, None]
     r = 1 - s
     x, f = x[:, None], f[:, None]
-    ends = r * r * (1 + 2 * s) * x[:-1] + s * s * (1 + 2 * r) * x[1:]
+    ends = x[:-1] + s * s * (1 + 2 * r) * np.diff(x, axis=0)  # exact where values are equal
     found: Vector = ends + h * s * r * (r * f[:-1] - s * f[1:])
     return found
 
@@ -407,14 +415,6 @@ def _polished(
 
 
 @cached_per_thread(16)
-def _time_function(system: Hybrid) -> ca.Function:
-    """Return the arguments and rates of all relations by time."""
-    dae = system.dae
-    rates = ca.jtimes(system.arguments, dae.t, 1)
-    return ca.Function("of_time", dae.arguments, [system.arguments, ca.densify(rates)])
-
-
-@cached_per_thread(16)
 def _time_search(system: Hybrid) -> TimeSearch:
     return TimeSearch(system)
 
@@ -433,30 +433,6 @@ def next_of_time(
     Returns:
         Infinity if there is none up to the end.
     """
-    alone = [i for i, own in enumerate(system.of_time) if own]
-    if not alone:
+    if not any(system.of_time):
         return np.inf, frozenset()
-    u = np.concatenate((at.u, at.modes))
-    values, rates = (np.array(v) for v in _time_function(system)(0.0, at.x, at.z, u, p))
-    times = {
-        i: _linear_root(system, at, i, values[i, 0], rates[i, 0]) for i in alone if system.linear[i]
-    }
-    until = min([end, *times.values()])
-    until += 8 * np.spacing(abs(until))
-    time, left = _time_search(system).first(at.t, u.tolist(), p.tolist(), until)
-    times |= dict.fromkeys(left, time)
-    first = min([time, *times.values()])
-    if not first <= end:
-        return np.inf, frozenset()
-    near = 8 * np.spacing(abs(first))
-    return first, frozenset(i for i, t in times.items() if abs(t - first) <= near)
-
-
-def _linear_root(system: Hybrid, at: Instant, i: int, value: float, rate: float) -> float:
-    """Return when an argument `value + rate t` leaves its mode, s; infinity if never."""
-    mode, floor = float(at.modes[i]), system.relations[i].floor
-    if not rate or (not floor and mode * rate > 0):
-        return np.inf
-    boundary = (mode + 1 if rate > 0 else mode) if floor else 0.0
-    root = (boundary - value) / rate
-    return max(root, float(np.nextafter(at.t, np.inf)))
+    return _time_search(system).first(at.t, [*at.u.tolist(), *at.modes.tolist()], p.tolist(), end)

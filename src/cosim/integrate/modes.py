@@ -171,6 +171,12 @@ class Instant:
         noise: Vector = _ROUNDING * np.nan_to_num(found, posinf=0.0)
         return noise
 
+    def is_back(self, last: "Instant", system: Hybrid, p: Vector, error: Vector) -> bool:
+        """Tell whether what is 0 was so before, and moved less than states err, (nx,)."""
+        again = [i for i in last.zero & self.zero if not system.floors[i]]
+        way = np.abs(self.watched(system, p).rates[0]) * (self.t - last.t)
+        return bool(again and (way <= self.noise(system, p, error / _ROUNDING))[again].all())
+
     def watched(self, system: Hybrid, p: Vector) -> Watched:
         """Evaluate the relations here, in the present modes."""
         own = sliding(system, self.sliding)

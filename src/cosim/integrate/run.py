@@ -19,7 +19,6 @@ from cosim.integrate.families.plugin import MOST_STEPS
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.solution import Solution, solve
 from cosim.integrate.solvers import SOLVERS, with_largest_step
-from cosim.integrate.validity import PROJECTION
 from cosim.memo import cached_per_thread
 from cosim.model.request import RunRequest
 from cosim.model.times import Times
@@ -143,10 +142,10 @@ def _failure(
     """Return the error of a run that stopped early, with the time, the cause and the remedies."""
     dae, solver = prepared.problem.dae, prepared.solver
     what = f"{dae.full_name}: {solver.name} {found.status}"
-    if PROJECTION in solution.reason:
-        return SolverError(what, found)
     if solution.reason in solution.invalid:
         return SolverError(f"{what}; on_invalid='warn' goes on from there", found)
+    if "; " in solution.reason:  # it names the remedy
+        return SolverError(what, found)
     others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
     which = f" ({', '.join(others)})" if dae.algebraics else ""
     if dae.algebraics and dae.invariants and not prepared.problem.project:

@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from casadi_models.dae import Dae, Variable
+from casadi_models.dae import Dae, Model, Variable
 from casadi_models.dae.starts import reject_disorder
+from casadi_models.dae.time_search import switch_times
 from casadi_models.dae.variables import is_name
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
@@ -122,10 +123,13 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
         elif isinstance(value, Real):
             pieces.append(_samples(owner, name, [float(value)] * 2, ends))
         elif isinstance(value, str) or callable(value):
-            formula = isinstance(value, str)
-            law = _function_of_time(f"{owner}: {name}", value, numbers) if formula else value
+            if isinstance(value, str):
+                law, switches = _formula(f"{owner}: {name}", value, numbers, ends)
+            else:
+                law, switches = value, _samples(owner, name, value, times).jumps.tolist()
             laws[name] = _on_arrays(law)
-            pieces.append(_samples(owner, name, law, ends))
+            around = np.sort(np.append(np.union1d(ends, switches), switches))
+            pieces.append(InputSeries((name,), around, laws[name](around)[:, None]))
         else:
             pieces.append(_samples(owner, name, value, times))
     joined = _joined_series(pieces)
@@ -134,13 +138,17 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
     )
 
 
-def _function_of_time(
-    owner: str, text: str, constants: Mapping[str, float]
-) -> Callable[[float], float]:
-    time = SX.sym("time")
-    symbols = {name: SX(value) for name, value in constants.items()} | {"t": time, "time": time}
-    function = ca.Function("law", [time], [expression(owner, text, symbols)])
-    return lambda t: float(function(t))
+def _formula(
+    owner: str, text: str, constants: Mapping[str, float], ends: Vector
+) -> tuple[Callable[[float], float], list[float]]:
+    """Return a formula as a function, and when its relations switch between two times, s."""
+    model = Model("input")
+    symbols = {name: SX(value) for name, value in constants.items()}
+    value = expression(owner, text, symbols | {"t": model.t, "time": model.t})
+    model.derivative(model.state("integral", "1", 0.0, "integral of the input"), value)
+    function = ca.Function("law", [model.t], [value])
+    switches = list(switch_times(model.freeze(), *ends.tolist()))
+    return lambda t: float(function(t)), switches
 
 
 def _on_arrays(law: Callable[[Any], Any]) -> Callable[[Vector], Vector]:
@@ -229,6 +237,8 @@ def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
     try:
         samples = [value(float(t)) for t in grid] if callable(value) else value
         array = np.array(samples, dtype=float)
+        if callable(value):
+            grid, array = _with_jumps(value, *_with_peaks(value, grid, array))
     except Exception as error:
         raise ParameterError(
             f"{owner}: {name} = {value!r} gives no samples ({error}); give a number, a "
@@ -239,8 +249,6 @@ def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
             f"{owner}: {name} has samples of shape {array.shape}; the run has "
             f"{len(grid)} output times; give as many, or an InputSeries"
         )
-    if callable(value):
-        grid, array = _with_jumps(value, *_with_peaks(value, grid, array))
     return InputSeries((name,), grid, array[:, None])
 
 

@@ -4,9 +4,10 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import inf
+from itertools import pairwise
+from math import inf, nextafter
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -180,14 +181,26 @@ class FollowedInputs(InputSeries):
 
     Attributes:
         laws: Functions by name, times (n,) to values (n,).
+        span: Times, s, at which they are called instead of earlier and later ones.
     """
 
     laws: Mapping[str, Callable[[Vector], Vector]] = field(default_factory=dict)
+    span: tuple[float, float] = (-inf, inf)
+
+    @cached_property
+    def _parts(self) -> tuple[InputSeries, ...]:
+        ends = pairwise([-inf, *self.breaks.tolist(), inf])
+        return tuple(
+            replace(cast(FollowedInputs, part), span=(nextafter(begin, inf), nextafter(end, -inf)))
+            for part, (begin, end) in zip(super()._parts, ends, strict=True)
+        )
 
     def _rows(self, times: Vector, side: Literal["left", "right"]) -> Vector:
         rows = super()._rows(times, side)
+        beside = np.nextafter(times, inf if side == "right" else -inf)
+        at = np.clip(np.where(np.isin(times, self.jumps), beside, times), *self.span)
         for name, law in self.laws.items():
-            rows[self.names.index(name)] = law(times)
+            rows[self.names.index(name)] = law(at)
         return rows
 
 

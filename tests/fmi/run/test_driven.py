@@ -126,12 +126,25 @@ def test_input_that_jumps_has_one_value_on_each_side(lag, interface):
     np.testing.assert_allclose(run["fed_through"], after, rtol=0, atol=1e-12)
 
 
+PULSE = "where(t > 0.33333, where(t < 0.33343, 1e4, 0), 0)"  # shorter than any step
+
+
+@pytest.mark.parametrize("interface", KINDS)
+@pytest.mark.parametrize("law", [PULSE, "where(t > 0, 1, 0)", lambda t: 2.0 * (t > 0.512)])
+def test_jumps_of_a_law_are_met_within_a_step(integrator, interface, law):
+    run = cosim.simulate_fmu(
+        integrator, interface=interface, inputs={"u": law}, output_interval=0.1
+    )
+    exact = 2 * (1 - 0.512) if callable(law) else 1
+    assert run.final["x"] == pytest.approx(exact, abs=1e-9)
+
+
 def test_function_of_an_input_that_fails_where_fmi_3_asks_is_an_error(lag):
     if lag[0] == 2:
         pytest.skip("FMI 2.0 does not ask")
 
     def law(time):  # at a third of a step
-        return 1 / 0 if 0.13 < time < 0.14 else 0.0
+        return 1 / 0 if 0.133 < time < 0.134 else 0.0
 
     with pytest.raises(FmuError, match="division by zero"):
         cosim.simulate_fmu(lag[1], interface="CoSimulation", inputs={"u": law}, output_interval=0.1)

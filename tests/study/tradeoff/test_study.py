@@ -357,3 +357,8 @@ def test_one_relative_tolerance_is_the_only_one_that_is_measured(tmp_path):
     call = ["tradeoff", "bar_on_frame/reduced", *words.split(), "--output-file", str(path)]
     assert main(call) == 0
     assert {row["tolerance"] for row in json.loads(path.read_text())["measurements"]} == {1e-5}
+
+
+def test_fmu_for_co_simulation_is_listed_under_the_solver_inside_it():
+    fmu = Configuration(erk().request, Backend.CO_SIMULATION)
+    assert fmu.solver == "dop853"

@@ -23,6 +23,7 @@ _LARGE = 200  # number of states from which computing all eigenvalues takes seco
 _KNOWN = 0.01  # largest residual of an accepted mode, relative to its rate
 
 
+@cached_per_thread(64)
 def solver_for(dae: Dae, wanted: str | None) -> str:
     """Return the requested solver, or when None the one that suits the start values.
 

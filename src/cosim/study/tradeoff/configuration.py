@@ -7,6 +7,7 @@ from itertools import product
 from casadi_models.dae import Dae
 from cosim.backend import Backend
 from cosim.errors import ParameterError, UnknownName
+from cosim.fmi.export.co_simulation import solver_for
 from cosim.integrate.preparation import controllable
 from cosim.integrate.solvers import SOLVERS, requested_solver
 from cosim.model.request import DriftControl, RunRequest, choice
@@ -52,7 +53,7 @@ class Configuration:
         if self.backend is Backend.MODEL_EXCHANGE:
             return "cvode"
         if self.backend is Backend.CO_SIMULATION:
-            return "rosenbrock" if self.request.dae.algebraics else "erk"
+            return solver_for(self.request.dae, None)
         assert isinstance(self.request.solver, Solver)
         return self.request.solver.name
 
