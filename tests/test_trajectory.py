@@ -337,6 +337,12 @@ def test_header_may_have_any_unit_that_values_may_have(unit, si, factor, tmp_pat
     assert run.units["x"] == si
 
 
+def test_a_bracket_that_is_not_closed_begins_a_unit_all_the_same(tmp_path):
+    (tmp_path / "a.csv").write_text("time,phi [deg\n0,1\n1,180\n", encoding="utf-8")
+    run = Trajectory.read_csv(tmp_path / "a.csv")
+    assert run.final["phi"] == pytest.approx(np.pi)
+
+
 def test_run_that_is_computed_again_accepts_a_time_twice():
     run = cosim.simulate("crank_shaft", stop_time=0.1, compiled=False)
     found = run.at([0.0, 0.1, 0.1])

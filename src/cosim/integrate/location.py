@@ -275,7 +275,7 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         closely: Whether the solver shows an interval in which a relation comes near its boundary
             and returns; otherwise its cubic does.
     """
-    if not piece.system.relations or len(piece.times) < 2:
+    if not piece.system.of_states or len(piece.times) < 2:
         return None
     if piece.reached.watched:
         return _crossed(piece)

@@ -19,7 +19,7 @@ from cosim.series.samples import Column
 from cosim.text import csv_cell
 
 UNIT_KINDS = ("si", "book")  # of units in files
-_NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
+_NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])]?)?\s*")
 _BLOCK = 1000  # rows, that are written at once
 _TIMES = ("time", "t", "zeit", "temps")
 
