@@ -132,7 +132,7 @@ def entered(call: Callable[[], object], folder: str) -> list[str]:
         call()
     finally:
         sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type]
+        threading.setprofile(None)  # type: ignore[arg-type] # None ends it; typeshed lacks that
     return files
 
 

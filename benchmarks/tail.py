@@ -52,7 +52,7 @@ def calls_of(dae: cosim.Dae, solver: cosim.solvers.Dop853, options: dict[str, ob
     """Return the number of function calls of a repeated run."""
     with cProfile.Profile() as profile:
         cosim.simulate(dae, solver=solver, **options)
-    return int(pstats.Stats(profile).total_calls)  # type: ignore[attr-defined]
+    return int(pstats.Stats(profile).total_calls)  # type: ignore[attr-defined] # which typeshed lacks
 
 
 if __name__ == "__main__":

@@ -5,10 +5,22 @@ from pathlib import Path
 import casadi as ca
 from helpers.toy import GUID
 
+import cosim
 from casadi_models.dae import Dae, Model
 from cosim.fmi.export.package import FmuOptions, source_files
 
 G, RESTITUTION, RATE = 9.81, 0.7, 4.0
+FIXED = ("ode8", "rk4")
+SOLVERS = ("dop853", *FIXED, "erk", "rosenbrock", "cvodes", "cvodes_adams", "idas")
+
+
+def simulate(
+    dae: Dae, solver: str = "dop853", tolerance: float = 1e-10, **options: object
+) -> cosim.Trajectory:
+    """Simulate with a relative tolerance, or with the solver's default step if that is fixed."""
+    if solver not in FIXED:
+        options["relative_tolerance"] = tolerance
+    return cosim.simulate(dae, solver=solver, **options)
 
 
 def ball(stop_time: float = 2.0) -> Dae:

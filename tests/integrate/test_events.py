@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import event_models
+from helpers.event_models import FIXED, SOLVERS, simulate
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -12,15 +13,7 @@ from casadi_models.dae import Model
 from cosim.errors import SolverError, UsageError
 from cosim.integrate import location
 
-SOLVERS = ("dop853", "ode8", "rk4", "erk", "rosenbrock", "cvodes", "cvodes_adams", "idas")
-FIXED = ("ode8", "rk4")
 G = 9.81
-
-
-def simulate(dae, solver="dop853", tolerance=1e-10, **options):
-    if solver not in FIXED:
-        options["relative_tolerance"] = tolerance
-    return cosim.simulate(dae, solver=solver, **options)
 
 
 def ball():
@@ -291,96 +284,6 @@ def test_bicycle_at_rest_feels_a_torque_that_begins_later():
     for run in runs:
         assert abs(run["phi"]).max() == pytest.approx(0.41143530, abs=1e-7)
         assert [event.time for event in run.events] == [3.0, 4.0]
-
-
-@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
-def test_relay_with_hysteresis_has_the_period_of_its_closed_form(solver):
-    model = Model("relay", stop_time=10.0)
-    x = model.state("x", "1", 0.0, "temperature")
-    on = model.discrete("on", "1", 1.0, "heater")
-    model.derivative(x, -x + 2 * on)
-    model.when(x > 1.2, {on: 0}, name="off")
-    model.when(x < 0.8, {on: 1}, name="on")
-    run = simulate(model.freeze(), solver)
-    first, down, up = np.log(2 / 0.8), np.log(1.2 / 0.8), np.log(1.2 / 0.8)
-    exact = first + np.concatenate(([0.0], np.cumsum([down, up] * 20)))
-    exact = exact[exact < 10]
-    error = 1e-6 if solver == "cvodes" else 1e-8
-    np.testing.assert_allclose([event.time for event in run.events], exact, atol=error)
-    assert [event.name for event in run.events[:3]] == ["off", "on", "off"]
-
-
-def test_sampled_controller_is_that_of_its_difference_equation():
-    model = Model("sampled", stop_time=1.0, output_interval=0.05)
-    x = model.state("x", "1", 1.0, "plant")
-    u = model.discrete("u", "1", 0.0, "held control")
-    model.derivative(x, u)
-    model.every(0.1, {u: -4 * x}, name="sample")
-    run = simulate(model.freeze())
-    assert [event.time for event in run.events] == pytest.approx(0.1 * np.arange(11), abs=1e-15)
-    exact = 0.6 ** np.arange(11)
-    np.testing.assert_allclose(run["x"][::2], exact, rtol=1e-10)
-    np.testing.assert_allclose(run["u"][::2], -4 * exact, rtol=1e-10)  # after the sample
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_states_faster_than_the_output_interval_meet_all_events(solver):
-    """Discrete variables stay exact as well: `floor` of one shows an error of rounding."""
-    interval = 1e-3 if solver in FIXED else 0.3
-    model = Model("counted", stop_time=3.0, output_interval=interval)
-    s, v = model.state("s", "m", 0.0, "place"), model.state("v", "m/s", 200.0, "speed")
-    y = model.state("y", "1", 0.0, "integral of the count")
-    n, k = model.discrete("n", "1", 0.0, "count"), model.discrete("k", "1", 0.0, "crossings")
-    model.derivative(s, v)
-    model.derivative(v, -(200.0**2) * s)
-    model.derivative(y, ca.floor(n))
-    model.every(0.5, {n: n + 1}, offset=0.5)
-    model.when(s > 0.5, {k: k + 1})
-    run = simulate(model.freeze(), solver, tolerance=1e-8)
-    assert (run.final["n"], run.final["k"]) == (6, 96)
-    assert run.final["y"] == pytest.approx(7.5, abs=1e-9)
-
-
-@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
-def test_a_sample_that_rounding_puts_behind_the_end_happens_there(solver):
-    model = Model("late", stop_time=2.0)
-    n = model.discrete("n", "1", 0.0, "samples")
-    model.derivative(model.state("x", "1", 0.0, "x"), 1)
-    model.every(0.13, {n: n + 1}, offset=0.05)  # 0.05 + 15 * 0.13 = 2
-    run = simulate(model.freeze(), solver)
-    assert run.final["n"] == 16
-    assert run.events[-1].time == 2.0
-
-
-def test_events_at_one_instant_use_the_values_before_it():
-    model = Model("swap", stop_time=2.0)
-    a, b = model.discrete("a", "1", 1.0, "a"), model.discrete("b", "1", 2.0, "b")
-    x = model.state("x", "1", 0.0, "x")
-    model.derivative(x, 1)
-    model.when(x > 1, {a: b, b: a}, name="swap")
-    model.when(a > 1.5, {x: 10 * x}, name="then")  # what an event makes true happens, too
-    run = simulate(model.freeze())
-    assert (run.final["a"], run.final["b"]) == (2.0, 1.0)
-    assert [event.name for event in run.events] == ["swap", "then"]
-    assert run.final["x"] == pytest.approx(11, rel=1e-12)
-
-
-def test_messages_of_events_name_their_own_remedy():
-    model = Model("conflict", stop_time=2.0)
-    n = model.discrete("n", "1", 0.0, "n")
-    model.when(model.t > 1, {n: 1}, name="a")
-    model.when(model.t > 1, {n: 2}, name="b")
-    with pytest.raises(SolverError, match=r"conditions that exclude each other$"):
-        simulate(model.freeze())
-
-
-def test_events_that_cause_each_other_without_end_are_reported():
-    model = Model("flutter", stop_time=2.0)
-    a = model.discrete("a", "1", 0.0, "a")
-    model.when(ca.logic_and(model.t > 1, a < 0.5), {a: 1}, name="up")
-    model.when(ca.logic_and(model.t > 1, a > 0.5), {a: 0}, name="down")
-    with pytest.raises(SolverError, match=r"happens again and again at 1 s"):
-        simulate(model.freeze())
 
 
 def test_two_crossings_within_an_output_interval_are_seen():

@@ -199,6 +199,7 @@ class Heun(FixedStep):
         3,
         ((), (Fraction(1, 3),), (0, Fraction(2, 3))),
         (Fraction(1, 4), 0, Fraction(3, 4)),
+        (0, Fraction(1, 3), Fraction(2, 3)),
     )
 
 

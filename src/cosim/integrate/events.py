@@ -149,7 +149,7 @@ class _Course:
         self.dae, self.grid = problem.dae, problem.grid
         self.values, self.began = start.values, start.x
         self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
-        self.ends = self.series.breaks if self.series else np.empty(0), pulses  # of steps
+        self.ends = self.series.breaks if self.series else np.empty(0), pulses  # where steps end
         n = len(self.grid)
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
@@ -161,7 +161,7 @@ class _Course:
         watches = not system.relations or (problem.compiled and solver.watches)
         self.window = len(self.grid) if watches else _FIRST_WINDOW
         self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
-        self.stop, self.slides, self.looks = "", False, 1  # at relations per grid interval
+        self.stop, self.slides, self.looks = "", False, 1  # looks per grid interval
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
         at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))

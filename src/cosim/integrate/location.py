@@ -144,7 +144,7 @@ class Piece:
         problem = replace(problem, times=times.tobytes())
         found = scaled_call(problem, self.solver, InitialState(x, z, values, self.began))
         if found.events is None or not len(found.events):
-            constant = self.system.constant  # not even by rounding of the solver
+            constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
         return found
 
@@ -422,17 +422,7 @@ def _time_search(system: Hybrid) -> TimeSearch:
 def next_of_time(
     system: Hybrid, at: Instant, p: Vector, end: float
 ) -> tuple[float, frozenset[int]]:
-    """Return the next time at which a relation of time alone switches, and which ones do.
-
-    Args:
-        system: Frozen equations.
-        at: The present instant.
-        p: Parameters.
-        end: Last time of the run, s.
-
-    Returns:
-        Infinity if there is none up to the end.
-    """
+    """Return the next time at which relations of time alone switch, and which; see `TimeSearch`."""
     if not any(system.of_time):
         return np.inf, frozenset()
     return _time_search(system).first(at.t, [*at.u.tolist(), *at.modes.tolist()], p.tolist(), end)

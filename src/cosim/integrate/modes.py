@@ -172,7 +172,7 @@ class Instant:
         return noise
 
     def is_back(self, last: "Instant", system: Hybrid, p: Vector, error: Vector) -> bool:
-        """Tell whether what is 0 was so before, and moved less than states err, (nx,)."""
+        """Tell whether what is 0 here was so before, moved by less than errors of states, (nx,)."""
         again = [i for i in last.zero & self.zero if not system.floors[i]]
         way = np.abs(self.watched(system, p).rates[0]) * (self.t - last.t)
         return bool(again and (way <= self.noise(system, p, error / _ROUNDING))[again].all())

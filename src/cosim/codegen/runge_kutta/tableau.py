@@ -21,15 +21,17 @@ class Tableau:
         order: Order of consistency.
         a: Weights of the earlier stages, a row for each stage.
         b: Weights of the stages in the step.
+        nodes: Published nodes of the stages, as fractions of the step; empty if none are given.
 
     Raises:
-        ValueError: A stage uses itself or a later one, or the weights of the step do not add up
-            to 1.
+        ValueError: A stage uses itself or a later one, or its weights do not add up to its node;
+            or the weights of the step do not add up to 1.
     """
 
     order: int
     a: tuple[tuple[Fraction | int, ...], ...]
     b: tuple[Fraction | int, ...]
+    nodes: tuple[Fraction | int, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.a) != len(self.b) or any(len(row) > i for i, row in enumerate(self.a)):
@@ -37,6 +39,12 @@ class Tableau:
                 f"tableau of {len(self.a)} rows and {len(self.b)} weights: give a row for each "
                 "stage, with weights of earlier stages only"
             )
+        for i, (row, node) in enumerate(zip(self.a, self.nodes, strict=True) if self.nodes else ()):
+            if abs(float(sum(row) - node)) > _ROUNDED:
+                raise ValueError(
+                    f"tableau: weights of stage {i + 1} add up to {float(sum(row))}, its node is "
+                    f"{float(node)}; a weight is wrong"
+                )
         if abs(float(sum(self.b) - 1)) > _ROUNDED:
             raise ValueError(
                 f"tableau: weights of the step add up to {float(sum(self.b))}, not to 1; one is "
@@ -64,6 +72,7 @@ RK4 = Tableau(
     4,
     ((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)),
     (F(1, 6), F(1, 3), F(1, 3), F(1, 6)),
+    (0, F(1, 2), F(1, 2), 1),
 )
 
 _TABLE = json.loads(Path(__file__).with_name("ode8.json").read_text())
@@ -75,7 +84,9 @@ def _fractions(text: str) -> tuple[Fraction, ...]:
 
 # Prince & Dormand, High order embedded Runge-Kutta formulae, J. Comp. Appl. Math. 7 (1981):
 # RK8(7)13M, the solution of order 8; MATLAB's and Simulink's ode8.
-ODE8 = Tableau(8, tuple(map(_fractions, _TABLE["a"])), _fractions(_TABLE["b"]))
+ODE8 = Tableau(
+    8, tuple(map(_fractions, _TABLE["a"])), _fractions(_TABLE["b"]), _fractions(_TABLE["nodes"])
+)
 
 
 def step_function(rhs: ca.Function, tableau: Tableau) -> ca.Function:

@@ -23,7 +23,6 @@ _LARGE = 200  # number of states from which computing all eigenvalues takes seco
 _KNOWN = 0.01  # largest residual of an accepted mode, relative to its rate
 
 
-@cached_per_thread(64)
 def solver_for(dae: Dae, wanted: str | None) -> str:
     """Return the requested solver, or when None the one that suits the start values.
 
@@ -50,6 +49,7 @@ def uses_dop853(dae: Dae, solver: str) -> bool:
     return solver == DOP853 and bool(dae.states)
 
 
+@cached_per_thread(64)
 def fastest_decay(dae: Dae) -> float:
     """Return the largest rate, 1/s, at which small changes of the start values decay.
 
