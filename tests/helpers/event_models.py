@@ -35,6 +35,16 @@ def ball(stop_time: float = 2.0) -> Dae:
     return model.freeze()
 
 
+def late() -> Dae:
+    """Return a model in which x becomes 5 and n becomes 16 at the stop time itself."""
+    model = Model("late", stop_time=2.0, output_interval=0.1)
+    n, x = model.discrete("n", "1", 0.0, "samples"), model.state("x", "1", 0.0, "x")
+    model.derivative(x, 0)
+    model.every(0.13, {n: n + 1}, offset=0.05)  # 0.05 + 15 * 0.13 = 2, but for rounding
+    model.when(model.t > 2, {x: 5})
+    return model.freeze()
+
+
 def pulse(width: float) -> Dae:
     """Return a mass of 1 kg that 1000 N push from 5 s on."""
     model = Model("pulse", stop_time=10.0, output_interval=0.1)

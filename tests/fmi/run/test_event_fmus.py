@@ -121,13 +121,8 @@ def test_a_sampled_controller_acts_at_its_samples(exported, fmi, interface, mast
 
 @EACH_RUN
 @VERSIONS
-def test_what_happens_at_the_stop_time_happens(tmp_path, fmi, interface, master, bound):
-    model = Model("late", stop_time=2.0, output_interval=0.1)
-    n, x = model.discrete("n", "1", 0.0, "samples"), model.state("x", "1", 0.0, "x")
-    model.derivative(x, 0)
-    model.every(0.13, {n: n + 1}, offset=0.05)  # 0.05 + 15 * 0.13 = 2
-    model.when(model.t > 2, {x: 5})
-    path = cosim.export_fmu(model.freeze(), tmp_path / "late.fmu", fmi=fmi)
+def test_what_happens_at_the_stop_time_happens(exported, fmi, interface, master, bound):
+    path = exported("late", fmi)
     run = simulate(path, interface, master, outputs=["n", "x"])
     assert (run.final["n"], run.final["x"]) == (16, 5)
     assert (run["n"][-2], run["x"][-2]) == (15, 0)
