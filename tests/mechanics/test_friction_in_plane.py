@@ -94,6 +94,16 @@ def test_a_block_thrown_across_a_slope_stops_at_the_exact_time_and_stays(
     assert len(run.events) < 8  # turns by 45 deg, slows down, sticks
 
 
+@pytest.mark.parametrize("interval", [0.008, 0.005, 0.0025])
+def test_the_time_of_rest_depends_on_no_output_interval(interval):
+    """A cubic shows the block slow where it is not; at 0.008 s it came to rest 2 ms late."""
+    dae = block(0.33, 0.3, 2.0, slow=1e-7, stop_time=2.5)
+    for tolerance in (1e-8, 1e-10):
+        options = {"relative_tolerance": tolerance, "output_interval": interval}
+        run = cosim.simulate(dae, solver="cvodes", **options)
+        assert times(run, "sticks") == [pytest.approx(at_rest(0.33, 0.3, 2.0)[0], abs=3e-6)]
+
+
 @pytest.mark.slow
 @SOLVERS
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8, 1e-10])

@@ -270,10 +270,10 @@ class _Course:
         own = sliding(self.system, self.at.sliding)
         self.slides |= bool(own.sliding)
         inputs = self.series and self.series.around(float(times[0]))
-        problem = replace(self.problem, dae=own.dae, inputs=inputs)
+        problem, gaps = replace(self.problem, dae=own.dae, inputs=inputs), np.diff(times)
         while True:
-            shares = np.arange(self.looks) / self.looks
-            looks = np.append(times[:-1, None] + np.diff(times)[:, None] * shares, times[-1])
+            inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks
+            looks = np.sort(np.append(times, inner[gaps > gaps.max() / self.looks]))
             own_problem = replace(problem, times=looks.tobytes())
             start = self.at, self.began, self.values.p
             piece = Piece(self.system, own, own_problem, self.solver, *start)

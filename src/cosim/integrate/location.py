@@ -272,8 +272,7 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
 
     Args:
         piece: The motion.
-        closely: Whether the solver shows an interval in which a relation comes near its boundary
-            and returns; otherwise its cubic does.
+        closely: Whether the solver, not the cubic, shows how near a relation comes and returns.
     """
     if not piece.system.of_states or len(piece.times) < 2:
         return None
@@ -308,21 +307,26 @@ def _crossed(piece: Piece) -> Located | None:
     return _at_event(piece, t, x, piece.watched(np.array([t]), x[None], z[None]), i)
 
 
-def _in_interval(piece: Piece, k: int, which: NDArray[np.intp]) -> Located | None:
+def _in_interval(
+    piece: Piece, k: int, which: NDArray[np.intp], without: frozenset[int] = frozenset()
+) -> Located | None:
     """Return the first event in an interval of a piece; None if there is none.
 
     Its cubic shows where a relation is outside its mode first, or one of some is least inside.
+    Relations `without` have been found inside in spite of their cubics.
     """
     low, high, zooms = 0.0, 1.0, 0
     while zooms <= _ZOOMS:
         shares = np.linspace(low, high, _PLACES)
         inside, towards = piece.margins(piece.interpolated(k, shares))
+        inside[:, list(without)] = np.inf
         bad = np.flatnonzero((inside[1:] < -piece.noise).any(axis=1))
         if bad.size:
             first = int(bad[0])
             low, high = float(shares[first]), float(shares[first + 1])
             if high - low <= _NARROW * high:
-                return _refined(piece, k, high, int(np.argmin(inside[first + 1])))
+                i = int(np.argmin(inside[first + 1]))
+                return _refined(piece, k, high, i) or _in_interval(piece, k, which, without | {i})
             continue
         turning = (towards[:-1, which] < 0) & (towards[1:, which] > 0)
         rows = np.flatnonzero(turning.any(axis=1))
@@ -332,16 +336,16 @@ def _in_interval(piece: Piece, k: int, which: NDArray[np.intp]) -> Located | Non
     return None
 
 
-def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Located:
-    """Return the first event near a share of an interval, by Newton's method on the motion.
+def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Located | None:
+    """Return the first event near a share of an interval, by Newton's method; None without one.
 
     `trials` tells how often an earlier event than that of the relation was found there.
     """
-    begin, end = float(piece.times[k]), float(piece.times[k + 1])
+    begin, end = low, high = piece.times[k : k + 2].tolist()
     t = begin + share * (end - begin)
-    x0, z0 = piece.x[k], piece.z[k]
-    low, high = begin, end
-    x, z, seen = piece.x[k + 1], piece.z[k + 1], None
+    x, z = piece.x[k + 1], piece.z[k + 1]
+    seen = piece.watched(np.array([end]), x[None], z[None])
+    crosses = bool(piece.margins(seen)[0][0, i] < 0)  # before `high`
     for _ in range(_MOST_TRIALS):
         found = piece.state_at(k, t)
         if found is None:
@@ -351,30 +355,35 @@ def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Loc
         seen = piece.watched(np.array([t]), x[None], z[None])
         inside, towards = piece.margins(seen)
         g, rate = float(inside[0, i]), float(towards[0, i])
-        if g >= 0:
-            low = t
-        else:
+        if g < 0:
+            high, crosses = t, True
+        elif rate > 0 and not crosses:  # if it crosses, it has done so, and returned
             high = t
-        step = -g / rate if rate else 0.0
-        if not low <= t + step <= high or rate >= 0:
-            step = 0.5 * (low + high) - t
-        if abs(step) <= _CLOSE * (t - begin) or abs(step) <= 4 * np.spacing(abs(t)):
-            t, x, z, seen = _polished(piece, k, t, x, z, seen, i, (begin, x0, z0))
+        else:
+            low = t
+        step = -g / rate if rate < 0 else np.inf
+        newton = low <= t + step <= high
+        step = step if newton else 0.5 * (low + high) - t
+        close = _CLOSE * (t - begin) if newton else 0.0
+        if abs(step) <= max(close, 4 * np.spacing(abs(t))):
+            crosses |= newton
+            t, x, z, seen = _polished(piece, k, t, x, z, seen, i)
             break
         if high - low <= 4 * np.spacing(abs(t)):
             break
         t += step
-    assert seen is not None
+    if not crosses:
+        return None
     inside, towards = piece.margins(seen)
-    earlier = inside[0] < -8 * np.spacing(abs(t)) * np.abs(towards[0])
+    leaves = towards[0] < 0  # others have been outside for longer, and are about to return
+    earlier = inside[0] < -np.where(leaves, 8 * np.spacing(abs(t)) * -towards[0], piece.noise)
     earlier[i] = False
     if earlier.any() and t > begin and trials < _MOST_TRIALS:
-        earlier &= towards[0] < 0
-        delays = np.where(earlier, -inside[0] / np.where(earlier, towards[0], -1.0), 0.0)
-        j = int(np.argmin(delays))
-        if delays[j] < 0:
-            share = max(0.0, (t + float(delays[j]) - begin) / (end - begin))
-            return _refined(piece, k, share, j, trials + 1)
+        delays = np.where(leaves, -inside[0] / np.where(leaves, towards[0], 1.0), 0.0)
+        j = int(np.argmin(np.where(earlier, delays, np.inf)))
+        share = max(0.0, (t + float(delays[j]) - begin) / (end - begin))
+        if first := _refined(piece, k, share, j, trials + 1):
+            return first
     return _at_event(piece, t, x, seen, i)
 
 
@@ -382,35 +391,30 @@ def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Locat
     """Return the event of a relation at a known time and state, with others that are 0 there."""
     inside, towards = piece.margins(seen)
     tolerance = 8 * np.spacing(abs(t)) * np.abs(towards[0])
-    zero = frozenset(
-        int(j) for j in np.flatnonzero(np.abs(inside[0]) <= tolerance) if towards[0, j] < 0
-    ) | {i}
+    near = np.flatnonzero((np.abs(inside[0]) <= tolerance) & (towards[0] < 0))
+    zero = frozenset(near.tolist()) | {i}
     at = piece.instant(t, x, seen.unknowns[0], seen.solved[0])
     return Located(replace(at, zero=zero | at.zero), zero & at.zero)
 
 
 def _polished(
-    piece: Piece, k: int, t: float, x: Vector, z: Vector, seen: Watched, i: int,
-    begin: tuple[float, Vector, Vector],
-) -> tuple[float, Vector, Vector, Watched]:  # fmt: skip
+    piece: Piece, k: int, t: float, x: Vector, z: Vector, seen: Watched, i: int
+) -> tuple[float, Vector, Vector, Watched]:
     """Return the time and state of an event near a known state, on the cubic to it."""
-    ends = np.array([begin[0], t])
-    states = np.array([begin[1], x])
-    first = piece.rates(k)[0]
-    slopes = np.array([first, seen.ode[0]])
-    at, row = t, x
+    ends, states = np.array([piece.times[k], t]), np.array([piece.x[k], x])
+    slopes = np.array([piece.rates(k)[0], seen.ode[0]])
+    at, row, (inside, towards) = t, x, piece.margins(seen)
     for _ in range(6):
-        inside, towards = piece.margins(seen)
         g, rate = float(inside[0, i]), float(towards[0, i])
-        if not rate or not np.isfinite(g / rate):
+        new = at - g / rate if rate else np.nan
+        if new == at or not ends[0] < new <= 2 * t - ends[0]:
             break
-        step = -g / rate
-        if at + step == at or not begin[0] < at + step or abs(at + step - t) > abs(t - begin[0]):
-            break
-        at += step
-        share = np.array([(at - begin[0]) / (t - begin[0])])
-        row = cubics(ends, states, slopes, share)[0, 0]
-        seen = piece.watched(np.array([at]), row[None], z[None])
+        on_cubic = cubics(ends, states, slopes, (new - ends[:1]) / (t - ends[0]))[0, 0]
+        found = piece.watched(np.array([new]), on_cubic[None], z[None])
+        inside, towards = piece.margins(found)
+        if not (abs(inside[0, i]) < abs(g) and towards[0, i] < 0):
+            break  # rounding, or the cubic is not the motion
+        at, row, seen = new, on_cubic, found
     return at, row, z, seen
 
 
@@ -423,6 +427,4 @@ def next_of_time(
     system: Hybrid, at: Instant, p: Vector, end: float
 ) -> tuple[float, frozenset[int]]:
     """Return the next time at which relations of time alone switch, and which; see `TimeSearch`."""
-    if not any(system.of_time):
-        return np.inf, frozenset()
     return _time_search(system).first(at.t, [*at.u.tolist(), *at.modes.tolist()], p.tolist(), end)
