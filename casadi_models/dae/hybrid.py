@@ -72,6 +72,20 @@ class Hybrid:
         return tuple(ca.depends_on(laws, mode) for mode in ca.vertsplit(self.modes))
 
     @cached_property
+    def of_input(self) -> tuple[bool, ...]:
+        """For each relation, whether its argument depends on inputs or algebraic unknowns."""
+        given = ca.vertcat(self.dae.z, self.dae.u[: self.dae.u.numel() - len(self.relations)])
+        return tuple(ca.depends_on(relation.argument, given) for relation in self.relations)
+
+    @cached_property
+    def paths(self) -> frozenset[str]:
+        """Inputs along which states may slide: arguments of signs depend on both."""
+        arguments = [r.argument for r in self.relations if not r.floor]
+        mixed = ca.vertcat(SX(0, 1), *(a for a in arguments if ca.depends_on(a, self.dae.x)))
+        pairs = zip(self.dae.inputs, ca.vertsplit(self.dae.u), strict=True)
+        return frozenset(v.name for v, symbol in pairs if ca.depends_on(mixed, symbol))
+
+    @cached_property
     def linear(self) -> tuple[bool, ...]:
         """For each relation, whether its argument depends on time alone, and linearly."""
         t, arguments = self.dae.t, ca.vertsplit(self.arguments) if self.relations else []
@@ -304,8 +318,10 @@ class Hybrid:
         if ca.depends_on(arguments, ca.vertcat(dae.z, every[rows])):
             raise ValueError("an expression that stays at 0 depends on algebraic unknowns")
         inner = replace(self, dae=replace(dae, ode=ode, alg=alg))
-        none = SX.zeros(dae.u.numel())
-        law = inner.rates(arguments, SX.zeros(dae.z.numel()), none)
+        names = [variable.name for variable in dae.inputs]
+        known = [names.index(rate_of(n)) if rate_of(n) in names else -1 for n in names]
+        slopes = ca.vertcat(*(dae.u[i] if i >= 0 else 0 for i in known))
+        law = inner.rates(arguments, SX.zeros(dae.z.numel()), slopes)
         if dae.algebraics:
             if dae.derived:
                 raise ValueError("the derivatives of a DAE that slides are not known")
@@ -329,6 +345,11 @@ class Hybrid:
             ode[nx : 2 * nx] += change
         ode = ca.densify(ca.substitute(ode, modes, solved))
         return replace(self, dae=replace(dae, ode=ode), sliding=chosen, solved=solved)
+
+
+def rate_of(name: str) -> str:
+    """Return the name of the input that is the time derivative of another one."""
+    return f"rate_of_{name}"
 
 
 def hybrid(dae: Dae) -> Hybrid | None:

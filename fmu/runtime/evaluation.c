@@ -178,8 +178,11 @@ void begin_watching(Instance *self) {
     if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
 }
 
-/* Return `status` if the model has passed a singular configuration since the last check. */
+/* Return `status` if the model has passed a singular configuration since the last check, or if
+   what slides is moved by an importer that does not tell how. */
 Status look_back(Instance *self, Status status) {
+    const bool untold = self->state.interface == INTERFACE_ME;
+    if (untold && look_at_slides(self, status) != OK) return status;
     return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
 }
 

@@ -110,11 +110,15 @@ static Status find_switched(Instance *self, int crossing, bool zero[], bool deci
     const double t = event_time(self), span = fmax(1, fabs(t));
     for (int i = 0; i < N_MODES; i++) {
         if (s->slides[i] > 0) {
-            if (i != crossing && inside[i] > 0) continue;
+            const bool moved = is_moved(self, &seen, i);
+            if (!moved && i != crossing && inside[i] > 0) continue;
             s->slides[i] = 0;
-            modes[i] = modes[i] > 0 ? 1 : -1;
+            modes[i] = (moved ? seen.arguments[i] : modes[i]) > 0 ? 1 : -1;
             self->state.stale |= AFTER_START;
-            zero[i] = decided[i] = true;
+            zero[i] = decided[i] = !moved;
+            if (moved) s->offsets[i] = 0;
+        } else if (is_held(self, &seen, i)) {
+            zero[i] = true;
         } else if (relations[i].of_time) {
             zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
         } else {

@@ -9,7 +9,7 @@
 #include "logging.h"
 #include "memory.h"
 
-#define MAGIC UINT64_C(0x636f73696d464d55)
+#define INSTANCE_MAGIC UINT64_C(0x636f73696d464d55)
 
 static WorkSize *const work_sizes[] = {
     model_start_work,       model_algebraic_work,         model_ode_work,
@@ -95,7 +95,7 @@ Instance *create(const Host *host, const char *function, const char *name, const
         return NULL;
     }
     *self = draft;
-    self->magic = MAGIC;
+    self->magic = INSTANCE_MAGIC;
     self->categories = logging ? UINT32_MAX : 0;
     self->jacobian = (double *)(self + 1);
     self->w = self->jacobian + jacobian;
@@ -110,7 +110,7 @@ Instance *create(const Host *host, const char *function, const char *name, const
 }
 
 void destroy(Instance *self) {
-    if (!self || self->magic != MAGIC) return;
+    if (!self || self->magic != INSTANCE_MAGIC) return;
     *(volatile uint64_t *)&self->magic = 0; /* a plain one, nobody reads: it would be left out */
     give_memory(self);
 }
@@ -145,7 +145,7 @@ static const char *mode_name(uint32_t mode) {
 
 /* Guard of every FMI function: is it allowed in the present mode and for this interface? */
 bool allowed(Instance *self, unsigned modes, const char *function) {
-    if (!self || self->magic != MAGIC) return false;
+    if (!self || self->magic != INSTANCE_MAGIC) return false;
     self->function = function;
     if (!(self->state.interface & modes)) {
         refuse(self, ERROR, "not a function of %s",

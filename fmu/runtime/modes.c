@@ -22,6 +22,7 @@ static const double ROUNDING = 64 * DBL_EPSILON;
 static const double EDGE = 1e-9;        /* by which the mode of a new sliding may leave -1 ... 1 */
 static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event */
 static const double NOT_AFFINE = 1e-8;  /* rate of an argument that should stay, relative */
+static const double MOVED = 1e8;        /* roundings by which only an input moves an argument */
 static const double NO_BOUNDARY = 1e30; /* far from any: of time alone, or without a value */
 
 static Point present(Instance *self) {
@@ -137,6 +138,29 @@ Status watch_relations(Instance *self, Seen *seen) {
     return refuse(self, DISCARD, "the relations cannot be computed at time %.17g", at.t);
 }
 
+bool is_moved(const Instance *self, const Seen *seen, int i) {
+    const Switching *s = &self->state.switching;
+    const double way = fabs(seen->arguments[i] - s->offsets[i]);
+    return relations[i].of_input && !(way <= MOVED * s->slack[i]);
+}
+
+bool is_held(const Instance *self, const Seen *seen, int i) {
+    const double most = self->state.switching.stays[i];
+    return most > 0 && fabs(seen->rates[i]) <= most && !is_moved(self, seen, i);
+}
+
+Status look_at_slides(Instance *self, Status severity) {
+    Seen seen;
+    const Status status = is_sliding(self) ? watch_relations(self, &seen) : OK;
+    for (int i = 0; i < N_MODES && status == OK; i++)
+        if (self->state.switching.slides[i] > 0 && is_moved(self, &seen, i))
+            return refuse(self, severity,
+                          "an input moves '%s', which stays 0, at %.12g s, and model exchange does "
+                          "not tell its rate: use co-simulation, or compute it in the model",
+                          relations[i].name, self->state.values[TIME]);
+    return status;
+}
+
 /* How far arguments are within their modes, and the rates of that. */
 void measure(const Instance *self, const double modes[], const Seen *seen, double inside[],
              double rates[]) {
@@ -146,7 +170,8 @@ void measure(const Instance *self, const double modes[], const Seen *seen, doubl
         double sign = mode;
         if (s->slides[i] > 0) {
             sign = 0;
-            inside[i] = 1 - fabs(mode) + LEAVING;
+            const bool jumped = self->state.interface == INTERFACE_CS && is_moved(self, seen, i);
+            inside[i] = jumped ? -1 : 1 - fabs(mode) + LEAVING;
         } else if (relations[i].of_time || !isfinite(value)) {
             sign = 0;
             inside[i] = NO_BOUNDARY;
@@ -155,6 +180,7 @@ void measure(const Instance *self, const double modes[], const Seen *seen, doubl
             inside[i] = s->slack[i] + (sign > 0 ? value - mode : mode + 1 - value);
         } else {
             inside[i] = s->slack[i] + mode * value;
+            if (is_held(self, seen, i)) inside[i] = fmax(inside[i], s->slack[i]);
         }
         rates[i] = sign == 0 ? 0 : sign * seen->rates[i];
     }
@@ -335,8 +361,10 @@ Status settle_modes(Instance *self, bool zero[], const bool decided[], Status se
                                                 self->state.values[TIME]);
         if (changed) continue;
         for (int i = 0; i < N_MODES; i++) {
-            const double value = seen.arguments[i];
+            const double value = seen.arguments[i], tiny = ROUNDING * seen.sizes[i];
+            s->stays[i] = 0;
             if (!zero[i] || relations[i].of_time || !isfinite(value)) continue;
+            if (fmax(fabs(seen.rates[i]), fabs(seen.seconds[i])) <= tiny) s->stays[i] = tiny;
             s->offsets[i] = relations[i].floor ? value - round(value) : value;
         }
         return OK;

@@ -36,6 +36,15 @@ Status watch_relations(Instance *self, Seen *seen);
 void measure(const Instance *self, const double modes[], const Seen *seen, double inside[],
              double rates[]);
 
+/* Whether the argument of relation i has stayed 0 since its last event. */
+bool is_held(const Instance *self, const Seen *seen, int i);
+
+/* Whether an input has moved an argument away that was 0, which no equation tells. */
+bool is_moved(const Instance *self, const Seen *seen, int i);
+
+/* Refuses, where a relation slides, inputs that move its argument. */
+Status look_at_slides(Instance *self, Status severity);
+
 /* How far each relation is within its mode; false where there is no value. */
 bool inside_at(Instance *self, const Point *at, double inside[], double rates[]);
 
@@ -68,6 +77,10 @@ static inline Status begin_modes(Instance *self) {
 }
 static inline Status follow_present(Instance *self) {
     (void)self;
+    return OK;
+}
+static inline Status look_at_slides(Instance *self, Status severity) {
+    (void)self, (void)severity;
     return OK;
 }
 static inline Status get_insides(Instance *self, double inside[]) {

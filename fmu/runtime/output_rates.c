@@ -19,7 +19,7 @@ Status get_rates(Instance *self, const uint32_t references[], size_t count, cons
     return count ? refuse(self, ERROR, "the FMU was exported without derivatives") : OK;
 }
 #else
-enum { MOST_ORDER = 3, POINTS = 5, HERE = 2 };
+enum { MOST_ORDER = 3, TIMES = 5, HERE = 2 };
 
 static const double PART = 0.01; /* of a step, between two points */
 
@@ -61,7 +61,7 @@ static Status move_by(Instance *self, const State *from, double since) {
     return slope_at(self, from, since, x, dx);
 }
 
-static double difference(int order, double h, double rates[POINTS][N_VARIABLES], uint32_t k) {
+static double difference(int order, double h, double rates[TIMES][N_VARIABLES], uint32_t k) {
     const double near = rates[HERE + 1][k], far = rates[HERE + 2][k];
     const double near_before = rates[HERE - 1][k], far_before = rates[HERE - 2][k];
     if (order == 2) return (8 * (near - near_before) - (far - far_before)) / (12 * h);
@@ -70,11 +70,11 @@ static double difference(int order, double h, double rates[POINTS][N_VARIABLES],
 
 static Status higher_rates(Instance *self, const uint32_t references[], size_t count,
                            const int32_t orders[], double values[]) {
-    double rates[POINTS][N_VARIABLES];
+    double rates[TIMES][N_VARIABLES];
     const double h = PART * typical_step(self);
     const State from = self->state;
     Status status = OK;
-    for (int k = 0; k < POINTS && status == OK; k++) {
+    for (int k = 0; k < TIMES && status == OK; k++) {
         status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
         if (status == OK) status = all_rates(self, rates[k]);
         self->state = from;

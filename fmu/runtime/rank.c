@@ -95,12 +95,12 @@ static double distance_on(Instance *self, const Look *from, const Look *to, doub
 
 typedef struct {
     double distance, when;
-} Place;
+} Nearest;
 
 /* The point of that cubic nearest to a singular configuration, between shares of its length. */
-static Place nearest_on(Instance *self, const Look *from, const Look *to, double begin,
-                        double end) {
-    Place nearest = {DBL_MAX, from->time};
+static Nearest nearest_on(Instance *self, const Look *from, const Look *to, double begin,
+                          double end) {
+    Nearest nearest = {DBL_MAX, from->time};
     double low = begin, high = end, best = begin;
     for (int zoom = 0; zoom < ZOOMS; zoom++) {
         const double width = (high - low) / POINTS, first = low;
@@ -108,7 +108,7 @@ static Place nearest_on(Instance *self, const Look *from, const Look *to, double
             const double share = first + i * width;
             const double distance = distance_on(self, from, to, share);
             if (!(distance < nearest.distance)) continue;
-            nearest = (Place){distance, from->time + share * (to->time - from->time)};
+            nearest = (Nearest){distance, from->time + share * (to->time - from->time)};
             best = share;
         }
         low = fmax(begin, best - width);
@@ -117,7 +117,7 @@ static Place nearest_on(Instance *self, const Look *from, const Look *to, double
     return nearest;
 }
 
-static Place nearer(Place a, Place b) {
+static Nearest nearer(Nearest a, Nearest b) {
     return b.distance < a.distance ? b : a;
 }
 
@@ -129,9 +129,9 @@ Status watch_rank(Instance *self, Status status) {
         return OK;
     }
     self->state.watch = (Watch){2, now, last, DBL_MAX, 0};
-    Place nearest = {now.distance, now.time};
+    Nearest nearest = {now.distance, now.time};
     if (watch.when <= now.time) {
-        nearest = nearer(nearest, (Place){watch.least, watch.when});
+        nearest = nearer(nearest, (Nearest){watch.least, watch.when});
     } else { /* it was evaluated ahead */
         self->state.watch.least = watch.least;
         self->state.watch.when = watch.when;

@@ -74,7 +74,7 @@ Status run(Instance *self, Equation *equation) {
     return OK;
 }
 
-static Status refuse_not_finite(Instance *self, uint32_t reference, double value) {
+static Status refuse_infinite(Instance *self, uint32_t reference, double value) {
     return refuse(self, DISCARD, "the derivative of %s is %g", variables[reference].name, value);
 }
 
@@ -82,7 +82,7 @@ Status gather(Instance *self, const uint32_t references[], size_t count, const d
               double values[]) {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(results[references[i]]))
-            return refuse_not_finite(self, references[i], results[references[i]]);
+            return refuse_infinite(self, references[i], results[references[i]]);
     for (size_t i = 0; i < count; i++) values[i] = results[references[i]];
     return OK;
 }
@@ -150,7 +150,7 @@ static Status column_of_jacobian(Instance *self, const uint32_t unknowns[], size
         const uint32_t k = unknowns[i];
         const bool is_rate = variables[k].role == DERIVATIVE;
         sensitivity[i] = seed * (is_rate ? dx[k - FIRST_DERIVATIVE] : z[k - FIRST_ALGEBRAIC]);
-        if (!isfinite(sensitivity[i])) return refuse_not_finite(self, k, sensitivity[i]);
+        if (!isfinite(sensitivity[i])) return refuse_infinite(self, k, sensitivity[i]);
     }
     return OK;
 }

@@ -11,7 +11,7 @@
 #include "logging.h"
 #include "memory.h"
 
-#define MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
+#define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
 enum { LAYOUT_VERSION = 6 };
 
@@ -45,7 +45,7 @@ static uint64_t hash(const void *data, size_t size) {
 
 static Header header_of(const Instance *self, const State *state) {
     return (Header){
-        .magic = MAGIC,
+        .magic = SNAPSHOT_MAGIC,
         .layout = LAYOUT_VERSION,
         .fmi_version = self->host.fmi_version,
         .size = sizeof(State),
@@ -61,7 +61,7 @@ static Status reject(Instance *self, const char *reason) {
 
 /* Is the header that of a snapshot of this model? Read nothing behind it before that. */
 static const char *foreign(const Instance *self, const Header *header) {
-    if (header->magic != MAGIC) return "this is not an FMU state";
+    if (header->magic != SNAPSHOT_MAGIC) return "this is not an FMU state";
     if (header->layout != LAYOUT_VERSION || header->fmi_version != self->host.fmi_version)
         return "the FMU state has another version";
     if (header->model != hash(MODEL_GUID, strlen(MODEL_GUID)) || header->size != sizeof(State))

@@ -64,6 +64,7 @@ _Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubl
 typedef struct {
     double slides[ROOM(N_MODES)];  /* 1: the argument stays 0, and the mode follows from that */
     double offsets[ROOM(N_MODES)]; /* rounding of an argument that was 0 at its last event */
+    double stays[ROOM(N_MODES)];   /* rate up to which such an argument stays 0; 0: it moves */
     double
         due[ROOM(N_MODES)]; /* when a relation of time alone switches next; or never, or `JUMPS` */
     double conditions[ROOM(N_EVENTS)]; /* of events, as they were after the last one */

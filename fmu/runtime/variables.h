@@ -48,6 +48,7 @@ typedef struct {
     bool floor;
     bool of_time;      /* its argument depends on time and parameters alone ... */
     bool linear;       /* ... and is linear in time */
+    bool of_input;     /* it depends on inputs, or on unknowns that may do so */
     int at_zero;       /* mode while the argument stays 0; 0: the one that it has */
     bool in_equations; /* not only in conditions of events */
 } RelationInfo;

@@ -131,7 +131,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     if (!c || !res[0]) return 1;
     const double *settings = c + NC, *nominal = settings + 6, *begin = nominal + NX;
     const double *times = begin + RELATIONS;
-    double offsets[RELATIONS + 1] = {0}, zero[RELATIONS + 1], z[NZ + 1], u[NU + 1];
+    double offsets[RELATIONS + 1] = {0}, stays[RELATIONS + 1], z[NZ + 1], u[NU + 1];
     const long long points = (long long)settings[0];
     const int given = arg[3] != NULL;
     const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
@@ -150,7 +150,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .relative = settings[3],
         .absolute = settings[4],
         .nominal = nominal,
-        .zero = zero,
+        .stays = stays,
         .offsets = offsets,
         .relation = -1,
         .records = first_record,
@@ -158,7 +158,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     };
     memcpy(z, arg[1] ? arg[1] : none, NZ * sizeof *z);
     memcpy(u, schedule.u, NU * sizeof *u);
-    memcpy(zero, begin, RELATIONS * sizeof *zero);
+    memcpy(stays, begin, RELATIONS * sizeof *stays);
     Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
     const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);

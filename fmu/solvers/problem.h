@@ -30,7 +30,7 @@ typedef struct {
     long long steps, calls;
     double relative, absolute; /* error that each step may have, the latter in nominal values */
     const double *nominal;     /* of the states */
-    double *zero;              /* whether margins are 0 by definition where the solver began */
+    double *stays;             /* rates up to which margins stay 0; -1: not 0 at the begin */
     double *offsets;           /* what they are there by value */
     int looked_at;
     int relation;                  /* which one ended the run */

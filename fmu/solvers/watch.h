@@ -20,8 +20,8 @@ typedef struct {
 } Step;
 
 /* Margins at a state; what is 0 at the start of a run by definition counts from there. */
-static inline int look(Problem *self, double t, const double *x, double *z, const double *dx,
-                       Place *found) {
+static inline int margins_at(Problem *self, double t, const double *x, double *z, const double *dx,
+                             Place *found) {
     found->t = t;
     self->arg[0] = &t;
     self->arg[1] = x;
@@ -33,10 +33,26 @@ static inline int look(Problem *self, double t, const double *x, double *z, cons
     self->res[1] = found->rates;
     if (self->watch(self->arg, self->res, self->iw, self->w, 0)) return 1;
     for (int i = 0; i < RELATIONS; ++i) {
-        if (!self->looked_at && self->zero[i] > 0) self->offsets[i] = found->inside[i];
+        if (!self->looked_at && self->stays[i] >= 0) self->offsets[i] = found->inside[i];
         found->inside[i] -= self->offsets[i];
     }
     self->looked_at = 1;
+    return 0;
+}
+
+/* The same; what the equations keep at 0 does not leave it, wherever the solver's motion goes. */
+static inline int look(Problem *self, double t, const double *x, double *z, const double *dx,
+                       Place *found) {
+    Place exact = {.t = NAN};
+    double slopes[NX], solved[NZ + 1];
+    if (margins_at(self, t, x, z, dx, found)) return 1;
+    for (int i = 0; i < RELATIONS; ++i) {
+        if (!(self->stays[i] > 0 && found->inside[i] < 0)) continue;
+        if (exact.t != t && (equations_at(self, t, x, slopes, solved) ||
+                             margins_at(self, t, x, solved, slopes, &exact)))
+            return 1;
+        if (fabs(exact.rates[i]) <= self->stays[i]) found->inside[i] = 0;
+    }
     return 0;
 }
 

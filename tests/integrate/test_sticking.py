@@ -108,16 +108,88 @@ def test_events_within_rounding_of_the_end_do_not_stop_a_run(solver):
             assert run.final["n"] * length + run.final["x"] == pytest.approx(stop, abs=1e-6)
 
 
-@pytest.mark.parametrize("solver", ["dop853", "cvodes", "idas"])
-def test_play_follows_its_pin_though_the_solver_drifts_from_it(solver):
+def ran(dae, backend, folder, **inputs):
+    if backend in (*SOLVERS, "erk", "rk4"):
+        return cosim.simulate(dae, solver=backend, **inputs)
+    interface, *fmi = backend.split()
+    file = cosim.export_fmu(dae, folder / "m.fmu", fmi=int(fmi[0]) if fmi else 2)
+    return cosim.simulate_fmu(file, interface=interface, master="fmpy", **inputs)
+
+
+@pytest.mark.parametrize("backend", [*SOLVERS, "erk", "rk4", "CoSimulation", "ModelExchange"])
+def test_play_follows_its_pin_though_the_solver_drifts_from_it(backend, tmp_path):
     """The pin sin(t) moves the slot by its edges, 0.3 away on both sides."""
     model = cosim.Model("play", stop_time=10.0)
     w, u, du = model.state("w", "1", 0.0, "slot"), ca.sin(model.t), ca.cos(model.t)
     right, left = (ca.logic_and(s * (u - w) >= 0.3, s * du > 0) for s in (1, -1))
     model.derivative(w, ca.if_else(ca.logic_or(right, left), du, 0))
-    run = cosim.simulate(model.freeze(), solver=solver)
+    run = ran(model.freeze(), backend, tmp_path)
     exact = np.sin(run.time) - 0.3  # pushed to the right at first
     turned = run.time > 1.5 * np.pi
     assert run.final["w"] == pytest.approx(np.sin(10.0) + 0.3, abs=1e-6)
     assert np.abs(run["w"] - exact)[(run.time > 0.4) & (run.time < np.pi / 2)].max() < 1e-6
     assert run["w"][turned].min() == pytest.approx(-0.7, abs=1e-6)
+    meets, turns = [np.arcsin(0.3), np.pi - np.arcsin(0.4)], [np.pi / 2, 3 * np.pi / 2]
+    times = [meets[0], turns[0], meets[1], turns[1], *(np.pi + meets[1], 5 * np.pi / 2)]
+    times.append(2 * np.pi + meets[1])
+    found = np.unique(np.round([event.time for event in run.events], 5))
+    np.testing.assert_allclose(found, times, rtol=0, atol=2e-5)
+
+
+@pytest.mark.parametrize("backend", [*SOLVERS, "erk", "rk4", "CoSimulation", "ModelExchange"])
+def test_friction_of_three_sides_follows_a_load_that_changes_its_sign(backend, tmp_path):
+    dae = block(LAWS["three sides"], lambda t: 0.4 * ca.sin(t) - 0.1)
+    run = ran(dae, backend, tmp_path)
+    rests = run.time > 1.2
+    assert np.abs(run["v"][rests]).max() < 1e-12
+    load = 0.4 * np.sin(run.time[rests]) - 0.1
+    np.testing.assert_allclose(run["friction"][rests], load, rtol=0, atol=1e-9)
+    assert len(run.events) <= 3  # it stops, and the load passes 0
+
+
+def belt():
+    """A block of 1 kg in oil on a belt whose speed is an input."""
+    model = cosim.Model("belt", stop_time=3.0, output_interval=0.01)
+    u, v = model.input("u", "m/s", 1.0, "belt speed"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(v, -2 * ca.sign(v - u) - 0.5 * v)
+    model.output("friction", "N", -2 * ca.sign(v - u), "friction force")
+    return model.freeze()
+
+
+BELTS = [*SOLVERS, "erk", "rk4", "CoSimulation 2", "CoSimulation 3"]
+
+
+@pytest.mark.parametrize("backend", [*BELTS, "ModelExchange 2", "ModelExchange 3"])
+def test_a_block_slides_when_the_belt_that_it_rests_on_jumps(backend, tmp_path):
+    """It rests again when 4 - 3 exp(-t/2) = 2, 2 ln(3/2) after the jump."""
+    speed = cosim.InputSeries(("u",), [0, 1.5, 1.5, 3], [[1], [1], [2], [2]])
+    run = ran(belt(), backend, tmp_path, inputs=speed)
+    after = run.time - 1.5
+    right = np.where(after < 0, run["v"], np.minimum(4 - 3 * np.exp(-after / 2), 2.0))
+    np.testing.assert_allclose(run["v"], right, rtol=0, atol=1e-6)
+    slides = (after > 0.005) & (after < 2 * np.log(1.5))
+    np.testing.assert_allclose(run["friction"][slides], 2.0, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["series", "formula", "function"])
+@pytest.mark.parametrize("backend", BELTS)
+def test_a_block_at_rest_on_a_belt_follows_it(backend, kind, tmp_path):
+    speed = {
+        "series": cosim.InputSeries(("u",), [0, 1.5, 2.5, 3], [[1], [1], [2], [2]]),
+        "formula": {"u": "where(t < 1.5, 1, where(t < 2.5, t - 0.5, 2))"},
+        "function": {"u": lambda t: 1 + np.clip(t - 1.5, 0, 1)},
+    }[kind]
+    run = ran(belt(), backend, tmp_path, inputs=speed)
+    rests = run.time > 1
+    moving = np.clip(run.time - 1.5, 0, 1)[rests]
+    np.testing.assert_allclose(run["v"][rests], 1 + moving, rtol=0, atol=1e-9)
+    inside = (moving > 0.005) & (moving < 0.995)
+    np.testing.assert_allclose(run["friction"][rests][inside], 1.5 + moving[inside] / 2, atol=1e-9)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_model_exchange_refuses_an_input_that_moves_what_rests_on_it(fmi, tmp_path):
+    file = cosim.export_fmu(belt(), tmp_path / "belt.fmu", fmi=fmi)
+    speed = {"u": "where(t < 1.5, 1, t - 0.5)"}
+    with pytest.raises(CosimError, match=r"an input moves 'sign of \(v-u\)'.*co-simulation"):
+        cosim.simulate_fmu(file, interface="ModelExchange", inputs=speed)

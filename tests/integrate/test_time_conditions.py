@@ -13,13 +13,9 @@ from casadi_models.dae import Model
 from casadi_models.dae.hybrid import hybrid
 from casadi_models.dae.time_search import TimeSearch
 
-WAYS = [
-    "dop853",
-    "cvodes",
-    "ModelExchange 2",
-    "CoSimulation 2",
-    "CoSimulation 3",
-]
+NATIVE = ["dop853", "cvodes"]
+FMUS = ["ModelExchange 2", "CoSimulation 2", "CoSimulation 3"]
+WAYS = [*NATIVE, *FMUS]
 
 
 def integral(condition, stop_time, value=1.0):
@@ -75,15 +71,36 @@ def ran(dae, way, folder):
     return cosim.simulate_fmu(path, interface=interface)
 
 
-@pytest.mark.parametrize("way", WAYS)
+# rounding of the times of switches; measured 5e-10 of 1e6 times the time, 1e-14 else
+def error_of(case):
+    *_, value, _, count = CASES[case]
+    return 1e-9 + 4e-16 * count * value
+
+
+@pytest.mark.parametrize("way", NATIVE)
 @pytest.mark.parametrize("case", CASES)
-def test_every_switch_is_found_at_its_time(case, way, tmp_path):
+def test_every_switch_is_found_at_its_time(case, way):
     condition, stop_time, value, exact, count = CASES[case]
-    run = ran(integral(condition, stop_time, value), way, tmp_path)
-    # rounding of the times of switches; measured 5e-10 of 1e6 times the time, 1e-14 else
-    assert run.final["y"] == pytest.approx(exact, abs=1e-9 + 4e-16 * count * value)
+    run = cosim.simulate(integral(condition, stop_time, value), solver=way)
+    assert run.final["y"] == pytest.approx(exact, abs=error_of(case))
     if case != "both":  # which switch at the same time
         assert len(run.events) == pytest.approx(count, abs=1)  # one may be at the end
+
+
+@pytest.mark.parametrize(
+    "way", [pytest.param("ModelExchange 2", marks=pytest.mark.slow), *FMUS[1:]]
+)
+def test_an_fmu_finds_all_of_them_in_one_model(way, tmp_path):
+    model = Model("integrals", stop_time=max(case[1] for case in CASES.values()))
+    a, names = model.parameter("a", "1", 1.0, "factor"), {}
+    for i, (case, (condition, stop_time, value, exact, _)) in enumerate(CASES.items()):
+        y = model.state(f"y{i}", "1", 0.0, case)
+        holds = ca.logic_and(condition(model.t, a), model.t < stop_time)
+        model.derivative(y, ca.if_else(holds, value, 0))
+        names[case] = f"y{i}", exact
+    run = ran(model.freeze(), way, tmp_path)
+    for case, (name, exact) in names.items():
+        assert run.final[name] == pytest.approx(exact, abs=error_of(case)), case
 
 
 @pytest.mark.parametrize("way", ["dop853", "ModelExchange 2", "ModelExchange 3", "CoSimulation 3"])

@@ -51,7 +51,8 @@ class Problem:
             empty.
         system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
             a relation leaves its mode; engines that cannot do so ignore it.
-        zero: Relations whose arguments are 0 at the start by definition.
+        stays: For each relation whose argument is 0 at the start by definition, the rate up to
+            which it stays 0; -1 for others. Empty: for all others.
     """
 
     dae: Dae
@@ -63,7 +64,7 @@ class Problem:
     project: bool = False
     nominal: tuple[float, ...] = ()
     system: Hybrid | None = None
-    zero: frozenset[int] = frozenset()
+    stays: tuple[float, ...] = ()
 
     @property
     def grid(self) -> Vector:

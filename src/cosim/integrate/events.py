@@ -23,7 +23,7 @@ from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
-from cosim.integrate.location import Piece, located, next_of_time, with_slopes
+from cosim.integrate.location import Piece, located, next_of_time, with_input_rates, with_slopes
 from cosim.integrate.modes import (
     MOST_ROUNDS,
     Instant,
@@ -104,6 +104,7 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         UsageError, ParameterError, MissingTool: See `engine_of`.
         SolverError: An event has no consistent result.
     """
+    problem, start = with_input_rates(problem, start)
     system = hybrid(problem.dae)
     breaks = problem.inputs is not None and problem.inputs.breaks.size
     smooth = problem.dae if system is None else system.dae
@@ -238,12 +239,12 @@ class _Course:
         at = piece.begin
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
-            self._accept(piece, found[0].t)
-            event, left = found
+            event = found.at
+            self._accept(piece, event.t)
             before = self._conditions_at(at)
             due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
             self.window = max(self.least_window, min(self.window, due_rows))
-            self._switch(event, event.zero - left, left, before)
+            self._switch(event, found.crossing, found.left, before)
             return ""
         if piece.reason:
             self._accept(piece, np.inf)
@@ -256,10 +257,11 @@ class _Course:
         arrived = piece.at_end()
         before = self._conditions_at(at)
         if end in (due, jump):
-            arrived = replace(arrived, t=end, zero=changing if end == due else frozenset())
             if end == jump:
-                arrived = self._with_inputs(arrived)
-            self._switch(arrived, arrived.zero, frozenset(), before)
+                following = self._with_inputs(arrived)
+                arrived = following.without_moved(arrived, self.system, self.values.p)
+            crossing = changing if end == due else frozenset[int]()
+            self._switch(replace(arrived, t=end), crossing, frozenset(), before)
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)
@@ -295,7 +297,7 @@ class _Course:
             self._reject_zeno(was)
 
     def _switch(
-        self, at: Instant, zero: frozenset[int], left: frozenset[int], before: Vector
+        self, at: Instant, crossing: frozenset[int], left: frozenset[int], before: Vector
     ) -> None:
         """Apply an event: modes, assignments, and what follows from them at the same instant."""
         if not self.system.relations:
@@ -307,14 +309,15 @@ class _Course:
         begin, x, dt = at, at.x, 0.0
         if self.dae.derived:
             # where a mode at its edge ends sliding, rates are continuous, and so are derivatives
-            at, dt = self._moved(at, zero - self.at.sliding)
+            at, dt = self._moved(at, crossing - self.at.sliding)
         for i in left:  # it slid; its mode is at the edge
             modes = at.modes.copy()
             modes[i] = np.sign(modes[i])
             at = replace(at, modes=modes, sliding=at.sliding - {i})
         last, n = self.at, len(self.events)
-        self.at = settled(self.system, replace(at, zero=zero), self.values.p, left)
-        self._happen(before, zero | left | begin.switched(self.at), x, dt)
+        at = replace(at, zero=at.zero | crossing)
+        self.at = settled(self.system, at, self.values.p, left)
+        self._happen(before, crossing | begin.switched(self.at), x, dt)
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
@@ -401,12 +404,9 @@ class _Course:
                 "assign a finite one"
             )
         self._reject_inconsistent(x, which)
-        was = at.watched(system, p)
-        at = replace(at, x=x)
-        same = at.watched(system, p).arguments[0] == was.arguments[0]
-        kept, slid = (frozenset(i for i in ones if same[i]) for ones in (at.zero, at.sliding))
-        at = replace(at, zero=kept | slid, sliding=slid)
-        return settled(system, at, p, frozenset(), np.abs(was.rates[0]))
+        rates = at.watched(system, p).rates[0]
+        at = replace(at, x=x).without_moved(at, system, p)
+        return settled(system, at, p, frozenset(), np.abs(rates))
 
     def _reject_inconsistent(self, x: Vector, which: Sequence[int]) -> None:
         for invariant, law in zip(self.dae.invariants, _residuals(self.dae), strict=True):

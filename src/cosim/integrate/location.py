@@ -4,16 +4,20 @@ from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
+from casadi import SX
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
-from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.hybrid import Hybrid, rate_of
 from casadi_models.dae.time_search import TimeSearch
+from casadi_models.dae.variables import Variable
 from cosim.arrays import Vector
+from cosim.errors import SolverError
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.modes import Instant, Watched, guards, stillness, watch
+from cosim.integrate.modes import Instant, Watched, guards, hybrid, stillness, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
@@ -35,10 +39,12 @@ class Located(NamedTuple):
 
     Attributes:
         at: The instant just before it, with the relations whose arguments are 0 there.
-        left: Those of them that slid until then, and no longer do.
+        crossing: Those of them that become so there, or no longer stay so.
+        left: Those of these that slid until then.
     """
 
     at: Instant
+    crossing: frozenset[int]
     left: frozenset[int]
 
 
@@ -85,7 +91,9 @@ class Piece:
         z = begin.z
         if own.sliding and own.dae.algebraics:
             z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
-        watched = replace(problem, system=own, zero=begin.zero - frozenset(own.sliding))
+        self.noise = begin.noise(system, p, own_sizes(system.dae, began))
+        self._note_zeros()
+        watched = replace(problem, system=own, stays=tuple(self.stays.tolist()))
         self.reached = self._run(watched, problem.grid, begin.x, z)
         n = self.reached.states.shape[1]
         self.times = problem.grid[:n]
@@ -99,13 +107,18 @@ class Piece:
         self.passed = [] if events is None else self._passed(events)
         if self.passed:
             self.begin = begin = self.passed[-1].after
-        self.noise = begin.noise(system, p, own_sizes(system.dae, began))
-        self.offsets = np.zeros_like(self.noise)  # of arguments that are 0 by definition
-        self.stays = np.full_like(self.noise, -1.0)  # rates at which these stay 0
-        near = [i for i in begin.zero if not system.floors[i]]
+            self.noise = begin.noise(system, p, own_sizes(system.dae, began))
+            self._note_zeros()
+
+    def _note_zeros(self) -> None:
+        """Note what is 0 by definition at the begin, and up to which rate it stays 0."""
+        self.offsets, self.stays = np.zeros_like(self.noise), np.full_like(self.noise, -1.0)
+        signs = frozenset(i for i in self.system.of_states if not self.system.floors[i])
+        near = sorted(signs & self.begin.zero - self.begin.sliding)
         if near:
-            row = begin.watched(system, p)
-            self.offsets[near], self.stays[near] = row.arguments[0, near], stillness(row)[near]
+            row = self.begin.watched(self.system, self.p)
+            self.offsets[near] = row.arguments[0, near]
+            self.stays[near] = stillness(row)[near]
 
     def _passed(self, events: NDArray[np.void]) -> list[Passed]:
         """Return events from their records; see `event_type`."""
@@ -172,7 +185,7 @@ class Piece:
         u, du = self._inputs_at(t)
         return replace(
             self.begin, t=float(t), x=x, z=z[: len(self.begin.z)], u=u, du=du, modes=modes,
-            zero=frozenset(slid),
+            zero=self._still_zero(t),
         )  # fmt: skip
 
     def _inputs_at(self, t: float) -> tuple[Vector, Vector]:
@@ -205,13 +218,24 @@ class Piece:
         """
         values = seen.arguments - self.offsets
         inside, towards = guards(self.system, self.begin.modes, values, seen.rates)
-        inside = np.where(np.abs(towards) <= self.stays, np.maximum(inside, 0.0), inside)
+        inside = np.where(self._held(towards), np.maximum(inside, 0.0), inside)
         slid = list(self.own.sliding)
         inside[:, slid] = 1 - np.abs(seen.solved)
         towards[:, slid] = -np.sign(seen.solved) * seen.solved_rates
         inside[:, list(self.system.of_time)] = np.inf
         towards[:, list(self.system.of_time)] = 0.0
         return inside, towards
+
+    def _held(self, rates: Vector) -> NDArray[np.bool_]:
+        """Tell at which rates, (n, m), arguments stay 0 that were so at the begin."""
+        return (self.stays > 0) & (np.abs(rates) <= self.stays)
+
+    def _still_zero(self, t: float) -> frozenset[int]:
+        """Return the relations whose arguments have stayed 0 from the begin to a time."""
+        if not (self.stays > 0).any():
+            return frozenset(self.own.sliding)
+        rows = self._held(self.seen.rates[: self.times.searchsorted(t, "right")])
+        return frozenset([*self.own.sliding, *np.flatnonzero(rows.all(axis=0)).tolist()])
 
     def interpolated(self, k: int, shares: Vector) -> Watched:
         """Return the relations within an interval, on the cubic through its ends."""
@@ -249,6 +273,35 @@ def with_slopes(
         u[:, places] = series.at(times).T
         du[:, places] = [series.slopes(float(t)) for t in times]
     return u, du
+
+
+@cached_per_thread(16)
+def _with_inputs(dae: Dae, names: tuple[str, ...]) -> Dae:
+    more = tuple(Variable(rate_of(name), "1/s", f"rate of {name}", 0.0) for name in names)
+    symbols = [SX.sym(variable.name) for variable in more]
+    return replace(dae, u=ca.vertcat(dae.u, *symbols), inputs=(*dae.inputs, *more))
+
+
+def with_input_rates(problem: Problem, start: InitialState) -> tuple[Problem, InitialState]:
+    """Return a problem whose series tell the rates of the inputs along which states may slide."""
+    system, series = hybrid(problem.dae), problem.inputs
+    if system is None or series is None:
+        return problem, start
+    moving = (np.diff(series.values, axis=0) != 0)[np.diff(series.time) > 0].any(axis=0)
+    names = tuple(n for n, m in zip(series.names, moving, strict=True) if m and n in system.paths)
+    if not names:
+        return problem, start
+    if problem.dae.derived:
+        raise SolverError(
+            f"{problem.dae.full_name}: derivatives along {names[0]}, a series beside which states "
+            "may come to rest, are not known; make it a formula"
+        )
+    values = start.values
+    u = np.concatenate((values.u, np.zeros(len(names))))
+    problem = replace(
+        problem, dae=_with_inputs(problem.dae, names), inputs=series.with_rates(names)
+    )
+    return problem, replace(start, values=replace(values, u=u))
 
 
 def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:
@@ -394,7 +447,7 @@ def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Locat
     near = np.flatnonzero((np.abs(inside[0]) <= tolerance) & (towards[0] < 0))
     zero = frozenset(near.tolist()) | {i}
     at = piece.instant(t, x, seen.unknowns[0], seen.solved[0])
-    return Located(replace(at, zero=zero | at.zero), zero & at.zero)
+    return Located(replace(at, zero=zero | at.zero), zero, zero & frozenset(piece.own.sliding))
 
 
 def _polished(

@@ -177,6 +177,14 @@ class Instant:
         way = np.abs(self.watched(system, p).rates[0]) * (self.t - last.t)
         return bool(again and (way <= self.noise(system, p, error / _ROUNDING))[again].all())
 
+    def without_moved(self, before: "Instant", system: Hybrid, p: Vector) -> "Instant":
+        """Return the same where what was 0, or slid, has not stayed so since a jump began."""
+        if not (self.zero or self.sliding):
+            return self
+        was, now = (at.watched(system, p).arguments[0] for at in (before, self))
+        same = frozenset(np.flatnonzero(was == now).tolist())
+        return replace(self, zero=self.zero & same, sliding=self.sliding & same)
+
     def watched(self, system: Hybrid, p: Vector) -> Watched:
         """Evaluate the relations here, in the present modes."""
         own = sliding(system, self.sliding)
@@ -278,9 +286,9 @@ def _consistent(
 
 
 def stillness(row: Watched) -> Vector:
-    """Return the rates of arguments that are but rounding, (m,), of one row; -1 if they move."""
+    """Return the rates of arguments that are but rounding, (m,), of one row; 0 if they move."""
     still = _ROUNDING * row.rate_sizes[0]
-    return np.where(np.maximum(np.abs(row.rates[0]), np.abs(row.seconds[0])) <= still, still, -1.0)
+    return np.where(np.maximum(np.abs(row.rates[0]), np.abs(row.seconds[0])) <= still, still, 0.0)
 
 
 def literal_modes(system: Hybrid, arguments: Vector) -> Vector:

@@ -12,6 +12,7 @@ from typing import Literal, cast
 import numpy as np
 
 from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import rate_of
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.series.csv_file import read_samples
@@ -166,6 +167,22 @@ class InputSeries:
             same = jumping & (np.abs(near - time) <= _SAME_TIME * np.abs(near))
             time[same] = near[same]
         return replace(self, time=time)
+
+    def with_rates(self, names: Collection[str]) -> "InputSeries":
+        """Return the series with the time derivatives of some inputs as further inputs."""
+        first, last = self.time[0], self.time[-1]
+        time = np.concatenate(([first - 1], self.time, [last + 1]))
+        values = self.values[[0, *range(len(self.time)), -1]]
+        begins = np.flatnonzero(np.diff(time))
+        rows, gaps = np.column_stack((begins, begins + 1)), np.diff(time)[begins, None]
+        chosen = [self.names.index(name) for name in names]
+        rates = np.repeat(np.diff(values[:, chosen], axis=0)[begins] / gaps, 2, axis=0)
+        return replace(
+            self,
+            names=(*self.names, *map(rate_of, names)),
+            time=time[rows.ravel()],
+            values=np.column_stack((values[rows.ravel()], rates)),
+        )
 
     def only(self, names: Collection[str]) -> "InputSeries | None":
         """Return the series of those inputs that are named; None when none of them is."""

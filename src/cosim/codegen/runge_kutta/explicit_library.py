@@ -95,7 +95,7 @@ def explicit_function(
 
     Args:
         points: Number of output times; p = (c, points, breaks, columns, relative and absolute
-            tolerance, largest step, nominal values of the states, zero margins at the start, output
+            tolerance, largest step, nominal values of the states, `stays` of `Problem`, output
             times, positions of the breaks).
         breaks: Number of output times at which a step ends and the method restarts.
         columns: Columns of u: 1, or one for each output time, valid on the interval up to it.

@@ -103,7 +103,7 @@ def event_tables(system: Hybrid | None) -> str:
     rows = ", ".join(map(str, system.time_bounds.relations))
     bounded = f"const int bounded[] = {{{rows}}};\n" if rows else ""
     for i, relation in enumerate(system.relations):
-        flags = (relation.floor, system.of_time[i], system.linear[i])
+        flags = (relation.floor, system.of_time[i], system.linear[i], system.of_input[i])
         used = str(system.in_laws[i]).lower()
         at_zero = relation.at_zero if relation.operation in COMPARISONS else 0
         facts = [
@@ -120,7 +120,7 @@ def event_tables(system: Hybrid | None) -> str:
         assigned += event.states
     return f"""
 const RelationInfo relations[] = {{
-{relations}    {{NULL, false, false, false, 0, false}},
+{relations}    {{NULL, false, false, false, false, 0, false}},
 }};
 
 const EventInfo events[] = {{

@@ -277,7 +277,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         about={ABOUT[key]: text for key, text in (options.about or {}).items()},
         indicators=(len(dae.limits) if options.valid else 0)
         + (system.of_time.count(False) if system else 0),
-        watches_steps=has_rank(dae),
+        watches_steps=has_rank(dae) or bool(system and any(system.of_input)),
         event_mode=modes > 0,
     )
     depends = structural_dependencies(dae)

@@ -75,8 +75,8 @@ def explicit_engine(
     library = ctypes.CDLL(path)
     nominal = problem.nominal or (1.0,) * len(dae.states)
     watched = system.of_states if system else ()
-    zero = (i in problem.zero and not system.floors[i] for i in watched if system)
-    numbers = (len(grid), len(breaks), columns, *settings, *nominal, *zero)
+    stays = (problem.stays[i] if problem.stays else -1.0 for i in watched)
+    numbers = (len(grid), len(breaks), columns, *settings, *nominal, *stays)
     known = np.concatenate((numbers, grid, breaks))
 
     def make() -> EngineFunctions:
