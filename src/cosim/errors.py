@@ -122,11 +122,7 @@ class MissingTool(CosimError):
     exit_code = 5
 
 
-class CompilerExhausted(MissingTool):
-    """A compiler that needs more memory than it may have, or more time."""
-
-
-class CompilerTimeout(CompilerExhausted):
+class CompilerTimeout(MissingTool):
     """A compiler that needs more time than it may have."""
 
 

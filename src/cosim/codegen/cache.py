@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
-from cosim.errors import CacheError, CosimError
+from cosim.errors import CacheError
 from cosim.files import opened_plain
 from cosim.host.temporary import remove_leftovers
 
@@ -215,20 +215,10 @@ def most_bytes() -> int:
     Raises:
         CacheError: $COSIM_CACHE_SIZE is not a number.
     """
-    chosen = bytes_from_environment("COSIM_CACHE_SIZE", CacheError)
-    return LARGEST_CACHE if chosen is None else chosen
-
-
-def bytes_from_environment(variable: str, problem: type[CosimError]) -> int | None:
-    """Return the number of bytes in an environment variable; None if it is not set.
-
-    Raises:
-        CosimError: It is not a number; of the type `problem`.
-    """
-    chosen = os.environ.get(variable, "")
+    chosen = os.environ.get("COSIM_CACHE_SIZE", "")
     if chosen and not chosen.isdecimal():
-        raise problem(f"{variable} = {chosen} is not a number of bytes; unset it")
-    return int(chosen) if chosen else None
+        raise CacheError(f"COSIM_CACHE_SIZE = {chosen} is not a number of bytes; unset it")
+    return int(chosen) if chosen else LARGEST_CACHE
 
 
 def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:

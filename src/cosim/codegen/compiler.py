@@ -10,10 +10,12 @@ import platform
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
@@ -24,22 +26,19 @@ from types import MappingProxyType
 from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import (
     alone,
-    bytes_from_environment,
     plain_file,
     private_folder,
     prune,
     remove_damaged,
 )
 from cosim.codegen.pieces import in_pieces
-from cosim.errors import CompilerExhausted, CompilerTimeout, MissingTool, UsageError
-from cosim.host.limits import physical_memory, run_bounded
+from cosim.errors import CompilerTimeout, MissingTool, UsageError
 from cosim.host.progress import doing
 from cosim.host.temporary import loads_no_library, temporary_folder
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
 TIMEOUT = 600  # s, for one compiler call
-MOST_MEMORY = 4 * 10**9  # bytes for one compiler; at most three quarters of the machine's memory
 
 # Options for generated code. For one long function, such as a Jacobian, -O2 takes five times as
 # long to compile as -O1 and gains no speed. Hidden symbols can be inlined.
@@ -52,12 +51,6 @@ _HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # except th
 _APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
 
 _SPENT: ContextVar[float] = ContextVar("time_compiling", default=0.0)  # s
-# Messages of compilers and their drivers when memory is exhausted
-_EXHAUSTED = re.compile(
-    r"out of memory|memory exhausted|cannot allocate memory|bad_alloc|OutOfMemory"
-    r"|Killed signal|signal 9",
-    re.IGNORECASE,
-)
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 # Declaration by CasADi of a function that another file defines
@@ -141,20 +134,14 @@ def compile_library(
 
 
 def _run_compiler(call: Sequence[str], target: Path) -> None:
-    memory = most_memory()
     try:
-        failed, output = run_bounded(call, TIMEOUT, memory, target.parent)
+        failed, output = _output_of(call, target.parent)
     except subprocess.TimeoutExpired as error:
         raise CompilerTimeout(
             f"{call[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"
         ) from error
     except OSError as error:
         raise MissingTool(f"{call[0]} could not be run: {error}; {_HOW}") from error
-    if failed and _EXHAUSTED.search(output):
-        raise CompilerExhausted(
-            f"{call[0]} needs more than {memory / 1e9:.3g} GB of memory; give it more "
-            "(COSIM_COMPILER_MEMORY, in bytes)"
-        )
     if failed or not target.exists():
         tail = "\n".join(output.splitlines()[-20:])
         raise MissingTool(
@@ -162,14 +149,28 @@ def _run_compiler(call: Sequence[str], target: Path) -> None:
         )
 
 
-def most_memory() -> int:
-    """Return the memory limit of a compiler, bytes.
-
-    Raises:
-        MissingTool: $COSIM_COMPILER_MEMORY is not a number.
-    """
-    chosen = bytes_from_environment("COSIM_COMPILER_MEMORY", MissingTool)
-    return min(MOST_MEMORY, physical_memory() * 3 // 4) if chosen is None else chosen
+def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
+    """Run a compiler with temporary files in a folder; return its exit code and its output."""
+    places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
+    with tempfile.TemporaryFile() as output:  # a pipe would stay open while a child holds it
+        process = subprocess.Popen(
+            call,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env=os.environ | places,
+        )
+        try:
+            process.wait(TIMEOUT)
+        finally:  # done, too late, or interrupted: children may be left
+            with suppress(OSError):
+                process.kill()
+                if sys.platform != "win32":
+                    os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        output.seek(0)
+        return process.returncode, output.read().decode(errors="replace")
 
 
 def cached_library(

@@ -1,14 +1,14 @@
 """The two fallbacks of a native run after a failure; the run reports which one was used.
 
 1. If IDAS fails with the algebraic unknowns in its error test, it runs without them.
-2. If the compiler cannot compile the equations, they are interpreted.
+2. If the compiler does not end, the equations are interpreted.
 
 Everything else is decided before a run, or rejected with a remedy.
 """
 
 from dataclasses import replace
 
-from cosim.errors import CompilerExhausted, CosimError, SolverError
+from cosim.errors import CompilerTimeout, CosimError, SolverError
 from cosim.integrate.families.sundials import Idas
 from cosim.integrate.preparation import Prepared
 from cosim.model.request import RunRequest
@@ -32,7 +32,7 @@ def next_request(
         None if there is no fallback.
     """
     solver = prepared.inner
-    if isinstance(failure, CompilerExhausted):
+    if isinstance(failure, CompilerTimeout):
         optional = request.policy.compiled is None and not request.policy.projects
         if not optional or prepared.solver.compiled_only:
             return None
