@@ -193,3 +193,37 @@ def test_model_exchange_refuses_an_input_that_moves_what_rests_on_it(fmi, tmp_pa
     speed = {"u": "where(t < 1.5, 1, t - 0.5)"}
     with pytest.raises(CosimError, match=r"an input moves 'sign of \(v-u\)'.*co-simulation"):
         cosim.simulate_fmu(file, interface="ModelExchange", inputs=speed)
+
+
+@pytest.mark.parametrize("backend", ["idas", "rosenbrock", "dop853", "CoSimulation"])
+def test_friction_of_a_speed_that_an_equation_gives_stops_it(backend, tmp_path):
+    """The speed at the contact is 1.5 v; 21 exp(-t/10) - 20 = 0 at 10 ln(1.05)."""
+    model = cosim.Model("wheel", stop_time=2.0, output_interval=0.01)
+    v, z = model.state("v", "m/s", 1.0, "speed"), model.algebraic("z", "m/s", 0.5, "half of it")
+    model.derivative(v, -2 * ca.sign(v + z) - 0.1 * v)
+    model.equation(z - 0.5 * v)
+    run = ran(model.freeze(), backend, tmp_path)
+    assert [event.time for event in run.events] == pytest.approx([10 * np.log(1.05)], abs=1e-7)
+    assert np.abs(run["v"][run.time > 0.5]).max() < 1e-12
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "dop853"])
+def test_a_series_of_many_samples_costs_no_restarts_where_nothing_slides_along_it(solver):
+    """A mass on a spring over a rough road, with a stop that it does not reach."""
+    time, steps = np.linspace(0, 10, 2001), []
+    series = cosim.InputSeries(("road",), time, 0.01 * np.sin(30 * time)[:, None])
+    for stop in (0.0, 1e4):
+        model = cosim.Model("car", stop_time=10.0, output_interval=0.01)
+        road = model.input("road", "m", 0.0, "height")
+        x, v = model.state("x", "m", 0.0, "position"), model.state("v", "m/s", 0.0, "speed")
+        force = ca.if_else(x - road > 1, stop * (x - road - 1), 0) if stop else 0
+        model.derivative(x, v)
+        model.derivative(v, 100 * (road - x) - v - force)
+        steps.append(cosim.simulate(model.freeze(), solver=solver, inputs=series).stats.steps)
+    assert steps[1] < 1.1 * steps[0]
+
+
+def test_derivatives_of_what_rests_on_a_series_are_refused():
+    series = cosim.InputSeries(("u",), [0, 1.5, 2.5, 3], [[1], [1], [2], [2]])
+    with pytest.raises(CosimError, match="derivatives of what rests on u, which a series moves"):
+        cosim.sensitivity(belt(), with_respect_to=["v"], inputs=series)

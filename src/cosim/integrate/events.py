@@ -6,8 +6,7 @@ motion of the solver, the modes and states after the event follow, and the solve
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -33,9 +32,11 @@ from cosim.integrate.modes import (
     settled,
     sliding,
 )
+from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
 
@@ -46,52 +47,6 @@ _TINY = 1e-280  # s; a time that is not 0 if it is divided by a period
 _ZENO = 1e-10  # distance of events, relative to the time, of which ...
 _MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed, and ...
 _IDLE = 4  # ... one at which nothing happens, but the error of the solver, is worth so many
-
-
-class EventRecord(NamedTuple):
-    """An event of a run.
-
-    Attributes:
-        time: s.
-        name: Name of the event.
-        before, after: States just before and after it, (nx,).
-        instant: Position of its instant in `Motion.instants`.
-    """
-
-    time: float
-    name: str
-    before: Vector
-    after: Vector
-    instant: int
-
-
-@dataclass
-class Motion:
-    """Result of an integration over a grid, up to the last time that was reached.
-
-    Attributes:
-        dae: The model whose outputs the columns determine: with modes as further inputs.
-        time: The grid, s, (n,); if an event ends the run, up to the time of that event.
-        states, algebraics, u: One column per time.
-        counts: Numbers of steps and calls.
-        reason: Why the run stopped early; empty if it did not.
-        solve_time: Time of the solver, s.
-        events: Events in their order.
-        stop: Message of the event that ended the run.
-        instants: What was just before and after each instant with an event.
-    """
-
-    dae: Dae
-    time: Vector
-    states: Vector
-    algebraics: Vector
-    u: Vector
-    counts: Counts
-    reason: str = ""
-    solve_time: float | None = None
-    events: list[EventRecord] = field(default_factory=list)
-    stop: str = ""
-    instants: list[tuple[Instant, Instant]] = field(default_factory=list)
 
 
 def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
@@ -150,7 +105,8 @@ class _Course:
         self.dae, self.grid = problem.dae, problem.grid
         self.values, self.began = start.values, start.x
         self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
-        self.ends = self.series.breaks if self.series else np.empty(0), pulses  # where steps end
+        self.rated = self.series and self.series.with_rates([v.name for v in self.dae.inputs])
+        self.pulses = pulses
         n = len(self.grid)
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
@@ -227,7 +183,9 @@ class _Course:
         """
         at, grid = self.at, self.grid
         due, changing = next_of_time(self.system, at, self.values.p, float(grid[-1]))
-        later = (times[times.searchsorted(at.t, "right") :] for times in self.ends)
+        series = self._followed()
+        ends = series.breaks if series else np.empty(0), self.pulses
+        later = (times[times.searchsorted(at.t, "right") :] for times in ends)
         jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
         end = min(due, jump, float(grid[-1]), pulse)
         last = min(self.next + min(self.window, _MOST_LOOKS // self.looks), len(grid) - 1)
@@ -267,11 +225,17 @@ class _Course:
             self._write(end)
         return ""
 
+    def _followed(self) -> InputSeries | None:
+        """Return the input series, with rates where states slide along inputs."""
+        along = any(self.system.of_input[i] for i in self.at.sliding)
+        return self.rated if along else self.series
+
     def _piece(self, times: Vector) -> Piece:
         """Integrate from the present instant over some times."""
         own = sliding(self.system, self.at.sliding)
         self.slides |= bool(own.sliding)
-        inputs = self.series and self.series.around(float(times[0]))
+        series = self._followed()
+        inputs = series and series.around(float(times[0]))
         problem, gaps = replace(self.problem, dae=own.dae, inputs=inputs), np.diff(times)
         while True:
             inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks

@@ -89,6 +89,12 @@ class Piece:
         self.system, self.own, self.begin, self.began, self.p = system, own, begin, began, p
         self.problem, self.solver = problem, solver
         z = begin.z
+        if own.sliding and own.dae.derived and problem.inputs:
+            for name in moving_paths(own, problem.inputs):
+                raise SolverError(
+                    f"{own.dae.full_name}: derivatives of what rests on {name}, which a series "
+                    "moves, are not known; give it as a formula"
+                )
         if own.sliding and own.dae.algebraics:
             z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
         self.noise = begin.noise(system, p, own_sizes(system.dae, began))
@@ -272,6 +278,9 @@ def with_slopes(
         places = [known.index(name) for name in series.names]
         u[:, places] = series.at(times).T
         du[:, places] = [series.slopes(float(t)) for t in times]
+        for name, place in zip(series.names, places, strict=True):
+            if rate_of(name) in known:
+                u[:, known.index(rate_of(name))] = du[:, place]
     return u, du
 
 
@@ -283,25 +292,22 @@ def _with_inputs(dae: Dae, names: tuple[str, ...]) -> Dae:
 
 
 def with_input_rates(problem: Problem, start: InitialState) -> tuple[Problem, InitialState]:
-    """Return a problem whose series tell the rates of the inputs along which states may slide."""
+    """Return a problem whose inputs hold the rates of those along which states may slide."""
     system, series = hybrid(problem.dae), problem.inputs
-    if system is None or series is None:
+    names = moving_paths(system, series) if system and series else ()
+    if problem.dae.derived or not names:
         return problem, start
-    moving = (np.diff(series.values, axis=0) != 0)[np.diff(series.time) > 0].any(axis=0)
-    names = tuple(n for n, m in zip(series.names, moving, strict=True) if m and n in system.paths)
-    if not names:
-        return problem, start
-    if problem.dae.derived:
-        raise SolverError(
-            f"{problem.dae.full_name}: derivatives along {names[0]}, a series beside which states "
-            "may come to rest, are not known; make it a formula"
-        )
     values = start.values
     u = np.concatenate((values.u, np.zeros(len(names))))
-    problem = replace(
-        problem, dae=_with_inputs(problem.dae, names), inputs=series.with_rates(names)
-    )
+    problem = replace(problem, dae=_with_inputs(problem.dae, names))
     return problem, replace(start, values=replace(values, u=u))
+
+
+def moving_paths(system: Hybrid, series: InputSeries) -> tuple[str, ...]:
+    """Return the inputs that a series moves steadily, and along which states may slide."""
+    moving = (np.diff(series.values, axis=0) != 0)[np.diff(series.time) > 0].any(axis=0)
+    pairs = zip(series.names, moving, strict=True)
+    return tuple(name for name, moves in pairs if moves and name in system.paths)
 
 
 def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:

@@ -11,10 +11,11 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.events import EventRecord, Motion, integrate
+from cosim.integrate.events import integrate
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import consistent_values, input_values
 from cosim.integrate.modes import hybrid
+from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.outputs import Observed, Solved, all_columns, observe
 from cosim.integrate.preparation import Prepared

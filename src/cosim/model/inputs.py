@@ -168,20 +168,24 @@ class InputSeries:
             time[same] = near[same]
         return replace(self, time=time)
 
-    def with_rates(self, names: Collection[str]) -> "InputSeries":
-        """Return the series with the time derivatives of some inputs as further inputs."""
-        first, last = self.time[0], self.time[-1]
-        time = np.concatenate(([first - 1], self.time, [last + 1]))
+    def with_rates(self, known: Collection[str]) -> "InputSeries":
+        """Return the series with the rates of its inputs that are among some names.
+
+        Rates jump at the samples. A rate has the name `rate_of(input)`.
+        """
+        chosen = [i for i, name in enumerate(self.names) if rate_of(name) in known]
+        if not chosen:
+            return self
+        time = np.concatenate(([self.time[0] - 1], self.time, [self.time[-1] + 1]))
         values = self.values[[0, *range(len(self.time)), -1]]
         begins = np.flatnonzero(np.diff(time))
-        rows, gaps = np.column_stack((begins, begins + 1)), np.diff(time)[begins, None]
-        chosen = [self.names.index(name) for name in names]
-        rates = np.repeat(np.diff(values[:, chosen], axis=0)[begins] / gaps, 2, axis=0)
+        rates = np.diff(values[:, chosen], axis=0)[begins] / np.diff(time)[begins, None]
+        rows = np.column_stack((begins, begins + 1)).ravel()
         return replace(
             self,
-            names=(*self.names, *map(rate_of, names)),
-            time=time[rows.ravel()],
-            values=np.column_stack((values[rows.ravel()], rates)),
+            names=(*self.names, *(rate_of(self.names[i]) for i in chosen)),
+            time=time[rows],
+            values=np.column_stack((values[rows], np.repeat(rates, 2, axis=0))),
         )
 
     def only(self, names: Collection[str]) -> "InputSeries | None":

@@ -134,7 +134,8 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
     if not isinstance(path, str | os.PathLike):
         raise UsageError.of_type("read_scene", path, "the name of a TOML file")
     requested = Path(path)
-    if requested.exists() or len(requested.parts) > 1:
+    # unlike `Path.exists`, no error for a name that is too long
+    if os.path.exists(path) or len(requested.parts) > 1:  # noqa: PTH110
         return requested
     shipped = {entry.name: entry for entry in shipped_scenes()}
     if requested.name not in shipped:

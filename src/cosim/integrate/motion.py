@@ -1,0 +1,55 @@
+"""`Motion`: what an integration over a grid of times found, with its events."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from casadi_models.dae import Dae
+from cosim.arrays import Vector
+from cosim.integrate.engine import Counts
+from cosim.integrate.modes import Instant
+
+
+class EventRecord(NamedTuple):
+    """An event of a run.
+
+    Attributes:
+        time: s.
+        name: Name of the event.
+        before, after: States just before and after it, (nx,).
+        instant: Position of its instant in `Motion.instants`.
+    """
+
+    time: float
+    name: str
+    before: Vector
+    after: Vector
+    instant: int
+
+
+@dataclass
+class Motion:
+    """Result of an integration over a grid, up to the last time that was reached.
+
+    Attributes:
+        dae: The model whose outputs the columns determine: with modes as further inputs.
+        time: The grid, s, (n,); if an event ends the run, up to the time of that event.
+        states, algebraics, u: One column per time.
+        counts: Numbers of steps and calls.
+        reason: Why the run stopped early; empty if it did not.
+        solve_time: Time of the solver, s.
+        events: Events in their order.
+        stop: Message of the event that ended the run.
+        instants: What was just before and after each instant with an event.
+    """
+
+    dae: Dae
+    time: Vector
+    states: Vector
+    algebraics: Vector
+    u: Vector
+    counts: Counts
+    reason: str = ""
+    solve_time: float | None = None
+    events: list[EventRecord] = field(default_factory=list)
+    stop: str = ""
+    instants: list[tuple[Instant, Instant]] = field(default_factory=list)
