@@ -315,13 +315,18 @@ class Hybrid:
         values[rows] = modes
         ode, alg = ca.substitute([polynomial.ode, polynomial.alg], [every], [values])
         arguments = self.arguments[rows]
-        if ca.depends_on(arguments, ca.vertcat(dae.z, every[rows])):
-            raise ValueError("an expression that stays at 0 depends on algebraic unknowns")
+        jumping = ca.depends_on(arguments, dae.z) and ca.depends_on(alg, modes)
+        if jumping or ca.depends_on(arguments, every[rows]):
+            raise ValueError("an expression that stays at 0 depends on what jumps with its sign")
         inner = replace(self, dae=replace(dae, ode=ode, alg=alg))
         names = [variable.name for variable in dae.inputs]
         known = [names.index(rate_of(n)) if rate_of(n) in names else -1 for n in names]
         slopes = ca.vertcat(*(dae.u[i] if i >= 0 else 0 for i in known))
-        law = inner.rates(arguments, SX.zeros(dae.z.numel()), slopes)
+        unknown = SX.zeros(dae.z.numel())
+        if ca.depends_on(arguments, dae.z):
+            given, along = ca.vertcat(dae.t, dae.x, dae.u), ca.vertcat(1, ode, slopes)
+            unknown = -ca.solve(ca.jacobian(alg, dae.z), ca.jtimes(alg, given, along))
+        law = inner.rates(arguments, unknown, slopes)
         if dae.algebraics:
             if dae.derived:
                 raise ValueError("the derivatives of a DAE that slides are not known")

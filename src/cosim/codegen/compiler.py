@@ -24,13 +24,7 @@ from time import perf_counter
 from types import MappingProxyType
 
 from cosim.codegen.c_sources import cache_folder
-from cosim.codegen.cache import (
-    alone,
-    plain_file,
-    private_folder,
-    prune,
-    remove_damaged,
-)
+from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove_damaged
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerTimeout, MissingTool, UsageError
 from cosim.host.progress import doing

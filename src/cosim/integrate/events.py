@@ -38,7 +38,7 @@ from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
-from cosim.model.values import Values, own_sizes
+from cosim.model.values import Values
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
@@ -286,9 +286,7 @@ class _Course:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
         self.instants.append((begin, self.at))
-        happened = len(self.events) > n
-        back = happened and self._returned(last, begin)
-        self._reject_zeno(last.t, 1 if happened else _IDLE, back)
+        self._reject_zeno(last.t, 1 if len(self.events) > n else _IDLE)
         self._write(self.at.t)
 
     def _moved(self, at: Instant, zero: frozenset[int]) -> tuple[Instant, float]:
@@ -385,18 +383,9 @@ class _Course:
                     f"violate: {invariant.meaning} (by {after:.2g}); assign consistent values"
                 )
 
-    def _returned(self, last: Instant, at: Instant) -> bool:
-        """Tell whether an argument is 0 again, at a time and by a motion within the tolerances."""
-        if not isinstance(self.solver, AdaptiveSolver):
-            return False
-        relative, absolute = self.solver.tolerance.pair
-        error = relative * np.abs(at.x) + absolute * own_sizes(self.dae, self.began)
-        soon = at.t - last.t <= relative * max(1.0, at.t)
-        return soon and at.is_back(last, self.system, self.values.p, error)
-
-    def _reject_zeno(self, previous: float, weight: int = 1, back: bool = False) -> None:
+    def _reject_zeno(self, previous: float, weight: int = 1) -> None:
         t = self.at.t
-        near = back or t - previous < _ZENO * max(1.0, abs(t))
+        near = t - previous < _ZENO * max(1.0, abs(t))
         self.close = self.close + weight if near else 0
         if self.close > _MOST_CLOSE:
             name = self.events[-1].name if self.events else "events"

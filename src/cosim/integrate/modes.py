@@ -171,12 +171,6 @@ class Instant:
         noise: Vector = _ROUNDING * np.nan_to_num(found, posinf=0.0)
         return noise
 
-    def is_back(self, last: "Instant", system: Hybrid, p: Vector, error: Vector) -> bool:
-        """Tell whether what is 0 here was so before, moved by less than errors of states, (nx,)."""
-        again = [i for i in last.zero & self.zero if not system.floors[i]]
-        way = np.abs(self.watched(system, p).rates[0]) * (self.t - last.t)
-        return bool(again and (way <= self.noise(system, p, error / _ROUNDING))[again].all())
-
     def without_moved(self, before: "Instant", system: Hybrid, p: Vector) -> "Instant":
         """Return the same where what was 0, or slid, has not stayed so since a jump began."""
         if not (self.zero or self.sliding):
