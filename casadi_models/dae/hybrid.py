@@ -319,9 +319,8 @@ class Hybrid:
         if jumping or ca.depends_on(arguments, every[rows]):
             raise ValueError("an expression that stays at 0 depends on what jumps with its sign")
         inner = replace(self, dae=replace(dae, ode=ode, alg=alg))
-        names = [variable.name for variable in dae.inputs]
-        known = [names.index(rate_of(n)) if rate_of(n) in names else -1 for n in names]
-        slopes = ca.vertcat(*(dae.u[i] if i >= 0 else 0 for i in known))
+        rates = input_rates(dae)
+        slopes = ca.vertcat(*(dae.u[rates[v.name]] if v.name in rates else 0 for v in dae.inputs))
         unknown = SX.zeros(dae.z.numel())
         if ca.depends_on(arguments, dae.z):
             given, along = ca.vertcat(dae.t, dae.x, dae.u), ca.vertcat(1, ode, slopes)
@@ -352,9 +351,28 @@ class Hybrid:
         return replace(self, dae=replace(dae, ode=ode), sliding=chosen, solved=solved)
 
 
-def rate_of(name: str) -> str:
-    """Return the name of the input that is the time derivative of another one."""
-    return f"rate_of_{name}"
+@dataclass(frozen=True)
+class InputRate(Variable):
+    """An input that is the time derivative of another one, `of`."""
+
+    of: str = ""
+
+
+def with_rates(dae: Dae, names: Sequence[str]) -> Dae:
+    """Return the model with the time derivatives of some inputs as further inputs."""
+    known, more = {variable.name for variable in dae.variables}, list[InputRate]()
+    for name in names:
+        own = f"rate_of_{name}"
+        while own in known:
+            own += "_"
+        more.append(InputRate(own, "1", f"time derivative of {name}", 0.0, of=name))
+    symbols = [SX.sym(variable.name) for variable in more]
+    return replace(dae, u=ca.vertcat(dae.u, *symbols), inputs=(*dae.inputs, *more))
+
+
+def input_rates(dae: Dae) -> dict[str, int]:
+    """Return the positions of the inputs that are time derivatives, by the inputs' names."""
+    return {v.of: i for i, v in enumerate(dae.inputs) if isinstance(v, InputRate)}
 
 
 def hybrid(dae: Dae) -> Hybrid | None:

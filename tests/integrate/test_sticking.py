@@ -234,3 +234,16 @@ def test_derivatives_of_what_rests_on_a_series_are_refused():
     series = cosim.InputSeries(("u",), [0, 1.5, 2.5, 3], [[1], [1], [2], [2]])
     with pytest.raises(CosimError, match="derivatives of what rests on u, which a series moves"):
         cosim.sensitivity(belt(), with_respect_to=["v"], inputs=series)
+
+
+def test_a_name_of_the_users_own_is_no_rate():
+    model = cosim.Model("belt", stop_time=3.0, output_interval=0.01)
+    u, force = (model.input(name, "1", 1.0, name) for name in ("u", "rate_of_u"))
+    v = model.state("v", "1", 0.0, "speed")
+    model.derivative(v, -2 * ca.sign(v - u) - 0.5 * force)
+    names, time = ("u", "rate_of_u"), [0, 1.5, 2.5, 3]
+    series = cosim.InputSeries(names, time, [[1, 1], [1, 2], [2, 1], [2, 1]])
+    run = cosim.simulate(model.freeze(), solver="dop853", inputs=series)
+    rests = run.time > 1
+    right = 1 + np.clip(run.time - 1.5, 0, 1)[rests]
+    np.testing.assert_allclose(run["v"][rests], right, rtol=0, atol=1e-9)

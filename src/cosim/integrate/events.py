@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.hybrid import Hybrid, input_rates
 from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
@@ -105,7 +105,8 @@ class _Course:
         self.dae, self.grid = problem.dae, problem.grid
         self.values, self.began = start.values, start.x
         self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
-        self.rated = self.series and self.series.with_rates([v.name for v in self.dae.inputs])
+        rates = {name: self.dae.inputs[i].name for name, i in input_rates(self.dae).items()}
+        self.rated = self.series and self.series.with_rates(rates)
         self.pulses = pulses
         n = len(self.grid)
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
@@ -202,7 +203,7 @@ class _Course:
             before = self._conditions_at(at)
             due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
             self.window = max(self.least_window, min(self.window, due_rows))
-            self._switch(event, found.crossing, found.left, before)
+            self._switch(event, found.crossing, before)
             return ""
         if piece.reason:
             self._accept(piece, np.inf)
@@ -219,7 +220,7 @@ class _Course:
                 following = self._with_inputs(arrived)
                 arrived = following.without_moved(arrived, self.system, self.values.p)
             crossing = changing if end == due else frozenset[int]()
-            self._switch(replace(arrived, t=end), crossing, frozenset(), before)
+            self._switch(replace(arrived, t=end), crossing, before)
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)
@@ -260,9 +261,7 @@ class _Course:
             self.instants.append((before, after))
             self._reject_zeno(was)
 
-    def _switch(
-        self, at: Instant, crossing: frozenset[int], left: frozenset[int], before: Vector
-    ) -> None:
+    def _switch(self, at: Instant, crossing: frozenset[int], before: Vector) -> None:
         """Apply an event: modes, assignments, and what follows from them at the same instant."""
         if not self.system.relations:
             self.at = at
@@ -274,7 +273,8 @@ class _Course:
         if self.dae.derived:
             # where a mode at its edge ends sliding, rates are continuous, and so are derivatives
             at, dt = self._moved(at, crossing - self.at.sliding)
-        for i in left:  # it slid; its mode is at the edge
+        left = crossing & at.sliding
+        for i in left:  # its mode is at the edge
             modes = at.modes.copy()
             modes[i] = np.sign(modes[i])
             at = replace(at, modes=modes, sliding=at.sliding - {i})

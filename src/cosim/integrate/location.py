@@ -4,15 +4,12 @@ from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
-from casadi import SX
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
-from casadi_models.dae.hybrid import Hybrid, rate_of
+from casadi_models.dae.hybrid import Hybrid, input_rates, with_rates
 from casadi_models.dae.time_search import TimeSearch
-from casadi_models.dae.variables import Variable
 from cosim.arrays import Vector
 from cosim.errors import SolverError
 from cosim.integrate.call import Reached
@@ -39,13 +36,11 @@ class Located(NamedTuple):
 
     Attributes:
         at: The instant just before it, with the relations whose arguments are 0 there.
-        crossing: Those of them that become so there, or no longer stay so.
-        left: Those of these that slid until then.
+        crossing: Those of them that become so there, or no longer slide.
     """
 
     at: Instant
     crossing: frozenset[int]
-    left: frozenset[int]
 
 
 class Passed(NamedTuple):
@@ -97,7 +92,6 @@ class Piece:
                 )
         if own.sliding and own.dae.algebraics:
             z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
-        self.noise = begin.noise(system, p, own_sizes(system.dae, began))
         self._note_zeros()
         watched = replace(problem, system=own, stays=tuple(self.stays.tolist()))
         self.reached = self._run(watched, problem.grid, begin.x, z)
@@ -112,12 +106,13 @@ class Piece:
         events = self.reached.events
         self.passed = [] if events is None else self._passed(events)
         if self.passed:
-            self.begin = begin = self.passed[-1].after
-            self.noise = begin.noise(system, p, own_sizes(system.dae, began))
+            self.begin = self.passed[-1].after
             self._note_zeros()
 
     def _note_zeros(self) -> None:
-        """Note what is 0 by definition at the begin, and up to which rate it stays 0."""
+        """Note what is 0 by definition at the begin, up to which rate it stays 0, and noise."""
+        sizes = own_sizes(self.system.dae, self.began)
+        self.noise = self.begin.noise(self.system, self.p, sizes)
         self.offsets, self.stays = np.zeros_like(self.noise), np.full_like(self.noise, -1.0)
         signs = frozenset(i for i in self.system.of_states if not self.system.floors[i])
         near = sorted(signs & self.begin.zero - self.begin.sliding)
@@ -252,7 +247,8 @@ class Piece:
     def within(self, k: int) -> "Piece":
         """Return the same motion in one interval, at more times."""
         begin = self.instant(self.times[k], self.x[k], self.z[k])
-        begin = replace(begin, zero=self.begin.zero if k == 0 else frozenset())
+        if k == 0:
+            begin = replace(begin, zero=self.begin.zero)
         times = np.linspace(self.times[k], self.times[k + 1], len(_INNER) + 2)
         problem = replace(self.problem, times=times.tobytes())
         return Piece(self.system, self.own, problem, self.solver, begin, self.began, self.p)
@@ -278,17 +274,12 @@ def with_slopes(
         places = [known.index(name) for name in series.names]
         u[:, places] = series.at(times).T
         du[:, places] = [series.slopes(float(t)) for t in times]
-        for name, place in zip(series.names, places, strict=True):
-            if rate_of(name) in known:
-                u[:, known.index(rate_of(name))] = du[:, place]
+        for name, place in input_rates(dae).items():
+            u[:, place] = du[:, known.index(name)]
     return u, du
 
 
-@cached_per_thread(16)
-def _with_inputs(dae: Dae, names: tuple[str, ...]) -> Dae:
-    more = tuple(Variable(rate_of(name), "1/s", f"rate of {name}", 0.0) for name in names)
-    symbols = [SX.sym(variable.name) for variable in more]
-    return replace(dae, u=ca.vertcat(dae.u, *symbols), inputs=(*dae.inputs, *more))
+_with_rates = cached_per_thread(16)(with_rates)
 
 
 def with_input_rates(problem: Problem, start: InitialState) -> tuple[Problem, InitialState]:
@@ -299,7 +290,7 @@ def with_input_rates(problem: Problem, start: InitialState) -> tuple[Problem, In
         return problem, start
     values = start.values
     u = np.concatenate((values.u, np.zeros(len(names))))
-    problem = replace(problem, dae=_with_inputs(problem.dae, names))
+    problem = replace(problem, dae=_with_rates(problem.dae, names))
     return problem, replace(start, values=replace(values, u=u))
 
 
@@ -453,7 +444,7 @@ def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Locat
     near = np.flatnonzero((np.abs(inside[0]) <= tolerance) & (towards[0] < 0))
     zero = frozenset(near.tolist()) | {i}
     at = piece.instant(t, x, seen.unknowns[0], seen.solved[0])
-    return Located(replace(at, zero=zero | at.zero), zero, zero & frozenset(piece.own.sliding))
+    return Located(replace(at, zero=zero | at.zero), zero)
 
 
 def _polished(

@@ -12,7 +12,6 @@ from typing import Literal, cast
 import numpy as np
 
 from casadi_models.dae import Dae
-from casadi_models.dae.hybrid import rate_of
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.series.csv_file import read_samples
@@ -168,24 +167,25 @@ class InputSeries:
             time[same] = near[same]
         return replace(self, time=time)
 
-    def with_rates(self, known: Collection[str]) -> "InputSeries":
-        """Return the series with the rates of its inputs that are among some names.
+    def with_rates(self, rates: Mapping[str, str]) -> "InputSeries":
+        """Return the series with the time derivatives of some inputs, which jump at the samples.
 
-        Rates jump at the samples. A rate has the name `rate_of(input)`.
+        Args:
+            rates: Their names by the names of inputs of the series.
         """
-        chosen = [i for i, name in enumerate(self.names) if rate_of(name) in known]
-        if not chosen:
+        if not rates:
             return self
+        chosen = [self.names.index(name) for name in rates]
         time = np.concatenate(([self.time[0] - 1], self.time, [self.time[-1] + 1]))
         values = self.values[[0, *range(len(self.time)), -1]]
         begins = np.flatnonzero(np.diff(time))
-        rates = np.diff(values[:, chosen], axis=0)[begins] / np.diff(time)[begins, None]
+        slopes: Vector = np.diff(values[:, chosen], axis=0)[begins] / np.diff(time)[begins, None]
         rows = np.column_stack((begins, begins + 1)).ravel()
         return replace(
             self,
-            names=(*self.names, *(rate_of(self.names[i]) for i in chosen)),
+            names=(*self.names, *rates.values()),
             time=time[rows],
-            values=np.column_stack((values[rows], np.repeat(rates, 2, axis=0))),
+            values=np.column_stack((values[rows], np.repeat(slopes, 2, axis=0))),
         )
 
     def only(self, names: Collection[str]) -> "InputSeries | None":
