@@ -8,10 +8,10 @@
 typedef struct {
     Instance *fmu;
     const Motion *motion;
-} Sought;
+} SearchedStep;
 
 static void look_at(void *step, double t, Place *found) {
-    const Sought *self = step;
+    const SearchedStep *self = step;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     found->t = t;
     self->motion->at(self->motion->solver, t, x, z, u);
@@ -24,7 +24,7 @@ static void look_at(void *step, double t, Place *found) {
 }
 
 Crossing first_crossing(Instance *self, const Motion *motion, double begin, double end) {
-    Sought step = {self, motion};
+    SearchedStep step = {self, motion};
     Place before;
     look_at(&step, begin, &before);
     return crossing_between(look_at, &step, before, end);

@@ -181,8 +181,8 @@ void begin_watching(Instance *self) {
 /* Return `status` if the model has passed a singular configuration since the last check, or if
    what slides is moved by an importer that does not tell how. */
 Status look_back(Instance *self, Status status) {
-    const bool untold = self->state.interface == INTERFACE_ME;
-    if (untold && look_at_slides(self, status) != OK) return status;
+    const bool exchange = self->state.interface == INTERFACE_ME;
+    if (exchange && look_at_slides(self, status) != OK) return status;
     return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
 }
 

@@ -178,15 +178,19 @@ from cosim.codegen.compiler import cached_library
 print(os.getpid(), flush=True)
 cached_library("key", lambda: "int answer(void) { return 42; }")
 """
+signals = pytest.mark.parametrize(
+    "ending", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL], ids=lambda each: each.name
+)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_compiler_ends_with_its_caller_and_the_next_one_cleans_up(cache, script, tmp_path):
+@signals
+def test_compiler_ends_with_its_caller_and_the_next_one_cleans_up(ending, cache, script, tmp_path):
     script(f"echo $$ > {tmp_path}/pid", f"sleep 60 & echo $! > {tmp_path}/child", "wait")
     caller = subprocess.Popen([sys.executable, "-c", CALLER], stderr=subprocess.DEVNULL)
     processes = [tmp_path / "pid", tmp_path / "child"]
     wait_until(lambda: all(path.exists() and path.read_text() for path in processes))
-    caller.send_signal(signal.SIGINT)
+    caller.send_signal(ending)
     assert caller.wait(20) != 0
     wait_until(lambda: not any(runs(int(path.read_text())) for path in processes))
     script('exec cc "$@"')

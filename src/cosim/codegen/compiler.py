@@ -46,6 +46,14 @@ _APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
 
 _SPENT: ContextVar[float] = ContextVar("time_compiling", default=0.0)  # s
 
+# A second process waits for a pipe that closes when the caller ends, even by SIGKILL.
+_ENDS_WITH_CALLER = """
+exec 3<&0 </dev/null
+( read -r _ <&3; kill -9 0 ) >/dev/null 2>&1 &
+exec 3<&-
+exec "$@"
+"""
+
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 # Declaration by CasADi of a function that another file defines
 _CALLED = re.compile(r"^int (\w+)\(const casadi_real\*\* arg, [^)]*\);", re.MULTILINE)
@@ -144,27 +152,29 @@ def _run_compiler(call: Sequence[str], target: Path) -> None:
 
 
 def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
-    """Run a compiler with temporary files in a folder; return its exit code and its output."""
+    """Run a compiler, which ends with its caller; return its exit code and its output."""
+    watched = sys.platform != "win32"
+    held, end = os.pipe() if watched else (subprocess.DEVNULL, subprocess.DEVNULL)
+    command = ["/bin/sh", "-c", _ENDS_WITH_CALLER, "sh", *call] if watched else call
     places = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     with tempfile.TemporaryFile() as output:  # a pipe would stay open while a child holds it
         process = subprocess.Popen(
-            call,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env=os.environ | places,
-        )
+            command, stdin=held, stdout=output, stderr=subprocess.STDOUT,
+            start_new_session=True, env=os.environ | places,
+        )  # fmt: skip
         try:
             process.wait(TIMEOUT)
         finally:  # done, too late, or interrupted: children may be left
             with suppress(OSError):
-                process.kill()
-                if sys.platform != "win32":
-                    os.killpg(process.pid, signal.SIGKILL)
+                os.killpg(process.pid, signal.SIGKILL) if watched else process.kill()
             process.wait()
+            for pipe in (held, end) if watched else ():
+                os.close(pipe)
         output.seek(0)
-        return process.returncode, output.read().decode(errors="replace")
+        printed = output.read().decode(errors="replace")
+    if watched and process.returncode in (126, 127):  # of a shell: no program, or not found
+        raise OSError(printed.strip())
+    return process.returncode, printed
 
 
 def cached_library(
