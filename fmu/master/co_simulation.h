@@ -63,4 +63,8 @@ static inline int co_simulation(Run *run, Fmu *fmu) {
     return DONE;
 }
 
+SHARED void run_fmu(Run *run) {
+    answer(run, co_simulation);
+}
+
 #endif

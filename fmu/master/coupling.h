@@ -137,6 +137,21 @@ static inline int iterates(const Coupling *self) {
            (isfinite(self->event) || self->next.t - self->now.t > 1.01 * LONGER * before);
 }
 
+/* The end of a macro step that may be so long: at the event within; at an output time rather than
+ * soon after one, or halfway to the next one rather than shortly before it. */
+static inline double end_of_step(const Coupling *self, double h) {
+    const System *system = self->system;
+    const double t = system->time, latest = t + 1.01 * h;
+    if (self->event <= latest) return self->event;
+    long long row = system->rows;
+    while (row < system->points && system->times[row] <= latest) ++row;
+    const double before = row > system->rows ? system->times[row - 1] : t;
+    const double after = row < system->points ? system->times[row] : system->stop;
+    if (latest >= system->stop) return system->stop;
+    if (before - t >= h / 2) return before;
+    return after - t < 1.5 * h ? t + (after - t) / 2 : t + h;
+}
+
 static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
@@ -144,9 +159,8 @@ static inline int run_adaptive(Coupling *self) {
     long long forced = 0;
     while (system->time < system->stop && !near(system->time, system->stop)) {
         if (halted) return INTERRUPTED;
-        const int last = system->time + 1.01 * h >= system->stop;
         double error = 0;
-        self->next.t = last ? system->stop : system->time + h;
+        self->next.t = end_of_step(self, h);
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);
@@ -285,6 +299,14 @@ static inline void answer_of(System *system, int (*task)(Coupling *)) {
     system->status = self.fmu.status;
     for (long long p = 0; p < system->n_parts; ++p) part_forget(system->parts + p);
     free(self.memory);
+}
+
+SHARED void settle_coupled(System *system) {
+    answer_of(system, settle_start);
+}
+
+SHARED void run_coupled(System *system) {
+    answer_of(system, run_from_start);
 }
 
 #endif

@@ -254,4 +254,8 @@ static inline int model_exchange(Run *run, Fmu *fmu) {
     return DONE;
 }
 
+SHARED void run_fmu(Run *run) {
+    answer(run, model_exchange);
+}
+
 #endif

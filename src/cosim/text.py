@@ -115,7 +115,10 @@ def text_table(
     if width is not None:
         widths = _fitting_widths(widths, width - len(GAP) * (len(widths) - 1))
     text = [
-        GAP.join(_cut(c, w).ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
+        GAP.join(
+            (c if len(c) <= w else f"{c[: max(0, w - 1)]}\u2026").ljust(w)
+            for c, w in zip(line, widths, strict=True)
+        ).rstrip()
         for line in lines
     ]
     if left_out:
@@ -136,14 +139,12 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]], *, digits: int | None = None) -> str:
-    """Return rows that have the same keys as CSV; numbers as Python writes them, or in digits."""
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows that have the same keys as CSV; reading returns the same numbers."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
-    for row in rows:
-        numbers = {k: f"{v:.{digits}g}" for k, v in row.items() if digits and isinstance(v, float)}
-        writer.writerow({**row, **numbers})
+    writer.writerows(rows)
     return text.getvalue()
 
 
@@ -151,12 +152,5 @@ def _fitting_widths(widths: Sequence[int], width: int, least: int = 8) -> list[i
     """Return column widths that fit into a line; the widest columns are narrowed."""
     fitted = [*widths]
     while sum(fitted) > width and max(fitted) > least:
-        widest = fitted.index(max(fitted))
-        others = sorted({w for w in fitted if w < fitted[widest]} | {least})
-        excess = sum(fitted) - width
-        fitted[widest] = max(least, fitted[widest] - excess, min(others[-1], fitted[widest] - 1))
+        fitted[fitted.index(max(fitted))] -= 1
     return fitted
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else f"{text[: max(0, width - 1)]}\u2026"

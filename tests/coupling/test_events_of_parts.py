@@ -126,6 +126,19 @@ def test_an_event_that_another_part_causes_at_an_output_time_is_in_its_row():
         np.testing.assert_array_equal(run["b.count"], exact["b.count"])
 
 
+@pytest.mark.parametrize("when", [2.9999, 2.95 + 1e-4])  # before the last time and another row
+def test_an_event_soon_before_an_output_time_ends_its_macro_step(when):
+    clock = part("clock")
+    n = clock.discrete("n", "N", 0.0, "force")
+    clock.when(clock.t > when, {n: 1.0}, name="tick")
+    clock.output("u", "N", n, "force")
+    system = cosim.couple({"clock": clock.freeze(), "plant": mass()}, {"plant.u": "clock.u"})
+    run = system.simulate(stop_time=STOP, accuracy=1e-6)
+    assert [event.time for event in run.events] == pytest.approx([when], abs=1e-12)
+    exact = cosim.simulate(system.dae, solver="dop853", relative_tolerance=1e-12)
+    assert run.final["plant.x"] == pytest.approx(exact.final["plant.x"], abs=1e-6)
+
+
 def test_events_that_cause_each_other_without_end_are_an_error():
     def negating(name, sign):
         model = part(name)

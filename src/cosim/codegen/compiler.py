@@ -178,7 +178,7 @@ def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
 
 
 def cached_library(
-    key: str, generate: Callable[[], str], beside: Mapping[str, str] = _NOTHING
+    key: str, generate: Callable[[], str], beside: Mapping[str, str] = _NOTHING, level: str = _SHORT
 ) -> Path:
     """Return the shared library of C code from the cache, compiled first if it is missing.
 
@@ -186,6 +186,7 @@ def cached_library(
         key: Key of the code; the same key must always mean the same code.
         generate: Returns the C code; called only if the library is missing.
         beside: Further C files by name; see `sources_beside`.
+        level: How far short code is optimized, the compiler's option.
 
     Raises:
         MissingTool: There is no compiler, or it fails, or the cache cannot be written.
@@ -193,7 +194,7 @@ def cached_library(
     """
     command = find_compiler()
     own, processor = _own_processor()
-    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _SHORT, _LONG, str(_LENGTH))
+    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, level, _LONG, str(_LENGTH))
     more = (text for file in beside.items() for text in file)
     digest = hashlib.sha256("\0".join((key, *settings, *more)).encode()).hexdigest()[:32]
     folder = cache_folder()
@@ -214,7 +215,7 @@ def cached_library(
             files = {"code.c": code, **beside}
             for name, text in files.items():
                 (build / name).write_text(text, encoding="utf-8")
-            options = (*_HIDE_SYMBOLS, *own, _SHORT if len(code) < _LENGTH else _LONG)
+            options = (*_HIDE_SYMBOLS, *own, level if len(code) < _LENGTH else _LONG)
             sources = [build / name for name in files]
             compile_library(sources, library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"

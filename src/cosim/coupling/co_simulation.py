@@ -430,8 +430,6 @@ class CoSimulation:
 @cached_per_thread(1)
 def _library() -> ctypes.CDLL:
     text = master_source("coupling.h")
-    for function, task in (("settle_coupled", "settle_start"), ("run_coupled", "run_from_start")):
-        text += f"SHARED void {function}(System *system) {{\n    answer_of(system, {task});\n}}\n"
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
     for call in (library.settle_coupled, library.run_coupled):
         call.argtypes = [ctypes.POINTER(_System)]

@@ -22,7 +22,14 @@ from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
-from cosim.integrate.location import Piece, located, next_of_time, with_input_rates, with_slopes
+from cosim.integrate.location import (
+    Passed,
+    Piece,
+    located,
+    next_of_time,
+    with_input_rates,
+    with_slopes,
+)
 from cosim.integrate.modes import (
     MOST_ROUNDS,
     Instant,
@@ -252,14 +259,17 @@ class _Course:
             self.looks = min(2 * int(steps * self.looks / _STEPS_PER_LOOK), _MOST_LOOKS)
 
     def _pass(self, piece: Piece) -> None:
-        """Record the events that the solver went through, and the rows before each of them."""
-        for before, after, which in piece.passed:
-            self._accept(piece, before.t, before.modes)
-            was, self.at = self.at.t, after
-            switched = before.zero | before.switched(after)
-            self._record([self.system.events[i].name for i in which], switched, before.x)
-            self.instants.append((before, after))
-            self._reject_zeno(was)
+        """Record the events that the solver went through, and the rows before the last of them."""
+        done = 0
+        try:
+            for before, after, which in piece.passed:
+                was, self.at, done = self.at.t, after, done + 1
+                switched = before.zero | before.switched(after)
+                self._record([self.system.events[i].name for i in which], switched, before.x)
+                self.instants.append((before, after))
+                self._reject_zeno(was)
+        finally:
+            self._accept(piece, self.at.t, piece.passed[:done])
 
     def _switch(self, at: Instant, crossing: frozenset[int], before: Vector) -> None:
         """Apply an event: modes, assignments, and what follows from them at the same instant."""
@@ -425,11 +435,9 @@ class _Course:
         (u,), (du,) = with_slopes(self.dae, series, self.values.u, np.array([at.t]))
         return replace(at, u=u, du=du)
 
-    def _accept(self, piece: Piece, end: float, modes: Vector | None = None) -> None:
-        """Write the rows of a piece before a time, with other modes than its last ones if given."""
+    def _accept(self, piece: Piece, end: float, passed: Sequence[Passed] = ()) -> None:
+        """Write the rows of a piece before a time, with the modes before events that it passed."""
         grid = self.grid
-        if self.next == len(grid) or grid[self.next] >= end:
-            return
         last = min(end, np.nextafter(piece.times[-1], np.inf)) if len(piece.times) else -np.inf
         count = int(grid.searchsorted(last)) - self.next
         if count <= 0:
@@ -437,11 +445,12 @@ class _Course:
         rows = slice(self.next, self.next + count)
         places = piece.times.searchsorted(grid[rows])
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
-        if modes is not None:
-            self.u[rows, self.u.shape[1] - len(modes) :] = modes
+        own = self.u[rows, self.u.shape[1] - len(piece.begin.modes) :]
+        if passed:
+            following = np.searchsorted([p.before.t for p in passed], grid[rows], "right")
+            own[:] = np.array([p.before.modes for p in passed])[following]
         elif piece.own.sliding:
-            slid = self.u.shape[1] - len(piece.begin.modes) + np.array(piece.own.sliding)
-            self.u[rows][:, slid] = piece.seen.solved[places]
+            own[:, piece.own.sliding] = piece.seen.solved[places]
         self.algebraics[rows] = piece.z[places, : self.algebraics.shape[1]]
         self.next += count
 

@@ -104,7 +104,7 @@ class Piece:
         self.reason = self.reached.reason
         self._rates = dict[int, Vector]()
         events = self.reached.events
-        self.passed = [] if events is None else self._passed(events)
+        self.passed = [] if events is None or not len(events) else self._passed(events)
         if self.passed:
             self.begin = self.passed[-1].after
             self._note_zeros()
@@ -123,14 +123,15 @@ class Piece:
 
     def _passed(self, events: NDArray[np.void]) -> list[Passed]:
         """Return events from their records; see `event_type`."""
-        sides = list[list[Instant]]()
-        for side in (events["before"], events["after"]):
-            names = ("x", "z", "modes", "zero")
-            rows = zip(events["time"].tolist(), *(side[name] for name in names), strict=True)
-            sides.append([
-                Instant(t, x, z, *self._inputs_at(t), m, zero=frozenset(o.nonzero()[0].tolist()))
-                for t, x, z, m, o in rows
-            ])  # fmt: skip
+        n, names = len(self.begin.u), ("x", "z", "modes", "zero")
+        given = events["time"].tolist(), *(a[:, :n] for a in self._inputs(events["time"]))
+        sides = (
+            [
+                Instant(t, x, z, u, du, modes, zero=frozenset(zero.nonzero()[0].tolist()))
+                for t, u, du, x, z, modes, zero in zip(*given, *(s[k] for k in names), strict=True)
+            ]
+            for s in (events["before"], events["after"])
+        )
         orders = [sorted((n, i) for i, n in enumerate(o) if n) for o in events["order"].tolist()]
         return [
             Passed(before, after, [i for _, i in order])

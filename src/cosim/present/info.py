@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -122,7 +123,10 @@ def _of_scene(scene: Scene) -> Info:
 
 
 def _of_model(dae: Dae) -> Info:
-    x, z = _consistent_start(dae)
+    x: Vector | None = None
+    z: Vector | None = None
+    with suppress(InitialConditionError):  # `simulate` reports the reason
+        x, z = consistent_values(dae, 0.0, assign(dae))
     groups = {
         "states": _variable_rows(dae.states, x),
         "algebraic unknowns": _variable_rows(dae.algebraics, z),
@@ -148,14 +152,6 @@ def _of_model(dae: Dae) -> Info:
     ]
     meanings = (meaning for _, meaning in dae.limits)
     return Info(facts, groups, tuple(zip(start.margins, meanings, strict=True)))
-
-
-def _consistent_start(dae: Dae) -> tuple[Vector | None, Vector | None]:
-    """Return consistent states and algebraic unknowns at the start; None if there are none."""
-    try:
-        return consistent_values(dae, 0.0, assign(dae))
-    except InitialConditionError:  # `simulate` reports the reason
-        return None, None
 
 
 def _variable_rows(

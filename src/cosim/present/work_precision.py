@@ -54,8 +54,9 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
         others = [m for m in study.competing if m.error is not None and m.cost(cost) is not None]
         points = _points(study, others, cost, factor)
         axis.plot(*points, ".", color="0.8", markersize=3, zorder=0, label="other configurations")
-        axis.axhspan(study.reference_error / 10, study.reference_error, color="0.9", zorder=0)
-        axis.set_ylim(study.reference_error / 10, high)
+        low, top = study.reference_error / 10, study.reference_error
+        axis.axhspan(low, top, color="0.9", zorder=0, label="error of the reference")
+        axis.set_ylim(low, high)
         axis.set_xlabel("solver time [ms], median" if timed else "right-hand sides evaluated")
         axis.set_ylabel("largest global error [nominal values]")
         values = f" with {study.provenance['values']}" if "values" in study.provenance else ""

@@ -59,7 +59,7 @@ def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
     along = {name: values}
     found = linearize(model, along=along, at=at, start_values=start, outputs=outputs)
     if args.output_file:
-        write_text(args.output_file, csv_text(found.rows(), digits=17))
+        write_text(args.output_file, csv_text(found.rows()))
     if args.figure:
         from cosim.plotting import save
         from cosim.present.study_figures import draw_eigenvalues

@@ -95,12 +95,11 @@ def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:
 
 @cached_per_thread(8)
 def _library(states: int, indicators: int, exchange: bool) -> ctypes.CDLL:
-    text, interface = master_source("co_simulation.h"), "co_simulation"
+    text = master_source("co_simulation.h")
     if exchange:
         sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
         coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
-        text, interface = sizes + master_source("model_exchange.h") + coefficients, "model_exchange"
-    text += f"SHARED void run_fmu(Run *run) {{\n    answer(run, {interface});\n}}\n"
+        text = sizes + master_source("model_exchange.h") + coefficients
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
     library.run_fmu.argtypes = [ctypes.POINTER(Run)]
     library.run_fmu.restype = None

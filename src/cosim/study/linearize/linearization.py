@@ -148,12 +148,12 @@ class Linearization:
         ]
 
     def to_csv(self, target: str | os.PathLike[str]) -> None:
-        """Write the matrices with 17 digits, a row for each derivative and output.
+        """Write the matrices, a row for each derivative and output.
 
         Raises:
             ExportError: The file cannot be written.
         """
-        write_atomically(target, csv_text(self.rows(), digits=17).encode())
+        write_atomically(target, csv_text(self.rows()).encode())
 
     def __str__(self) -> str:
         return f"{self.model} at {self.point}: {len(self.states)} states, {self.steadiness}"

@@ -170,7 +170,7 @@ class SweepResult:
             }
             for i in range(len(self))
         ]
-        return csv_text(rows, digits=17)
+        return csv_text(rows)
 
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset`: dimension `run`, what was varied as its coordinates.
