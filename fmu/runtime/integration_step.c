@@ -66,6 +66,10 @@ double typical_step(Instance *self) {
 
 #if HAS_EVENTS
 
+/* How lengths follow each other: after one with more steps than may pass between two looks at the
+   relations, or that cannot be made at all, and after one that was made. */
+static const double SHORTER = 0.25, LONGER = 1.2;
+
 /* The cubic through both ends of a step. */
 typedef struct {
     const Instance *fmu; /* at the end of the step */
@@ -125,14 +129,13 @@ static bool cannot_slide(Instance *self) {
 bool integrate_to(Instance *self, double end) {
     const double *time = &self->state.values[TIME];
     double length = fmin(end - *time, LARGEST_STEP);
-    int failed = 0, relation = -1;
+    int relation = -1;
     if (refresh(self, ALGEBRAICS) != OK || !start_over(self)) return false;
-    for (int n = 0; n < MOST_TRIALS && failed < MOST_FAILED; n++) {
+    for (int n = 0; n < MOST_TRIALS && *time + length > *time; n++) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
             if (leave_to_importer(self, relation)) return true;
             if (happen(self, relation, &outcome) != OK || outcome.ends) return false;
-            length = fmin(end - *time, LARGEST_STEP);
             relation = -1;
             continue;
         }
@@ -146,10 +149,10 @@ bool integrate_to(Instance *self, double end) {
                 self->state = before;
                 return false;
             }
+            length = fmin(length * LONGER, LARGEST_STEP);
             if (*time < end && !pass_midway(self, &end)) return false;
         } else {
-            failed++;
-            length = (last ? rest : length) / 4;
+            length = SHORTER * (last ? rest : length);
         }
     }
     return false;

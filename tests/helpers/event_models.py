@@ -35,6 +35,18 @@ def ball(stop_time: float = 2.0) -> Dae:
     return model.freeze()
 
 
+def oscillator(speed: float = 600.0) -> Dae:
+    """Return one without damping, at `speed` rad/s, whose passages upwards are counted."""
+    model = Model("oscillator", stop_time=2.0)
+    x = model.state("x", "m", 0.1, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    n = model.discrete("n", "1", 0, "number of passages")
+    model.derivative(x, v)
+    model.derivative(v, -(speed**2) * x)
+    model.when(x > 0, {n: n + 1}, name="up")
+    return model.freeze()
+
+
 def late() -> Dae:
     """Return a model in which x becomes 5 and n becomes 16 at the stop time itself."""
     model = Model("late", stop_time=2.0, output_interval=0.1)

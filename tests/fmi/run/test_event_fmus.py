@@ -250,6 +250,15 @@ def test_events_are_those_of_native_simulation(exported, fmi, interface, master,
         np.testing.assert_allclose(ours, others, rtol=0, atol=max(bound, 1e-7))
 
 
+@pytest.mark.parametrize("solver", ["rosenbrock", "erk"])
+def test_events_within_long_communication_steps_are_met(exported, solver):
+    """An oscillator of 95 Hz, whose passages upwards are counted."""
+    path = exported("oscillator", 2, solver=solver)
+    for interval in (0.5, 0.01, 1e-3):
+        run = simulate(path, "CoSimulation", "c", output_interval=interval)
+        assert run.final["n"] == int(600.0 * 2 / (2 * np.pi) + 0.25)
+
+
 def test_crosscheck_compares_times_of_events():
     scene = cosim.Scene("ball", requested(event_models.ball()))
     rows = cosim.crosscheck(scene).rows()
