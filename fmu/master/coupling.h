@@ -137,21 +137,6 @@ static inline int iterates(const Coupling *self) {
            (isfinite(self->event) || self->next.t - self->now.t > 1.01 * LONGER * before);
 }
 
-/* The end of a macro step that may be so long: at the event within; at an output time rather than
- * soon after one, or halfway to the next one rather than shortly before it. */
-static inline double end_of_step(const Coupling *self, double h) {
-    const System *system = self->system;
-    const double t = system->time, latest = t + 1.01 * h;
-    if (self->event <= latest) return self->event;
-    long long row = system->rows;
-    while (row < system->points && system->times[row] <= latest) ++row;
-    const double before = row > system->rows ? system->times[row - 1] : t;
-    const double after = row < system->points ? system->times[row] : system->stop;
-    if (latest >= system->stop) return system->stop;
-    if (before - t >= h / 2) return before;
-    return after - t < 1.5 * h ? t + (after - t) / 2 : t + h;
-}
-
 static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
@@ -160,7 +145,9 @@ static inline int run_adaptive(Coupling *self) {
     while (system->time < system->stop && !near(system->time, system->stop)) {
         if (halted) return INTERRUPTED;
         double error = 0;
-        self->next.t = end_of_step(self, h);
+        const double latest = system->time + 1.01 * h;
+        self->next.t = latest >= system->stop ? system->stop : system->time + h;
+        if (self->event <= latest) self->next.t = self->event;
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);

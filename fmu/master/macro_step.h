@@ -18,7 +18,7 @@ enum { MOST_ITERATIONS = 40, MOST_PIECES = 10000 };
 
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
-static const double AGREED = 1e-2, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
 /* A cubic by its derivatives at the time `since` after the first of two points. */
