@@ -67,8 +67,10 @@ class Hybrid:
 
     @cached_property
     def in_laws(self) -> tuple[bool, ...]:
-        """For each relation, whether dx/dt or an algebraic equation depends on its mode."""
-        laws = ca.vertcat(self.dae.ode, self.dae.alg)
+        """For each relation, whether dx/dt, an algebraic equation or another model feels it."""
+        laws = ca.vertcat(
+            self.dae.ode, self.dae.alg, *([self.dae.outputs] * bool(self.dae.driving))
+        )
         return tuple(ca.depends_on(laws, mode) for mode in ca.vertsplit(self.modes))
 
     @cached_property
@@ -379,16 +381,18 @@ def hybrid(dae: Dae) -> Hybrid | None:
     """Return the equations of a model with every relation frozen at a mode; None without events.
 
     Relations that depend on parameters alone, and those in `Model.smooth`, stay as they are, and so
-    do those that only outputs and validity conditions have.
+    do those that only validity conditions and outputs have which drive no other model.
 
     Raises:
         ValueError: The equations call several functions of equal sizes.
     """
-    if operations(ca.vertcat(dae.ode, dae.alg)).isdisjoint(RELATIONS) and not dae.events:
+    pairs = zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True) if dae.driving else ()
+    driving = ca.vertcat(SX(0, 1), *(row for v, row in pairs if v.name in dae.driving))
+    if operations(ca.vertcat(dae.ode, dae.alg, driving)).isdisjoint(RELATIONS) and not dae.events:
         return None
     conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))
-    laws = LawsWithModes([dae.ode, dae.alg, conditions], [dae.outputs], dae)
-    ode, alg, conditions, outputs = laws.results
+    laws = LawsWithModes([dae.ode, dae.alg, conditions, driving], [dae.outputs], dae)
+    ode, alg, conditions, _, outputs = laws.results
     relations = laws.relations
     if not relations and not dae.events:
         return None

@@ -205,14 +205,15 @@ class Model(Declaring, Starting, Happening, Scenery):
             symbol, rate = self._rate
             closing = Closing(rate, symbol, column(self._residuals))
             equations = ca.vertsplit(ca.substitute(closing.residual, symbol, rate))
+        events = [*enumerate(self._events, start=1)]  # names may be equal
         parts = (
             {f"derivative of '{n}'": self._derivatives[n] for n in self._symbols["x"]},
             {f"equation {i}": residual for i, residual in enumerate(equations, start=1)},
             {f"output '{name}'": expression for name, expression in self._outputs.items()},
             {f"limit '{meaning}'": expression for expression, meaning in self._limits},
             {f"monitor '{name}'": expression for name, expression in self._monitors.items()},
-            {f"condition of '{event.name}'": event.condition for event in self._events},
-            {f"values of '{event.name}'": event.values for event in self._events},
+            {f"condition of '{e.name}', event {i}": e.condition for i, e in events},
+            {f"values of '{e.name}', event {i}": e.values for i, e in events},
             {f"smooth expression {i}": row for i, row in enumerate(self._smooth, start=1)},
         )
         with self._naming_the_model():

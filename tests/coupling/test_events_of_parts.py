@@ -126,6 +126,21 @@ def test_an_event_that_another_part_causes_at_an_output_time_is_in_its_row():
         np.testing.assert_array_equal(run["b.count"], exact["b.count"])
 
 
+@pytest.mark.parametrize("of", ["time", "state"])
+def test_a_relation_in_an_output_that_drives_a_part_is_an_event(of):
+    source, body = part("source"), part("body")
+    x = source.state("x", "1", 0.0, "x")
+    source.derivative(x, 1.0)
+    source.output("push", "N", ca.if_else((x if of == "state" else source.t) > 1.111, 2, 1), "push")
+    v, f = body.state("v", "m/s", 0.0, "speed"), body.input("f", "N", 0.0, "force")
+    body.derivative(v, f)
+    system = cosim.couple({"a": source.freeze(), "b": body.freeze()}, {"b.f": "a.push"})
+    for method in ("iterated", "extrapolated"):
+        run = system.simulate(stop_time=STOP, macro_step=0.05, method=method)
+        assert run.final["b.v"] == pytest.approx(1.111 + 2 * (STOP - 1.111), abs=1e-12)
+        assert [event.time for event in run.events] == pytest.approx([1.111], abs=1e-12)
+
+
 def test_an_event_soon_before_the_end_of_the_run_ends_its_macro_step():
     when = 2.9999
     clock = part("clock")

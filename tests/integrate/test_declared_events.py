@@ -80,3 +80,26 @@ def test_stop_that_is_true_at_the_start_is_rejected():
     model.stop(model.t > -1, "always")
     with pytest.raises(UsageError, match="stop 'always' is true at the start already"):
         cosim.simulate(model.freeze())
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "dop853"])
+def test_events_may_have_equal_names(solver):
+    model = Model("samplers", stop_time=0.95)
+    x = model.state("x", "1", 0.0, "x")
+    a, b = (model.discrete(name, "1", 0, name) for name in "ab")
+    model.derivative(x, 1)
+    model.every(0.1, {a: a + 1})
+    model.every(0.1, {b: b + 1}, offset=0.05)
+    model.when(x > 0.52, {a: a + 100}, name="hit")
+    model.when(x > 0.72, {b: b + 100}, name="hit")
+    run = cosim.simulate(model.freeze(), solver=solver)
+    assert (run.final["a"], run.final["b"]) == (110, 110)
+
+
+def test_samples_of_a_short_run_are_no_zeno():
+    model = Model("fast", stop_time=1e-9, output_interval=1e-11)
+    x, n = model.state("x", "1", 0.0, "x"), model.discrete("n", "1", 0, "n")
+    model.derivative(x, 1.0)
+    model.every(0.9e-10, {n: n + 1})
+    for solver in ("cvodes", "dop853"):
+        assert cosim.simulate(model.freeze(), solver=solver).final["n"] == 12

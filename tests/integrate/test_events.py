@@ -164,6 +164,34 @@ def test_fmu_does_not_step_over_friction_that_rises_just_before_the_rest(tmp_pat
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
+def test_outputs_are_those_of_the_mode_of_their_time(solver):
+    model = Model("turn", stop_time=2.0)
+    v = model.state("v", "m/s", -0.955, "speed")
+    model.derivative(v, ca.if_else(v > 0, 1, 2))  # v reaches 0 at 0.4775 s
+    model.output("side", "1", ca.if_else(v > 0, 1, -1), "the relation of the equations")
+    model.output("a", "m/s2", ca.if_else(v > 0, 1, 2), "dv/dt")
+    run = simulate(model.freeze(), solver)
+    after = run.time > 0.4775
+    np.testing.assert_array_equal(run["side"], np.where(after, 1.0, -1.0))
+    np.testing.assert_array_equal(run["a"], np.where(after, 1.0, 2.0))
+    np.testing.assert_allclose(np.gradient(run["v"], run.time)[60:-1], 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["idas", "rosenbrock", "dop853"])
+def test_algebraic_unknowns_are_those_of_the_mode_of_their_time(solver):
+    model = Model("turn", stop_time=2.0)
+    v = model.state("v", "m/s", -0.955, "speed")
+    z = model.algebraic("z", "m/s2", 1.0, "dv/dt")
+    model.derivative(v, z)
+    model.equation(z + 0.1 * z**3 - ca.if_else(v > 0, 1.1, 2.8))  # z is 2, then 1
+    model.output("twice", "m/s2", 2 * z, "twice z")
+    run = simulate(model.freeze(), solver)
+    exact = np.where(run.time > 0.4775, 1.0, 2.0)
+    np.testing.assert_allclose(run["z"], exact, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run["twice"], 2 * exact, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_block_comes_to_rest_and_stays(solver):
     model = Model("block", stop_time=3.0)
     x = model.state("x", "m", 0.0, "place")

@@ -298,6 +298,10 @@ def couple(
             raise UsageError(f"{'.'.join(wire.input)} is connected and given a value; drop one")
     for what, time in (("stop_time", stop_time), ("output_interval", output_interval)):
         _positive(name, what, time)
+    for n, part in found.items():
+        if isinstance(part.subject, Dae):  # others feel the relations in what drives them
+            driving = tuple(wire.output[1] for wire in wires if wire.output[0] == n)
+            found[n] = replace(part, subject=replace(part.subject, driving=driving))
     return System(name, found, wires, values, stop_time, output_interval, title)
 
 

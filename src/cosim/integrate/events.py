@@ -51,7 +51,7 @@ _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after 
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 _TINY = 1e-280  # s; a time that is not 0 if it is divided by a period
-_ZENO = 1e-10  # distance of events, relative to the time, of which ...
+_ZENO = 1e-10  # distance of events, relative to the time (1 s or the run at least), of which ...
 _MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed, and ...
 _IDLE = 4  # ... one at which nothing happens, but the error of the solver, is worth so many
 
@@ -395,7 +395,7 @@ class _Course:
 
     def _reject_zeno(self, previous: float, weight: int = 1) -> None:
         t = self.at.t
-        near = t - previous < _ZENO * max(1.0, abs(t))
+        near = t - previous < _ZENO * max(min(1.0, self.grid[-1] - self.grid[0]), abs(t))
         self.close = self.close + weight if near else 0
         if self.close > _MOST_CLOSE:
             name = self.events[-1].name if self.events else "events"
@@ -437,22 +437,21 @@ class _Course:
 
     def _accept(self, piece: Piece, end: float, passed: Sequence[Passed] = ()) -> None:
         """Write the rows of a piece before a time, with the modes before events that it passed."""
-        grid = self.grid
         last = min(end, np.nextafter(piece.times[-1], np.inf)) if len(piece.times) else -np.inf
-        count = int(grid.searchsorted(last)) - self.next
-        if count <= 0:
+        rows = slice(self.next, int(self.grid.searchsorted(last)))
+        if rows.start >= rows.stop:
             return
-        rows = slice(self.next, self.next + count)
-        places = piece.times.searchsorted(grid[rows])
+        times = self.grid[rows]
+        places = piece.times.searchsorted(times)
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
         own = self.u[rows, self.u.shape[1] - len(piece.begin.modes) :]
         if passed:
-            following = np.searchsorted([p.before.t for p in passed], grid[rows], "right")
+            following = np.searchsorted([p.before.t for p in passed], times, "right")
             own[:] = np.array([p.before.modes for p in passed])[following]
         elif piece.own.sliding:
             own[:, piece.own.sliding] = piece.seen.solved[places]
         self.algebraics[rows] = piece.z[places, : self.algebraics.shape[1]]
-        self.next += count
+        self.next = rows.stop
 
     def _write(self, t: float) -> None:
         """Write the row at the present instant, if the grid has it."""

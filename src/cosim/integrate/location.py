@@ -100,7 +100,6 @@ class Piece:
         if self.reached.crossing is not None:
             self.times = np.append(problem.grid[: n - 1], self.reached.crossing[0])
         self.x, self.z = self.reached.states.T, self.reached.algebraics.T
-        self.u, self.du = self._inputs(self.times)
         self.reason = self.reached.reason
         self._rates = dict[int, Vector]()
         events = self.reached.events
@@ -108,6 +107,7 @@ class Piece:
         if self.passed:
             self.begin = self.passed[-1].after
             self._note_zeros()
+        self.u, _ = self._inputs(self.times)  # in the modes after these events
 
     def _note_zeros(self) -> None:
         """Note what is 0 by definition at the begin, up to which rate it stays 0, and noise."""
@@ -132,10 +132,9 @@ class Piece:
             ]
             for s in (events["before"], events["after"])
         )
-        orders = [sorted((n, i) for i, n in enumerate(o) if n) for o in events["order"].tolist()]
         return [
-            Passed(before, after, [i for _, i in order])
-            for before, after, order in zip(*sides, orders, strict=True)
+            Passed(before, after, [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)])
+            for before, after, order in zip(*sides, events["order"].tolist(), strict=True)
         ]
 
     def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
@@ -123,8 +123,7 @@ def _of_scene(scene: Scene) -> Info:
 
 
 def _of_model(dae: Dae) -> Info:
-    x: Vector | None = None
-    z: Vector | None = None
+    x = z = cast("Vector | None", None)
     with suppress(InitialConditionError):  # `simulate` reports the reason
         x, z = consistent_values(dae, 0.0, assign(dae))
     groups = {
