@@ -177,7 +177,7 @@ def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) ->
         dae: The model.
         solver: Solver of co-simulation.
         fmi: Version of FMI.
-        most_trials: Largest number of the solver's steps in a call.
+        most_trials: Largest number of dop853's steps, or of other solvers' looks, in a call.
     """
     files = source_files(dae, FmuOptions(fmi=fmi, solver=solver))
     code = {Path(path).name: content.decode() for path, content in files.items()

@@ -24,6 +24,8 @@ from typing import Any
 import fmpy
 from helpers import event_models, toy
 
+from cosim.fmi.export.co_simulation import LOOK_STEPS
+
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
 SOLVERS = RUNTIME.parent / "solvers"
 HERE = Path(__file__).parents[1] / "runtime"
@@ -118,7 +120,8 @@ def fuzzers(new_folder: Callable[[str], Path]) -> Callable[..., Path]:
         kind, _, more = solver.partition(" ")
         if more == "events":
             dae = event_models.everything(slides=kind == "dop853")
-            event_models.write(made, dae, kind, fmi=3, most_trials=20 * FUZZED_STEPS)
+            steps = 1 if kind == "dop853" else LOOK_STEPS
+            event_models.write(made, dae, kind, fmi=3, most_trials=20 * FUZZED_STEPS // steps)
             return made
         options = {"rank": more == "rank", "most_steps": FUZZED_STEPS}
         toy.write(made, toy.toy(), toy.TABLE, kind, **options)

@@ -54,7 +54,7 @@ def model_header(
 #define SOLVER_DOP853 {int(uses_dop853(dae, solver))}
 #define FIXED_STEPS {int(step_size is not None)}
 #define LARGEST_STEP {longest if step_size is None else step_size!r}
-#define MOST_TRIALS {most_trials(dae)}
+#define MOST_TRIALS {most_trials(dae, solver)}
 {event_sizes(system)}#endif
 """
 

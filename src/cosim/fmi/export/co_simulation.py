@@ -31,10 +31,9 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
         UsageError: The solver cannot solve for algebraic unknowns.
     """
     if wanted is None:
-        stiff = fastest_decay(dae) * dae.experiment.output_interval > STIFF
-        return ROSENBROCK if stiff else DOP853
-    known = (*CO_SIMULATION_SOLVERS, *FIXED_STEPS)
-    if wanted not in known:
+        decays = fastest_decay(dae) * dae.experiment.output_interval
+        return ROSENBROCK if decays > STIFF else DOP853
+    if wanted not in (known := (*CO_SIMULATION_SOLVERS, *FIXED_STEPS)):
         raise UnknownName.among("cosim export", "solver", wanted, known)
     if wanted == ERK and dae.algebraics:
         raise UsageError(
@@ -106,11 +105,14 @@ _CHEAP = (
     *(ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIGN),
 )
 FAILED_ATTEMPTS = 6  # of integration_step.c, each with the full number of steps
+LOOK_STEPS = 16  # with events: of a generated solver at most, the first of them short
 
 
 @cached_per_thread(16)
-def most_trials(dae: Dae) -> int:
-    """Return the largest number of dop853 steps of a call, each of up to 16 right-hand sides."""
+def most_trials(dae: Dae, solver: str) -> int:
+    """Return the largest number of steps of a call, each of up to 16 right-hand sides, or looks."""
+    if solver in (ERK, ROSENBROCK):
+        return max(500, FAILED_ATTEMPTS * most_steps(dae, solver) // LOOK_STEPS)
     return _within(_OF_DOP853 / (16 * _right_hand_side(dae)), 500, 20_000)
 
 

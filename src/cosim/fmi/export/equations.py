@@ -16,9 +16,9 @@ from cosim.codegen.casadi_patches import differential_errors, run_time_tolerance
 from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
 from cosim.codegen.runge_kutta.tableau import Tableau
-from cosim.fmi.export.co_simulation import DOP853, FIXED_STEPS, most_steps, uses_dop853
+from cosim.fmi.export.co_simulation import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.fmi.export.derivatives import argument_like, sensitivity_functions
-from cosim.fmi.export.events import STEPS_PER_LOOK, event_functions
+from cosim.fmi.export.events import event_functions
 from cosim.memo import cached_per_thread
 
 LARGEST_SHARE = 5.0  # operations of the detector relative to those of the equations
@@ -80,7 +80,8 @@ def equations_code(
     if solver in FIXED_STEPS:
         generator.add(fixed_step(dae, FIXED_STEPS[solver]))
     elif not uses_dop853(dae, solver):
-        add_integrator(generator, solver_step(dae, solver, system is not None))
+        most = LOOK_STEPS if system else most_steps(dae, solver)
+        add_integrator(generator, solver_step(dae, solver, most))
     code = str(generator.dump())
     if not dae.states or solver == DOP853 or solver in FIXED_STEPS:
         return code
@@ -103,13 +104,12 @@ def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
     return ca.Function(name, dae.arguments, [*expressions], CALL, names, {"cse": True})
 
 
-def solver_step(dae: Dae, plugin: str, has_events: bool = False) -> ca.Function:
+def solver_step(dae: Dae, plugin: str, most_steps: int) -> ca.Function:
     """Return `model_step(x, z, q) -> (x_end, z_end)`, a step of the co-simulation solver.
 
     With q = (t0, h, relative tolerance, u0, u1, u2, u3, p), CasADi's `erk` or `rosenbrock`
     integrates over h with inputs u0 + u1 s + u2 s^2 + u3 s^3, s from 0 to 1. The states are scaled
-    by their nominal values, so that one tolerance fits all of them. With events, which are looked
-    for between its ends, it has few steps.
+    by their nominal values, so that one tolerance fits all of them.
     """
     x, z = argument_like(dae.x), argument_like(dae.z)
     parameters, _ = _parameters(dae)
@@ -118,8 +118,7 @@ def solver_step(dae: Dae, plugin: str, has_events: bool = False) -> ca.Function:
     # powers of two, so that scaling does not round
     scale = ca.DM([2.0 ** round(log2(state.nominal)) for state in dae.states])
     problem = (_called if is_large(dae) else _written_out)(dae, scale)
-    most = STEPS_PER_LOOK if has_events else most_steps(dae, plugin)
-    options = {"show_eval_warnings": False, "max_num_steps": most}
+    options = {"show_eval_warnings": False, "max_num_steps": most_steps}
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])

@@ -14,7 +14,6 @@ from cosim.codegen.pulses import pulse_parameters, pulse_times
 from cosim.errors import UsageError
 
 LEAST_STEPS = 50  # of the solver in a model's span
-STEPS_PER_LOOK = 16  # of a generated solver at most, the first of them short
 
 
 def fmu_pulses(dae: Dae) -> Vector:
