@@ -111,8 +111,8 @@ LOOK_STEPS = 16  # with events: of a generated solver at most, the first of them
 @cached_per_thread(16)
 def most_trials(dae: Dae, solver: str) -> int:
     """Return the largest number of steps of a call, each of up to 16 right-hand sides, or looks."""
-    if solver in (ERK, ROSENBROCK):
-        return max(500, FAILED_ATTEMPTS * most_steps(dae, solver) // LOOK_STEPS)
+    if solver in (ERK, ROSENBROCK) and dae.states:
+        return max(500, 2 * FAILED_ATTEMPTS * most_steps(dae, solver) // LOOK_STEPS)
     return _within(_OF_DOP853 / (16 * _right_hand_side(dae)), 500, 20_000)
 
 

@@ -80,7 +80,7 @@ def equations_code(
     if solver in FIXED_STEPS:
         generator.add(fixed_step(dae, FIXED_STEPS[solver]))
     elif not uses_dop853(dae, solver):
-        most = LOOK_STEPS if system else most_steps(dae, solver)
+        most = LOOK_STEPS if system or not dae.states else most_steps(dae, solver)
         add_integrator(generator, solver_step(dae, solver, most))
     code = str(generator.dump())
     if not dae.states or solver == DOP853 or solver in FIXED_STEPS:
