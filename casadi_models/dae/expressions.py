@@ -1,6 +1,6 @@
 """What must be known of a CasADi expression before it may stand in a `Dae`."""
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Sequence
 from math import isfinite
 
 import casadi as ca
@@ -34,11 +34,11 @@ def symbols(expression: SX) -> dict[int, str]:
     return {symbol.element_hash(): symbol.name() for symbol in ca.symvar(expression)}
 
 
-def reject_faulty(rows: Mapping[str, SX], known: SX, allowed: str) -> None:
+def reject_faulty(rows: Collection[tuple[str, SX]], known: SX, allowed: str) -> None:
     """Reject expressions that use unknown symbols or hold a NaN or an infinity.
 
     Args:
-        rows: What each expression is, for messages, and the expression; columns.
+        rows: What each expression is, for messages, and the expression, a column.
         known: The symbols that may stand there.
         allowed: What those are, for messages.
 
@@ -46,9 +46,9 @@ def reject_faulty(rows: Mapping[str, SX], known: SX, allowed: str) -> None:
         ValueError: Names the first faulty expression.
     """
     declared = symbols(known)
-    if _fault(column(rows.values()), declared) is None:
+    if _fault(column(row for _, row in rows), declared) is None:
         return
-    for what, expression in rows.items():
+    for what, expression in rows:
         fault = _fault(expression, declared)
         if fault:
             raise ValueError(f"{what} {fault}; only {allowed} and finite numbers may stand there")

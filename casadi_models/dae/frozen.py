@@ -50,7 +50,7 @@ class Dae:
         start_outputs: Outputs by whose value starts of states may be given.
         events: What happens at an instant, besides the relations of the equations; see `Event`.
         smooth: Expressions whose relations are no events.
-        driving: Outputs whose relations are events too, as other models feel them.
+        driving: Outputs that drive other models, so that their relations are events.
         mode_names: What the modes of the linear system are called.
         derived: How many states, the first ones, are followed by their derivatives along a
             direction of the parameters.

@@ -68,9 +68,8 @@ class Hybrid:
     @cached_property
     def in_laws(self) -> tuple[bool, ...]:
         """For each relation, whether dx/dt, an algebraic equation or another model feels it."""
-        laws = ca.vertcat(
-            self.dae.ode, self.dae.alg, *([self.dae.outputs] * bool(self.dae.driving))
-        )
+        dae = self.dae
+        laws = ca.vertcat(dae.ode, dae.alg, dae.outputs if dae.driving else SX(0, 1))
         return tuple(ca.depends_on(laws, mode) for mode in ca.vertsplit(self.modes))
 
     @cached_property

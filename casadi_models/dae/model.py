@@ -205,32 +205,31 @@ class Model(Declaring, Starting, Happening, Scenery):
             symbol, rate = self._rate
             closing = Closing(rate, symbol, column(self._residuals))
             equations = ca.vertsplit(ca.substitute(closing.residual, symbol, rate))
-        events = [*enumerate(self._events, start=1)]  # names may be equal
         parts = (
-            {f"derivative of '{n}'": self._derivatives[n] for n in self._symbols["x"]},
-            {f"equation {i}": residual for i, residual in enumerate(equations, start=1)},
-            {f"output '{name}'": expression for name, expression in self._outputs.items()},
-            {f"limit '{meaning}'": expression for expression, meaning in self._limits},
-            {f"monitor '{name}'": expression for name, expression in self._monitors.items()},
-            {f"condition of '{e.name}', event {i}": e.condition for i, e in events},
-            {f"values of '{e.name}', event {i}": e.values for i, e in events},
-            {f"smooth expression {i}": row for i, row in enumerate(self._smooth, start=1)},
+            [(f"derivative of '{n}'", self._derivatives[n]) for n in self._symbols["x"]],
+            [(f"equation {i}", residual) for i, residual in enumerate(equations, start=1)],
+            [(f"output '{name}'", expression) for name, expression in self._outputs.items()],
+            [(f"limit '{meaning}'", expression) for expression, meaning in self._limits],
+            [(f"monitor '{name}'", expression) for name, expression in self._monitors.items()],
+            [(f"condition of '{event.name}'", event.condition) for event in self._events],
+            [(f"values of '{event.name}'", event.values) for event in self._events],
+            [(f"smooth expression {i}", row) for i, row in enumerate(self._smooth, start=1)],
         )
         with self._naming_the_model():
             for part in parts:
                 reject_faulty(part, ca.vertcat(self.t, x, z, u, p), "declared symbols")
-            inertias = {f"inertia of {body}": ca.vec(matrix) for body, matrix in self._inertias}
+            inertias = [(f"inertia of {body}", ca.vec(matrix)) for body, matrix in self._inertias]
             reject_faulty(inertias, p, "parameters")
-            drifting = {
-                f"invariant '{i.meaning}'": ca.vertcat(i.residual, i.sizes)
+            drifting = [
+                (f"invariant '{i.meaning}'", ca.vertcat(i.residual, i.sizes))
                 for i in self._invariants
-            }
+            ]
             reject_faulty(drifting, ca.vertcat(self.t, x, u, p), AT_A_START)
             reject_disorder(self._rules, self.t, x, u, p)
             through = self._starts_through(x, p)
             drawing = self._drawing(ca.vertcat(self.t, x, z, u, p), p, self._variables)
         ode, alg, outputs, limits, monitors, conditions, values, smooth = share(
-            [column(part.values()) for part in parts]
+            [column(expression for _, expression in part) for part in parts]
         )
         if not is_structurally_regular(alg, z):
             raise self._refusal(

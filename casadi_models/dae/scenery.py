@@ -186,14 +186,13 @@ class Scenery:
             raise ValueError(f"a drawing needs {quoted(missing)}, which the model does not declare")
         stand_ins = ca.vertcat(SX(0, 1), *self._stand_ins.values())
         fixed = [name for name in self._stand_ins if name in _names(parameters)]
-        moving: dict[str, SX] = {}
-        for body in self._bodies.values():
-            moving[f"body '{body.name}'"] = ca.vertcat(body.place, ca.vec(body.rotation))
-        for arrow in self._arrows:
-            moving[f"arrow '{arrow.name}'"] = ca.vertcat(arrow.at, arrow.vector)
-        for trace in self._traces:
-            moving[f"trace '{trace.name}'"] = trace.at
-        still = {f"shape '{s.name}'": ca.vertcat(s.size, s.at, s.along) for s in self._shapes}
+        moving = [
+            *((f"body '{b.name}'", ca.vertcat(b.place, ca.vec(b.rotation)))
+              for b in self._bodies.values()),
+            *((f"arrow '{a.name}'", ca.vertcat(a.at, a.vector)) for a in self._arrows),
+            *((f"trace '{t.name}'", t.at) for t in self._traces),
+        ]  # fmt: skip
+        still = [(f"shape '{s.name}'", ca.vertcat(s.size, s.at, s.along)) for s in self._shapes]
         constant = ca.vertcat(parameters, *(self._stand_ins[name] for name in fixed))
         reject_faulty(moving, ca.vertcat(symbols, stand_ins), "declared symbols")
         reject_faulty(still, constant, "parameters")

@@ -94,14 +94,14 @@ class Starting:
         order = list(self._symbols["x"])
         calculated = {order[i] for rule in self._rules for i in rule.states}
         for output, state in self._through.items():
-            law = {f"output '{output}', which gives a start,": self._outputs[output]}
-            reject_faulty(law, ca.vertcat(x, p), "states and parameters")
+            law = f"output '{output}', which gives a start,", self._outputs[output]
+            reject_faulty([law], ca.vertcat(x, p), "states and parameters")
             if state in calculated:
                 raise ValueError(f"the start of '{state}' is calculated; '{output}' cannot give it")
-            together = {
-                f"start ({rule.meaning}), solved with '{output}',": rule.expression
+            together = [
+                (f"start ({rule.meaning}), solved with '{output}',", rule.expression)
                 for rule in self._rules
-            }
+            ]
             reject_faulty(together, ca.vertcat(x, p), "states and parameters")
         return tuple(
             StartThrough(self._variables[output], order.index(state), self._outputs[output])
@@ -133,7 +133,7 @@ def reject_disorder(rules: Sequence[StartRule], t: SX, x: SX, u: SX, p: SX) -> N
     unsettled = [i for rule in rules for i in rule.states]
     for rule in rules:
         what = f"start ({rule.meaning})"
-        reject_faulty({what: rule.expression}, ca.vertcat(t, x, u, p), AT_A_START)
+        reject_faulty([(what, rule.expression)], ca.vertcat(t, x, u, p), AT_A_START)
         twice = [names[i] for i in rule.states if unsettled.count(i) > 1]
         if twice:
             raise ValueError(f"the start of {quoted(twice)} is calculated twice; keep one rule")

@@ -145,9 +145,8 @@ static inline int run_adaptive(Coupling *self) {
     while (system->time < system->stop && !near(system->time, system->stop)) {
         if (halted) return INTERRUPTED;
         double error = 0;
-        const double latest = system->time + 1.01 * h;
-        self->next.t = latest >= system->stop ? system->stop : system->time + h;
-        if (self->event <= latest) self->next.t = self->event;
+        const double goal = fmin(system->stop, self->event);
+        self->next.t = system->time + 1.01 * h >= goal ? goal : system->time + h;
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);

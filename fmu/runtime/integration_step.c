@@ -16,9 +16,9 @@
 #include "logging.h"
 #include "midway.h"
 
-/* Attempts in one communication step. A failed one is repeated at a quarter of its length, so
-   that the step ends within about 4^-5 of its length before what stops it. Failed attempts times
-   the integrator's own limit of steps bound the work of a call. */
+/* Attempts in one communication step without events. A failed one is repeated at a quarter of its
+   length, so that the step ends within about 4^-5 of its length before what stops it. Failed
+   attempts times the integrator's own limit of steps bound the work of a call. */
 enum { MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
 
 /* Integrate up to a time; on failure nothing has changed. */
@@ -66,8 +66,8 @@ double typical_step(Instance *self) {
 
 #if HAS_EVENTS
 
-/* How lengths follow each other: after one with more steps than may pass between two looks at the
-   relations, or that cannot be made at all, and after one that was made. */
+/* Factors of the length between two looks at the relations: where the solver fails, as it does
+   after a limited number of steps, and where it succeeds. */
 static const double SHORTER = 0.25, LONGER = 1.2;
 
 /* The cubic through both ends of a step. */

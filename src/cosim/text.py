@@ -115,10 +115,7 @@ def text_table(
     if width is not None:
         widths = _fitting_widths(widths, width - len(GAP) * (len(widths) - 1))
     text = [
-        GAP.join(
-            (c if len(c) <= w else f"{c[: max(0, w - 1)]}\u2026").ljust(w)
-            for c, w in zip(line, widths, strict=True)
-        ).rstrip()
+        GAP.join(_cut(c, w).ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
         for line in lines
     ]
     if left_out:
@@ -154,3 +151,7 @@ def _fitting_widths(widths: Sequence[int], width: int, least: int = 8) -> list[i
     while sum(fitted) > width and max(fitted) > least:
         fitted[fitted.index(max(fitted))] -= 1
     return fitted
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: max(0, width - 1)]}\u2026"

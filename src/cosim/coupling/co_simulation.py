@@ -432,6 +432,5 @@ def _library() -> ctypes.CDLL:
     text = master_source("coupling.h")
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
     for call in (library.settle_coupled, library.run_coupled):
-        call.argtypes = [ctypes.POINTER(_System)]
-        call.restype = None
+        call.argtypes, call.restype = [ctypes.POINTER(_System)], None
     return library

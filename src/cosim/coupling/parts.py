@@ -99,9 +99,8 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     found = {}
     for name, variable in by_name(description).items():
         continuous = variable.type in ("Real", "Float64") and is_number(variable)
-        unit = unit_of(variable)
         is_input = continuous and variable.causality == "input"
         source = continuous and variable.causality in ("output", "local")
         start = is_number(variable) and may_be_set(variable)
-        found[name] = Variable(name, unit, is_input, source, start)
+        found[name] = Variable(name, unit_of(variable), is_input, source, start)
     return found

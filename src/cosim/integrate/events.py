@@ -22,14 +22,7 @@ from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
-from cosim.integrate.location import (
-    Passed,
-    Piece,
-    located,
-    next_of_time,
-    with_input_rates,
-    with_slopes,
-)
+from cosim.integrate.location import Piece, located, next_of_time, with_input_rates, with_slopes
 from cosim.integrate.modes import (
     MOST_ROUNDS,
     Instant,
@@ -269,7 +262,7 @@ class _Course:
                 self.instants.append((before, after))
                 self._reject_zeno(was)
         finally:
-            self._accept(piece, self.at.t, piece.passed[:done])
+            self._accept(piece, self.at.t, done)
 
     def _switch(self, at: Instant, crossing: frozenset[int], before: Vector) -> None:
         """Apply an event: modes, assignments, and what follows from them at the same instant."""
@@ -435,8 +428,8 @@ class _Course:
         (u,), (du,) = with_slopes(self.dae, series, self.values.u, np.array([at.t]))
         return replace(at, u=u, du=du)
 
-    def _accept(self, piece: Piece, end: float, passed: Sequence[Passed] = ()) -> None:
-        """Write the rows of a piece before a time, with the modes before events that it passed."""
+    def _accept(self, piece: Piece, end: float, events: int = 0) -> None:
+        """Write the rows of a piece before a time, with the modes between its first `events`."""
         last = min(end, np.nextafter(piece.times[-1], np.inf)) if len(piece.times) else -np.inf
         rows = slice(self.next, int(self.grid.searchsorted(last)))
         if rows.start >= rows.stop:
@@ -445,9 +438,10 @@ class _Course:
         places = piece.times.searchsorted(times)
         self.states[rows], self.u[rows] = piece.x[places], piece.u[places]
         own = self.u[rows, self.u.shape[1] - len(piece.begin.modes) :]
-        if passed:
-            following = np.searchsorted([p.before.t for p in passed], times, "right")
-            own[:] = np.array([p.before.modes for p in passed])[following]
+        if events:
+            before = [passed.before for passed in piece.passed[:events]]
+            following = np.searchsorted([at.t for at in before], times, "right")
+            own[:] = np.array([at.modes for at in before])[following]
         elif piece.own.sliding:
             own[:, piece.own.sliding] = piece.seen.solved[places]
         self.algebraics[rows] = piece.z[places, : self.algebraics.shape[1]]

@@ -123,15 +123,16 @@ class Piece:
 
     def _passed(self, events: NDArray[np.void]) -> list[Passed]:
         """Return events from their records; see `event_type`."""
-        n, names = len(self.begin.u), ("x", "z", "modes", "zero")
-        given = events["time"].tolist(), *(a[:, :n] for a in self._inputs(events["time"]))
-        sides = (
-            [
+        given = events["time"].tolist(), *self._own_inputs(events["time"])
+
+        def instants(side: NDArray[np.void]) -> list[Instant]:
+            rows = zip(*given, *(side[k] for k in ("x", "z", "modes", "zero")), strict=True)
+            return [
                 Instant(t, x, z, u, du, modes, zero=frozenset(zero.nonzero()[0].tolist()))
-                for t, u, du, x, z, modes, zero in zip(*given, *(s[k] for k in names), strict=True)
+                for t, u, du, x, z, modes, zero in rows
             ]
-            for s in (events["before"], events["after"])
-        )
+
+        sides = instants(events["before"]), instants(events["after"])
         return [
             Passed(before, after, [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)])
             for before, after, order in zip(*sides, events["order"].tolist(), strict=True)
@@ -183,17 +184,15 @@ class Piece:
         slid, modes = self.own.sliding, self.begin.modes.copy()
         if solved is not None:
             modes[list(slid)] = solved
-        u, du = self._inputs_at(t)
+        (u,), (du,) = self._own_inputs(np.array([t]))
         return replace(
             self.begin, t=float(t), x=x, z=z[: len(self.begin.z)], u=u, du=du, modes=modes,
             zero=self._still_zero(t),
         )  # fmt: skip
 
-    def _inputs_at(self, t: float) -> tuple[Vector, Vector]:
-        """Return inputs without modes, and their slopes."""
-        (u,), (du,) = self._inputs(np.array([t]))
-        n = len(self.begin.u)
-        return u[:n], du[:n]
+    def _own_inputs(self, times: Vector) -> list[Vector]:
+        """Return inputs without modes, and their slopes, one row per time."""
+        return [columns[:, : len(self.begin.u)] for columns in self._inputs(times)]
 
     @cached_property
     def seen(self) -> Watched:

@@ -127,7 +127,7 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
                 law, switches = _formula(f"{owner}: {name}", value, numbers, ends)
             else:
                 law, switches = value, _samples(owner, name, value, times).jumps.tolist()
-            laws[name] = np.vectorize(law, otypes=[float])
+            laws[name] = _on_arrays(law)
             around = np.sort(np.append(np.union1d(ends, switches), switches))
             pieces.append(InputSeries((name,), around, laws[name](around)[:, None]))
         else:
@@ -149,6 +149,10 @@ def _formula(
     function = ca.Function("law", [model.t], [value])
     switches = list(switch_times(model.freeze(), *ends.tolist()))
     return lambda t: float(function(t)), switches
+
+
+def _on_arrays(law: Callable[[Any], Any]) -> Callable[[Vector], Vector]:
+    return lambda times: np.array([law(float(t)) for t in times], dtype=float)
 
 
 @cached_per_thread(16)

@@ -2,11 +2,10 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
@@ -123,9 +122,7 @@ def _of_scene(scene: Scene) -> Info:
 
 
 def _of_model(dae: Dae) -> Info:
-    x = z = cast("Vector | None", None)
-    with suppress(InitialConditionError):  # `simulate` reports the reason
-        x, z = consistent_values(dae, 0.0, assign(dae))
+    x, z = _consistent_start(dae)
     groups = {
         "states": _variable_rows(dae.states, x),
         "algebraic unknowns": _variable_rows(dae.algebraics, z),
@@ -151,6 +148,14 @@ def _of_model(dae: Dae) -> Info:
     ]
     meanings = (meaning for _, meaning in dae.limits)
     return Info(facts, groups, tuple(zip(start.margins, meanings, strict=True)))
+
+
+def _consistent_start(dae: Dae) -> tuple[Vector | None, Vector | None]:
+    """Return consistent states and algebraic unknowns at the start; None if there are none."""
+    try:
+        return consistent_values(dae, 0.0, assign(dae))
+    except InitialConditionError:  # `simulate` reports the reason
+        return None, None
 
 
 def _variable_rows(

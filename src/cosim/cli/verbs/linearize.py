@@ -56,8 +56,7 @@ def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
     dae = None if isinstance(model, str) else model
     first, last = (value_of(dae, name, part) for part in parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
-    along = {name: values}
-    found = linearize(model, along=along, at=at, start_values=start, outputs=outputs)
+    found = linearize(model, along={name: values}, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, csv_text(found.rows()))
     if args.figure:

@@ -80,8 +80,7 @@ def equations_code(
     if solver in FIXED_STEPS:
         generator.add(fixed_step(dae, FIXED_STEPS[solver]))
     elif not uses_dop853(dae, solver):
-        most = LOOK_STEPS if system or not dae.states else most_steps(dae, solver)
-        add_integrator(generator, solver_step(dae, solver, most))
+        add_integrator(generator, solver_step(dae, solver, has_events=system is not None))
     code = str(generator.dump())
     if not dae.states or solver == DOP853 or solver in FIXED_STEPS:
         return code
@@ -104,12 +103,12 @@ def _plain_function(dae: Dae, name: str, *expressions: SX) -> ca.Function:
     return ca.Function(name, dae.arguments, [*expressions], CALL, names, {"cse": True})
 
 
-def solver_step(dae: Dae, plugin: str, most_steps: int) -> ca.Function:
+def solver_step(dae: Dae, plugin: str, *, has_events: bool = False) -> ca.Function:
     """Return `model_step(x, z, q) -> (x_end, z_end)`, a step of the co-simulation solver.
 
     With q = (t0, h, relative tolerance, u0, u1, u2, u3, p), CasADi's `erk` or `rosenbrock`
     integrates over h with inputs u0 + u1 s + u2 s^2 + u3 s^3, s from 0 to 1. The states are scaled
-    by their nominal values, so that one tolerance fits all of them.
+    by their nominal values, so that one tolerance fits all of them. `has_events` limits the steps.
     """
     x, z = argument_like(dae.x), argument_like(dae.z)
     parameters, _ = _parameters(dae)
@@ -118,7 +117,8 @@ def solver_step(dae: Dae, plugin: str, most_steps: int) -> ca.Function:
     # powers of two, so that scaling does not round
     scale = ca.DM([2.0 ** round(log2(state.nominal)) for state in dae.states])
     problem = (_called if is_large(dae) else _written_out)(dae, scale)
-    options = {"show_eval_warnings": False, "max_num_steps": most_steps}
+    most = LOOK_STEPS if has_events else most_steps(dae, plugin)
+    options = {"show_eval_warnings": False, "max_num_steps": most}
     run = ca.integrator("run", plugin, problem, 0.0, [1.0], options)
     end = run(x0=x / scale, z0=z, p=parameters)
     return ca.Function("model_step", [x, z, parameters], [scale * end["xf"], end["zf"]])
