@@ -68,8 +68,7 @@ class Hybrid:
     @cached_property
     def in_laws(self) -> tuple[bool, ...]:
         """For each relation, whether dx/dt, an algebraic equation or another model feels it."""
-        dae = self.dae
-        laws = ca.vertcat(dae.ode, dae.alg, dae.outputs if dae.driving else SX(0, 1))
+        laws = ca.vertcat(self.dae.ode, self.dae.alg, _driving(self.dae))
         return tuple(ca.depends_on(laws, mode) for mode in ca.vertsplit(self.modes))
 
     @cached_property
@@ -376,6 +375,12 @@ def input_rates(dae: Dae) -> dict[str, int]:
     return {v.of: i for i, v in enumerate(dae.inputs) if isinstance(v, InputRate)}
 
 
+def _driving(dae: Dae) -> SX:
+    """Return the outputs that drive other models, (n, 1)."""
+    names = enumerate(v.name for v in dae.output_variables)
+    return ca.vertcat(SX(0, 1), *(dae.outputs[i] for i, name in names if name in dae.driving))
+
+
 def hybrid(dae: Dae) -> Hybrid | None:
     """Return the equations of a model with every relation frozen at a mode; None without events.
 
@@ -385,8 +390,7 @@ def hybrid(dae: Dae) -> Hybrid | None:
     Raises:
         ValueError: The equations call several functions of equal sizes.
     """
-    pairs = zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True) if dae.driving else ()
-    driving = ca.vertcat(SX(0, 1), *(row for v, row in pairs if v.name in dae.driving))
+    driving = _driving(dae)
     if operations(ca.vertcat(dae.ode, dae.alg, driving)).isdisjoint(RELATIONS) and not dae.events:
         return None
     conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))
