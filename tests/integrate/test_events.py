@@ -112,6 +112,25 @@ def test_impacts_without_end_are_reported(solver):
         simulate(ball()[0].freeze(), solver, stop_time=3.0)
 
 
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
+def test_run_that_a_stop_ends_is_computed_again_at_just_the_requested_times(solver):
+    model = Model("oscillator", stop_time=5.0)
+    far = model.parameter("far", "m", 0.4, "distance")
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 1.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -0.3 * x)
+    model.stop(x > far, "far")
+    dae = model.freeze()
+    for k in range(20):
+        values = {"far": 0.4 + 0.01 * k, "v": 1 + 0.037 * k}
+        run = simulate(dae, solver, start_values=values)
+        end = run.time[-1]
+        np.testing.assert_array_equal(run.at([0.1, 0.2, end]).time, [0.1, 0.2, end])
+        for t in (0.1, 0.2, end):
+            expected = np.interp(t, run.time, run["x"])
+            assert run.at(t)["x"] == pytest.approx(expected, abs=1e-6)
+
+
 def test_sampled_stop_ends_the_impacts():
     """A controller looks every 0.1 s whether the ball is slow, and a stop ends the run."""
     model, h, v = ball()

@@ -69,22 +69,25 @@ def run(request: RunRequest) -> Trajectory:
     if request.policy.record_events:
         found = found.with_events()
     if prepared.solver.adaptive:
-        span = float(found.time[0]), float(found.time[-1])
-        found = replace(found, again=partial(run_at, request, span))
+        ends = float(prepared.problem.grid[-1]), float(found.time[-1])
+        found = replace(found, again=partial(run_at, request, ends))
     return found
 
 
-def run_at(request: RunRequest, span: tuple[float, float], times: Vector) -> Trajectory:
+def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Trajectory:
     """Compute a run at other output times, with the same begin and end and thus the same steps.
 
     Args:
         request: The run.
-        span: Begin and end of the run, s.
+        ends: Its stop time, and when it ended, s; a stop may come earlier by rounding now.
         times: Output times, s, (m,).
     """
-    own = Times.at(np.unique(times), request.times.start, stop=span[1])
+    own = Times.at(times, request.times.start, stop=ends[0])
     policy = replace(request.policy, record_events=False)
-    return run(replace(request, times=own, policy=policy))
+    found = run(replace(request, times=own, policy=policy))
+    rows = np.searchsorted(found.time, times).clip(max=len(found.time) - 1)
+    rows[times >= ends[1]] = -1
+    return replace(found, time=times, values=found.values[rows])
 
 
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
