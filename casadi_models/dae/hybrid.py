@@ -318,6 +318,10 @@ class Hybrid:
         jumping = ca.depends_on(arguments, dae.z) and ca.depends_on(alg, modes)
         if jumping or ca.depends_on(arguments, every[rows]):
             raise ValueError("an expression that stays at 0 depends on what jumps with its sign")
+        if dae.derived and (dae.algebraics or ca.depends_on(dae.outputs, every[rows])):
+            raise ValueError(
+                "while it stays at 0, no derivatives of outputs that hold it are known"
+            )
         inner = replace(self, dae=replace(dae, ode=ode, alg=alg))
         rates = input_rates(dae)
         slopes = ca.vertcat(*(dae.u[rates[v.name]] if v.name in rates else 0 for v in dae.inputs))
@@ -327,8 +331,6 @@ class Hybrid:
             unknown = -ca.solve(ca.jacobian(alg, dae.z), ca.jtimes(alg, given, along))
         law = inner.rates(arguments, unknown, slopes)
         if dae.algebraics:
-            if dae.derived:
-                raise ValueError("the derivatives of a DAE that slides are not known")
             more = tuple(
                 Variable(f"slid_{i}", "1", "mode of a relation that stays at 0", 0.0) for i in rows
             )

@@ -5,7 +5,7 @@ relations are looked at on a grid of times; where one leaves its mode, the time 
 motion of the solver, the modes and states after the event follow, and the solver starts afresh.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -26,9 +26,9 @@ from cosim.integrate.location import Piece, located, next_of_time, with_input_ra
 from cosim.integrate.modes import (
     MOST_ROUNDS,
     Instant,
+    begun,
     blended,
     hybrid,
-    literal_modes,
     settled,
     sliding,
 )
@@ -123,14 +123,7 @@ class _Course:
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
         at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))
-        self.at = at
-        if system.relations:
-            # arguments may hold the modes of others, most of them of relations before them
-            for count in [*range(1, len(modes) + 1), len(modes)]:
-                arguments = at.watched(system, start.values.p).arguments[0]
-                modes[:count] = literal_modes(system, arguments)[:count]
-                at = replace(at, modes=modes.copy())
-            self.at = settled(system, at, start.values.p, frozenset())
+        self.at = begun(system, at, start.values.p) if system.relations else at
         conditions = self._conditions_at(self.at)
         for event, holds in zip(system.events, conditions, strict=True):
             if event.message and holds:
@@ -143,6 +136,7 @@ class _Course:
             self._happen(self._conditions_before(conditions))
             self.instants.append((begin, self.at))
         self._write(self.at.t)
+        self._project(frozenset())
 
     def run(self) -> Motion:
         """Run to the end of the grid, or to an event that ends the run."""
@@ -288,11 +282,12 @@ class _Course:
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
+        self._project(last.sliding)
         self.instants.append((begin, self.at))
         self._reject_zeno(last.t, 1 if len(self.events) > n else _IDLE)
         self._write(self.at.t)
 
-    def _moved(self, at: Instant, zero: frozenset[int]) -> tuple[Instant, float]:
+    def _moved(self, at: Instant, zero: Collection[int]) -> tuple[Instant, float]:
         """Return an instant with derivatives at the moving time of an event, and how it moves."""
         if not zero:
             return at, 0.0
@@ -302,6 +297,15 @@ class _Course:
         change = along(system)(at.t, at.x, at.z, u, p, 0.0)[0]
         dt = shift(float(change[i]), float(seen.rates[0, i]))
         return replace(at, x=moved(at.x, self.dae.derived, seen.ode[0], dt)), dt
+
+    def _project(self, before: frozenset[int]) -> None:
+        """Let the derivatives of the states slide, too, with what did not slide before."""
+        for i in sorted(self.at.sliding - before if self.dae.derived else ()):
+            slid, modes = self.at, self.at.modes.copy()
+            modes[i] = 1.0
+            at, dt = self._moved(replace(slid, modes=modes, sliding=slid.sliding - {i}), {i})
+            rates = slid.watched(self.system, self.values.p).ode[0]
+            self.at = replace(slid, x=moved(at.x, self.dae.derived, rates, -dt))
 
     def _happen(
         self, before: Vector, switched: Iterable[int] = (), x: Vector | None = None, dt: float = 0.0

@@ -188,6 +188,16 @@ class Instant:
         return watch(own, np.array([self.t]), (self.x[None], z[None], u[None], du[None]), p)
 
 
+def begun(system: Hybrid, at: Instant, p: Vector) -> Instant:
+    """Return an instant with the modes of its values and of what follows from them."""
+    modes = np.ones(len(system.relations))
+    # arguments may hold the modes of others, most of them of relations before them
+    for count in [*range(1, len(modes) + 1), len(modes)]:
+        arguments = replace(at, modes=modes.copy()).watched(system, p).arguments[0]
+        modes[:count] = literal_modes(system, arguments)[:count]
+    return settled(system, replace(at, modes=modes), p, frozenset())
+
+
 def settled(
     system: Hybrid, at: Instant, p: Vector, decided: frozenset[int], sizes: Vector | None = None
 ) -> Instant:

@@ -2,11 +2,13 @@
 
 import json
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.bicycle_oracles import CAPSIZE_SPEED, WEAVE_FREQUENCY, WEAVE_SPEED
 
 import cosim
+from casadi_models.dae import Model
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.study.linearize.linearization import blocks
@@ -188,3 +190,48 @@ def test_crossing_at_an_unsteady_state_is_no_critical_speed():
         linearize("bicycle", **along)  # its roll rate is 0.5 rad/s; 4.27 m/s was reported
     (weave,) = linearize("bicycle", at="equilibrium", **along).crossings
     assert weave.outputs["speed"] == pytest.approx(WEAVE_SPEED, rel=1e-10)
+
+
+def block(place=0.5, speed=0.0):
+    """A block on a rough table, held by a spring and pulled by a force."""
+    model = Model("block", stop_time=2.0)
+    x, v = model.state("x", "m", place, "place"), model.state("v", "m/s", speed, "speed")
+    force = model.input("force", "N", 0.0, "force")
+    model.derivative(x, v)
+    model.derivative(v, force - x - ca.sign(v))
+    model.output("friction", "N", ca.sign(v), "friction")
+    return model.freeze()
+
+
+@pytest.mark.parametrize(
+    ("dae", "at"), [(block(), "start"), (block(), "equilibrium"), (block(0.5, 0.3), 1.9)]
+)
+def test_block_that_sticks_is_steady_and_its_friction_balances_what_pulls_it(dae, at):
+    linear = linearize(dae, at=at)
+    assert linear.is_steady
+    np.testing.assert_array_equal(linear.A, [[0, 1], [0, 0]])
+    np.testing.assert_array_equal(linear.B, [[0], [0]])
+    np.testing.assert_array_equal(linear.C, [[-1, 0]])
+    np.testing.assert_array_equal(linear.D, [[1]])
+
+
+def test_block_that_slides_has_the_eigenvalues_of_its_spring():
+    linear = linearize(block(0.5, 0.3))
+    np.testing.assert_allclose(sorted(linear.eigenvalues, key=np.imag), [-1j, 1j])
+    assert not linear.is_steady
+
+
+@pytest.mark.parametrize(
+    ("law", "slope"),
+    [(ca.fabs, None), (lambda x: ca.fmax(0, -x), None), (lambda x: x * ca.fabs(x), 0.0)],
+)
+def test_state_at_a_kink_is_rejected(law, slope):
+    model = Model("spring")
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.3, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -law(x))
+    if slope is None:
+        with pytest.raises(InitialConditionError, match=r"exactly at 0 .* another one"):
+            linearize(model.freeze())
+    else:
+        np.testing.assert_array_equal(linearize(model.freeze()).A, [[0, 1], [slope, 0]])

@@ -197,3 +197,41 @@ def test_derivative_by_the_time_of_the_only_switch_is_the_jump():
     model.derivative(x, ca.if_else(model.t < p, 0, 1))
     found = cosim.sensitivity(model.freeze(), with_respect_to=["p"])
     assert found["x", "p"][-1] == pytest.approx(-1.0, abs=1e-12)
+
+
+def resting_blocks():
+    """Two blocks that their springs cannot move."""
+    model = Model("blocks", stop_time=0.1)
+    force = model.parameter("force", "N", 1.0, "sliding friction")
+    for i in (1, 2):
+        x = model.state(f"x_{i}", "m", 0.5, "place")
+        v = model.state(f"v_{i}", "m/s", 0.0, "speed")
+        model.derivative(x, v)
+        model.derivative(v, -x - force * ca.sign(v))
+        model.output(f"friction_{i}", "N", force * ca.sign(v), "friction")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["dop853", "erk"])
+def test_friction_at_rest_takes_up_a_small_speed_at_once(solver):
+    dae, by = resting_blocks(), ["v_1", "v_2", "x_1", "force"]
+    names = ["x_1", "v_1", "x_2", "v_2"]
+    found = sensitivity(dae, outputs=names, with_respect_to=by, solver=solver, check=False)
+    after = found.values[1:]
+    np.testing.assert_array_equal(after[:, 0], np.tile([0, 0, 1, 0], (len(after), 1)))
+    np.testing.assert_array_equal(after[:, [1, 2, 3]], 0)
+    np.testing.assert_array_equal(found.values[0, :, 0], [0, 1, 0, 0])
+
+
+def test_derivatives_of_friction_at_rest_are_rejected():
+    with pytest.raises(SolverError, match="no derivatives of outputs that hold it are known"):
+        sensitivity(resting_blocks(), outputs=["friction_1"], with_respect_to=["x_1"], check=False)
+
+
+def test_finite_differences_at_few_times_are_no_check():
+    model = Model("counter", stop_time=1.0)
+    x, n = model.state("x", "m", 0.0, "place"), model.discrete("n", "1", 0.0, "number")
+    model.derivative(x, 1)
+    model.when(x > 0, {n: n + 1}, name="passage")
+    with pytest.raises(SolverError, match="times only, as a small change of a value leads to"):
+        sensitivity(model.freeze(), outputs=["n"], with_respect_to=["x"])

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -9,6 +10,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.errors import FmuError, InitialConditionError, UnknownName, UsageError
@@ -27,6 +29,7 @@ from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.initial_values import algebraic_values
 from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.keywords import requested
+from cosim.integrate.modes import Instant, begun, blended, hybrid, sliding
 from cosim.integrate.run import run
 from cosim.memo import cached_per_thread
 from cosim.model.catalogue import load
@@ -36,6 +39,7 @@ from cosim.study.linearize.linearization import Linearization, without_influence
 
 START, EQUILIBRIUM = "start", "equilibrium"
 MOST_NEWTON_STEPS = 60
+SAME = 1e-9  # relative difference of equal linear systems
 AT_REST = 1e-11  # largest rate of a state at rest, in nominal values per second
 
 
@@ -98,11 +102,21 @@ def _influence(dae: Dae) -> Truths:
 def _of_dae(
     dae: Dae, names: tuple[str, ...], x: Vector, values: Values, time: float, point: str
 ) -> Linearization:
-    z = algebraic_values(dae, time, x, values)
-    rates, outputs, jacobian = _at_point(dae, names, time, x, z, values)
+    followed, u, edges = _followed(dae, time, x, values)
+    n = len(x) + len(values.u)
+    rates, outputs, jacobian = _at_point(followed, names, time, x, replace(values, u=u))
+    for place, what in edges.items():
+        u[place] *= -1
+        change = _at_point(followed, names, time, x, replace(values, u=u))[2] - jacobian
+        u[place] *= -1
+        if not np.linalg.norm(change[:, :n]) <= SAME * np.linalg.norm(jacobian[:, :n]):
+            raise InitialConditionError(
+                f"{dae.full_name}: {what} is exactly at 0 at {point}, and the linear system is "
+                "another one on each side; choose a state on one of them"
+            )
     return Linearization.from_jacobian(
-        jacobian,
-        depends=_influence(dae),
+        jacobian[:, :n],
+        depends=_influence(followed),
         model=dae.full_name,
         states=tuple(v.name for v in dae.states),
         inputs=tuple(v.name for v in dae.inputs),
@@ -117,11 +131,43 @@ def _of_dae(
     )
 
 
+def _followed(
+    dae: Dae, time: float, x: Vector, values: Values
+) -> tuple[Dae, Vector, dict[int, str]]:
+    """Return the equations that a run follows from a state, and their inputs.
+
+    These are the inputs of the model and the modes of its relations. The last result are those of
+    them, by position, that may have two values here, and what they are.
+    """
+    system = hybrid(dae)
+    if system is None or not system.relations:
+        return dae, values.u, {}
+    z, still = algebraic_values(dae, time, x, values), np.zeros(len(values.u))
+    at = Instant(time, x, z, values.u, still, np.ones(len(system.relations)))
+    arguments = np.abs(at.watched(system, values.p).arguments[0])
+    noise = at.noise(system, values.p, np.array([v.nominal for v in dae.states]))
+    zero = frozenset(i for i in system.of_states if arguments[i] <= noise[i])
+    at = begun(system, replace(at, zero=zero), values.p)
+    u, n = np.concatenate((values.u, at.modes)), len(values.u)
+    edges = {n + i: system.described(i) for i in zero - at.sliding if not system.floors[i]}
+    return _without_events(system, at.sliding), u, edges
+
+
+@cached_per_thread(8)
+def _without_events(system: Hybrid, slides: frozenset[int]) -> Dae:
+    """Return frozen equations in which outputs follow what slides."""
+    own = sliding(blended(system), slides)
+    if not slides:
+        return own.dae
+    held, solved = own.modes[list(own.sliding)], own.solved
+    return replace(own.dae, outputs=ca.substitute(own.dae.outputs, held, solved))
+
+
 def _at_point(
-    dae: Dae, names: tuple[str, ...], time: float, x: Vector, z: Vector, values: Values
+    dae: Dae, names: tuple[str, ...], time: float, x: Vector, values: Values
 ) -> tuple[Vector, Vector, Vector]:
     """Return rates and outputs at a state, and their derivatives by states and inputs."""
-    function = _jacobians(dae, names)
+    z, function = algebraic_values(dae, time, x, values), _jacobians(dae, names)
     rates, outputs, by_xu, by_z, alg_xu, alg_z = (
         np.array(block) for block in function.call([time, x, z, values.u, values.p])
     )
@@ -179,8 +225,8 @@ def _rest(
     law = law_of_knowns(dae, "law", residual, ca.jacobian(residual, dae.x))
 
     def defect(x: Vector) -> tuple[Vector, Vector]:
-        z = algebraic_values(dae, 0.0, x, values)
-        rates, _, jacobian = _at_point(dae, (), 0.0, x, z, values)
+        followed, u, _ = _followed(dae, 0.0, x, values)
+        rates, _, jacobian = _at_point(followed, (), 0.0, x, replace(values, u=u))
         left, slope = (np.array(block) for block in law(0.0, x, values.u, values.p))
         rows = np.concatenate(((rates / sizes)[resting], left.ravel()))
         by_x = (jacobian[: len(x)] / sizes[:, None])[np.ix_(resting, movable)]
