@@ -44,6 +44,11 @@ double next_event(const Instance *self) {
     return self->state.switching.next;
 }
 
+double end_with_event(const Instance *self, double end) {
+    const double next = next_event(self);
+    return next > end && next <= end + 8 * DBL_EPSILON * fabs(end) ? next : end;
+}
+
 bool run_stopped(const Instance *self) {
     return self->state.switching.stopped > 0;
 }

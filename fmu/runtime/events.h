@@ -21,6 +21,10 @@ Status happen(Instance *self, int crossing, Outcome *outcome);
 
 /* The next time event; `NO_EVENT` where there is none. */
 double next_event(const Instance *self);
+
+/* The end of a step of co-simulation, or the time event that only rounding is beyond it. */
+double end_with_event(const Instance *self, double end);
+
 bool run_stopped(const Instance *self);
 
 /* What inputs and parameters that have just been set make happen before a step of co-simulation, or

@@ -339,11 +339,12 @@ bool integrate_to(Instance *self, double end) {
     for (;;) {
         double until = ahead;
 #if HAS_EVENTS
+        end = end_with_event(self, end);
         const int how = memory->until <= end ? pass_event(&ode, &problem, memory, ahead) : WENT_ON;
         if (how == FAILED) return false;
         if (how == WAITS) return true;
         if (how == HAPPENED) continue;
-        until = fmin(ahead, next_event(self));
+        until = fmin(fmax(ahead, end), next_event(self));
 #endif
         if (memory->until >= end) break;
         if (!step(&ode, &problem, memory, end, until) ||

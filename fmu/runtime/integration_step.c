@@ -139,6 +139,7 @@ bool integrate_to(Instance *self, double end) {
             relation = -1;
             continue;
         }
+        end = end_with_event(self, end);
         if (*time >= end) return true;
         if (cannot_slide(self) || refresh(self, DERIVATIVES) != OK) return false;
         const double goal = fmin(end, next_event(self)), rest = goal - *time;

@@ -99,6 +99,7 @@
 #define move_inputs INSIDE_NAME(MODEL_PREFIX, move_inputs)
 #define nearest_limit INSIDE_NAME(MODEL_PREFIX, nearest_limit)
 #define next_event INSIDE_NAME(MODEL_PREFIX, next_event)
+#define end_with_event INSIDE_NAME(MODEL_PREFIX, end_with_event)
 #define note_limits INSIDE_NAME(MODEL_PREFIX, note_limits)
 #define note_margins INSIDE_NAME(MODEL_PREFIX, note_margins)
 #define note_rank INSIDE_NAME(MODEL_PREFIX, note_rank)

@@ -92,8 +92,6 @@ void plan_time_events(Instance *self, double now) {
     const double first = search_bounded(self, now, until + 8 * DBL_EPSILON * fabs(until), s->due);
     s->next = fmin(s->next, first == NO_EVENT && end != stop ? end : first);
 #endif
-    if (now < stop && stop < s->next && s->next <= stop + 8 * DBL_EPSILON * fabs(stop))
-        s->next = stop; /* only rounding is between them */
 }
 
 #else

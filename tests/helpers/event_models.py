@@ -116,6 +116,15 @@ def sampled() -> Dae:
     return model.freeze()
 
 
+def counting(hundredths: int) -> Dae:
+    """Return a motion at 1 m/s, and a number of samples that output times coincide with."""
+    model = Model("counting", stop_time=3.0, output_interval=0.01)
+    x, n = model.state("x", "m", 0.0, "place"), model.discrete("n", "1", 0.0, "number")
+    model.derivative(x, 1.0)
+    model.every(hundredths / 100, {n: n + 1}, name="sample")
+    return model.freeze()
+
+
 def stopping() -> Dae:
     """Return a motion at 1 m/s that ends at 0.777 m."""
     model = Model("stopping", stop_time=2.0)

@@ -131,6 +131,13 @@ def test_run_that_a_stop_ends_is_computed_again_at_just_the_requested_times(solv
             assert run.at(t)["x"] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("period", [7, 10, 23])
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
+def test_samples_at_output_times_are_in_their_rows(solver, period):
+    run = simulate(event_models.counting(period), solver)
+    np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // period)
+
+
 def test_sampled_stop_ends_the_impacts():
     """A controller looks every 0.1 s whether the ball is slow, and a stop ends the run."""
     model, h, v = ball()

@@ -120,6 +120,19 @@ def test_a_sampled_controller_acts_at_its_samples(exported, fmi, interface, mast
 
 
 @EACH_RUN
+@pytest.mark.parametrize("period", [7, 10, 23])
+def test_samples_at_output_times_are_in_their_rows(exported, period, interface, master, bound):
+    run = simulate(exported("counting", 2, period), interface, master)
+    np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // period)
+
+
+@pytest.mark.parametrize("solver", ["erk", "rosenbrock"])
+def test_samples_at_communication_points_are_met_by_other_solvers(exported, solver):
+    run = simulate(exported("counting", 3, 7, solver=solver), "CoSimulation", "c")
+    np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // 7)
+
+
+@EACH_RUN
 @VERSIONS
 def test_what_happens_at_the_stop_time_happens(exported, fmi, interface, master, bound):
     path = exported("late", fmi)
