@@ -276,3 +276,15 @@ def test_variants_with_events_run_one_by_one():
     for start, row in zip((1.0, 2.0), many["h"], strict=True):
         run = cosim.simulate(dae, start_values={"h": start}, **options)
         np.testing.assert_array_equal(row, run["h"])
+    assert [event.name for event in many.run(1).events] == ["impact"]
+
+
+def test_a_variant_that_a_stop_ends_has_its_last_row_at_the_time_of_the_stop():
+    many = simulate_many(event_models.stopping(), {"x": [0.0, 0.1]}, solver="dop853")
+    assert many.status == "2 complete"
+    for start, row, reached in zip((0.0, 0.1), many["x"], many.reached, strict=True):
+        np.testing.assert_allclose(row[:reached], start + many.time[:reached], rtol=0, atol=1e-12)
+        assert np.isnan(row[reached:]).all()
+    ends = [many.run(i) for i in range(2)]
+    np.testing.assert_allclose([run.time[-1] for run in ends], [0.777, 0.677], atol=1e-12)
+    np.testing.assert_allclose([run["x"][-1] for run in ends], 0.777, atol=1e-12)

@@ -337,8 +337,16 @@ def test_runs_that_end_themselves_are_complete_for_a_model_and_its_fmu(tmp_path)
     path = cosim.export_fmu(dae, tmp_path / "stopping.fmu")
     starts = {"x": np.array([0.0, 0.5])}
     for subject in (dae, path):
-        found = cosim.sweep(subject, starts, outputs=["x"], workers=0)
+        keep = ["trajectories", "final", "max", lambda run: {"end": run.time[-1]}]
+        found = cosim.sweep(subject, starts, outputs=["x"], keep=keep, workers=0)
         assert found.status == "2 complete"
+        for name in ("x_final", "x_max"):
+            np.testing.assert_allclose(found[name], 0.777, atol=1e-9)
+        np.testing.assert_allclose(found["end"], 0.777 - starts["x"], atol=1e-9)
+        moving = starts["x"][:, None] + found.time
+        before = moving < 0.777
+        np.testing.assert_allclose(found.values[before, 0], moving[before], atol=1e-9)
+        assert np.isnan(found.values[~before]).all()
 
 
 def test_wrong_arguments_are_rejected_before_any_run(growth):

@@ -52,6 +52,7 @@ class Ensemble:
             ...
         drawing: The drawing of the model; None if unknown.
         numbers: Parameters and constant inputs that were not varied, SI; None if unknown.
+        with_events: Runs with events, by position, with these and the row of one that ended them.
 
     Example:
         >>> import cosim
@@ -75,6 +76,7 @@ class Ensemble:
     stats: Mapping[str, Any] = field(default_factory=dict)
     drawing: Drawing | None = field(default=None, repr=False)
     numbers: Mapping[str, float] | None = field(default=None, repr=False)
+    with_events: Mapping[int, Trajectory] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -113,7 +115,9 @@ class Ensemble:
         return self.values[:, :, self.names.index(name)]
 
     def run(self, i: int) -> Trajectory:
-        """Return one run up to its last valid output time."""
+        """Return one run up to its last valid output time, or to the event that ended it."""
+        if i in self.with_events:
+            return self.with_events[i]
         n = int(self.reached[i])
         stats = {"solver": self.stats.get("solver"), "steps": int(self.steps[i])}
         stats |= {"rhs_calls": int(self.rhs_calls[i])}
@@ -145,3 +149,9 @@ class Ensemble:
         coordinates = {"time": ("time", self.time, {"units": "s"}), **given}
         dataset: xr.Dataset = xarray.Dataset(variables, coordinates, {"model": self.model})
         return dataset
+
+
+def shared_rows(run: Trajectory, time: Vector) -> int:
+    """Return how many rows of a run are at the output times of all; that of a stop may not be."""
+    n = len(run)
+    return n - bool(n and not np.isclose(run.time[-1], time[n - 1], rtol=1e-9, atol=0))

@@ -10,7 +10,7 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import InitialConditionError, Interrupted, ParameterError, SolverError
-from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
 from cosim.integrate.ensemble.lanes import CAUSES, HALTED, OUTSIDE, lane_starts, run_lanes
 from cosim.integrate.initial_values import start_values
 from cosim.integrate.outputs import all_columns, watching
@@ -145,7 +145,7 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
     runs, interrupted = len(values), False
     table = np.full((runs, len(grid), len(names)), np.nan)
     states, reasons, invalid = [RunState.INTERRUPTED] * runs, dict[int, str](), dict[int, str]()
-    counts = np.zeros((3, runs), dtype=np.int64)
+    counts, with_events = np.zeros((3, runs), dtype=np.int64), dict[int, Trajectory]()
     for number in range(runs):
         reasons[number] = "interrupted"
         if interrupted:
@@ -170,8 +170,11 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
         except (ParameterError, InitialConditionError) as error:
             states[number], reasons[number] = RunState.REFUSED, str(error)
             continue
-        table[number, : len(found)] = found.values
-        counts[:, number] = (len(found), *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
+        n = shared_rows(found, grid)
+        table[number, :n] = found.values[:n]
+        if found.events:
+            with_events[number] = found
+        counts[:, number] = (n, *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
         if "invalid" in found.stats:
             invalid[number] = found.stats["invalid"][0]
     return Ensemble(
@@ -187,6 +190,7 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
+        with_events=with_events,
     )
 
 

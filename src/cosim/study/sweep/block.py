@@ -79,14 +79,12 @@ class Job:
             raise KeyboardInterrupt
         states = np.array([STATES.index(state) for state in ensemble.states], dtype=np.int8)
         reasons = dict(ensemble.invalid) | dict(ensemble.reasons)
-        numbers = {
-            reduction.name: np.where(
-                states == COMPLETE,
-                reduction.of(ensemble.time, ensemble[reduction.variable]),
-                np.nan,
-            )
-            for reduction in self.keep.reductions
-        }
+        numbers = dict[str, Vector]()
+        for reduction in self.keep.reductions:
+            found = reduction.of(ensemble.time, ensemble[reduction.variable]).copy()
+            for i, run in ensemble.with_events.items():  # one may have ended the run
+                found[i] = reduction.of(run.time, run[reduction.variable][None])[0]
+            numbers[reduction.name] = np.where(states == COMPLETE, found, np.nan)
         for function in self.keep.functions:
             _add_results(function, ensemble, states, reasons, numbers)
         return Block(

@@ -18,7 +18,7 @@ from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.opened import OpenedFmu
-from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
 from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.outputs import all_columns, watching
@@ -31,7 +31,7 @@ from cosim.model.values import assign, settable_variable
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.study.sweep.samples import digest_of
-from cosim.trajectory import Column
+from cosim.trajectory import Column, Trajectory
 
 
 class RunKeywords(TimeKeywords, total=False):
@@ -193,7 +193,7 @@ class FmuSubject:
         began = perf_counter()
         runs, outputs = len(next(iter(columns.values()))), settings["outputs"]
         states, reasons, notes = [RunState.FAILED] * runs, dict[int, str](), dict[int, str]()
-        found: dict[int, Vector] = {}
+        found = dict[int, Trajectory]()
         taken = _taken(settings)
         time = self._fmu.request(**taken).grid
         for i in range(runs):
@@ -208,15 +208,16 @@ class FmuSubject:
                 reasons[i] = str(error)
             else:
                 if len(run) == len(time) or "stop" in run.stats:
-                    states[i], found[i] = RunState.COMPLETE, run.values
+                    states[i], found[i] = RunState.COMPLETE, run
                     if "note" in run.stats:
                         notes[i] = run.stats["note"]
                 else:
                     reasons[i] = f"it recorded {len(run)} of {len(time)} output times"
         values = np.full((runs, len(time), len(outputs)), np.nan)
-        for i, table in found.items():
-            values[i, : len(table)] = table
-        counts = np.zeros(runs, dtype=np.int64)
+        counts, reached = np.zeros((2, runs), dtype=np.int64)
+        for i, run in found.items():
+            reached[i] = n = shared_rows(run, time)
+            values[i, :n] = run.values[:n]
         return Ensemble(
             self.name,
             time,
@@ -226,11 +227,12 @@ class FmuSubject:
             tuple(states),
             reasons,
             notes,
-            reached=np.where([i in found for i in range(runs)], len(time), 0),
+            reached=reached,
             steps=counts,
             rhs_calls=counts,
             error=np.full(runs, np.nan),
             stats={"solver": f"fmpy {self._fmu.interface}", "wall_time": perf_counter() - began},
+            with_events={i: run for i, run in found.items() if run.events or "stop" in run.stats},
         )
 
 
