@@ -243,18 +243,21 @@ static double argument_at(Instance *self, int i, double t) {
 }
 
 /* The mode of an argument that is not 0. One of time alone may be due a little later, or have
-   jumped with another mode. */
+   jumped with another mode; at a start, what only rounding is before happens. */
 static double by_value(Instance *self, const Seen *seen, int i, double value) {
     const RelationInfo *relation = &relations[i];
-    if (relation->of_time && self->state.switching.next != NOT_PLANNED) {
+    if (relation->of_time) {
+        const bool planned = self->state.switching.next != NOT_PLANNED;
         const double t = event_time(self), rate = seen->rates[i];
         if (relation->linear)
             value += rate * (t - self->state.values[TIME]);
         else if (t != self->state.values[TIME])
             value = argument_at(self, i, t);
         const double boundary = relation->floor ? round(value) : 0;
-        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate))
-            return self->state.values[FIRST_MODE + i];
+        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate)) {
+            if (planned) return self->state.values[FIRST_MODE + i];
+            if (relation->linear) value = relation->floor ? boundary - (rate < 0) : rate;
+        }
     }
     return relation->floor ? floor(value) : value > 0 ? 1 : -1;
 }

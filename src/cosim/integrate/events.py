@@ -43,7 +43,6 @@ from cosim.model.values import Values
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
-_TINY = 1e-280  # s; a time that is not 0 if it is divided by a period
 _ZENO = 1e-10  # distance of events, relative to the time (1 s or the run at least), of which ...
 _MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed, and ...
 _IDLE = 4  # ... one at which nothing happens, but the error of the solver, is worth so many
@@ -421,13 +420,10 @@ class _Course:
             if seen[i] == 0 and relation.operation in COMPARISONS:
                 modes[i] = relation.at_zero
         before = self._conditions_at(replace(self.at, modes=modes))
-        if not sampled.any():
-            return before
-        earlier = self.at.t - 8 * np.spacing(max(abs(self.at.t), _TINY))
-        literal = ca.Function("conditions", self.dae.arguments,
-                              [ca.vertcat(*(e.condition for e in self.dae.events))])  # fmt: skip
-        found = literal(earlier, self.at.x, self.at.z, self.at.u, self.values.p)
-        return np.where(sampled, np.minimum(conditions, np.array(found).ravel()), before)
+        near = np.abs(seen - np.round(seen)) <= 8 * np.spacing(np.abs(seen))
+        due = near & np.array(self.system.floors, dtype=bool)
+        earlier = replace(self.at, modes=np.where(due, np.round(seen) - 1, self.at.modes))
+        return np.where(sampled, np.minimum(conditions, self._conditions_at(earlier)), before)
 
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""

@@ -22,6 +22,7 @@ MOST_ROUNDS = 100  # of event iteration at one instant
 _BLOCK = 32  # columns of one evaluation
 _FEW = 2  # columns that are evaluated one by one
 _ROUNDING = 64 * np.finfo(float).eps  # relative size of a rate below which it is taken as 0
+_TIMES = 8 * np.finfo(float).eps  # relative distance of times that rounding may make of equal ones
 _EDGE = 1e-9  # by which the mode of a relation that slides may leave -1 ... 1
 
 
@@ -195,7 +196,12 @@ def begun(system: Hybrid, at: Instant, p: Vector) -> Instant:
     for count in [*range(1, len(modes) + 1), len(modes)]:
         arguments = replace(at, modes=modes.copy()).watched(system, p).arguments[0]
         modes[:count] = literal_modes(system, arguments)[:count]
-    return settled(system, replace(at, modes=modes), p, frozenset())
+    at = replace(at, modes=modes)
+    row = at.watched(system, p)
+    apart = row.arguments[0] - np.where(system.floors, np.round(row.arguments[0]), 0.0)
+    near = np.abs(apart) <= _TIMES * abs(at.t) * np.abs(row.rates[0])
+    due = {i for i, line in enumerate(system.linear) if line and near[i]}  # but for rounding
+    return settled(system, replace(at, zero=at.zero | due), p, frozenset())
 
 
 def settled(

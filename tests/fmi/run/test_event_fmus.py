@@ -1,5 +1,7 @@
 """FMUs of models with events against closed forms, in every interface and master."""
 
+from contextlib import closing
+
 import fmpy
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from casadi_models.dae import Model
 from cosim.api import execute, requested
 from cosim.backend import Backend
 from cosim.errors import FmuError, SolverError, UsageError
+from cosim.fmi.run.opened import OpenedFmu
 
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
 # interface, master, error of a run at relative tolerance 1e-9
@@ -126,10 +129,32 @@ def test_samples_at_output_times_are_in_their_rows(exported, period, interface, 
     np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // period)
 
 
+@pytest.mark.parametrize("start", [0.3, 3 * 0.1, 0.6, 0.65])  # 3 * 0.1 is larger than 0.3
+def test_samples_at_the_start_are_met_whatever_rounding_makes_of_it(exported, start):
+    options = {"start_time": start, "stop_time": start + 0.25, "outputs": ["n"]}
+    runs = [cosim.simulate(event_models.counting(10), **options)]
+    runs += [simulate(exported("counting", 2, 10), *run[:2], **options) for run in RUNS]
+    first = int(start != 0.65)
+    for run in runs:
+        assert [run["n"][0], run["n"][-1]] == [first, first + 2 + (start == 0.65)]
+
+
 @pytest.mark.parametrize("solver", ["erk", "rosenbrock"])
 def test_samples_at_communication_points_are_met_by_other_solvers(exported, solver):
     run = simulate(exported("counting", 3, 7, solver=solver), "CoSimulation", "c")
     np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // 7)
+
+
+def test_files_that_are_open_at_once_log_their_own_events(exported):
+    files = exported("ball"), exported("counting", 2, 10)
+    with closing(OpenedFmu(files[0], None)) as ball, closing(OpenedFmu(files[1], None)) as counter:
+        runs = [fmu.run(fmu.request()) for fmu in (ball, counter, ball)]
+        counter.close()
+        runs.append(ball.run(ball.request()))
+    impacts, samples, *again = [[event.name for event in run.events] for run in runs]
+    assert {*impacts} == {"impact"}
+    assert samples == ["sample"] * 31
+    assert again == [impacts, impacts]
 
 
 @EACH_RUN

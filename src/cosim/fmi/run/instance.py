@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager
 from enum import StrEnum
 from functools import cache, lru_cache
+from itertools import count
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -230,16 +231,21 @@ def instantiated(
         reasons = dict.fromkeys(map(sentence, (reason, *last, *advice)))
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
-    with chdir("."):  # fmpy stays in the library's folder if it cannot load the library
-        try:
-            instance = _instance(folder, description, Interface(kind), collect, **callback)
-        except Exception as error:
-            raise explained(error) from error
-    instance.logged_events, instance.log_texts = events, log
+    key = next(_KEYS)
+    _LOGS[key] = collect
     try:
-        yield instance, explained
+        with chdir("."):  # fmpy stays in the library's folder if it cannot load the library
+            try:
+                instance = _instance(folder, description, Interface(kind), key, **callback)
+            except Exception as error:
+                raise explained(error) from error
+        instance.logged_events, instance.log_texts = events, log
+        try:
+            yield instance, explained
+        finally:
+            instance.freeInstance()
     finally:
-        instance.freeInstance()
+        del _LOGS[key]
 
 
 def why_it_ended(texts: Sequence[str]) -> str:
@@ -248,9 +254,25 @@ def why_it_ended(texts: Sequence[str]) -> str:
     return sentence(found[-1]) if found else "the FMU ends the run"
 
 
-def _instance(
-    folder: Path, description: Any, kind: Interface, log: Callable[..., None], **callback: Any
-) -> Any:
+_KEYS, _LOGS = count(1), dict[int, Callable[..., None]]()  # what keeps the messages of an instance
+
+
+def _log(environment: int | None, *message: Any) -> None:
+    """Pass a message on; an FMU that does not say whose it is logs for the last instance."""
+    collect = _LOGS.get(environment or 0) or next(reversed(_LOGS.values()), None)
+    if collect:
+        collect(*message)
+
+
+@cache
+def _logger() -> Any:
+    """Return `_log` for C; fmpy passes the messages of all instances to the last one it knows."""
+    from fmpy import fmi2
+
+    return fmi2.fmi2CallbackLoggerTYPE(_log)
+
+
+def _instance(folder: Path, description: Any, kind: Interface, key: int, **callback: Any) -> Any:
     """Return what `fmpy.instantiate_fmu` does, of a class that checks every status."""
     from fmpy import calloc, fmi2, free
     from fmpy.logging import addLoggerProxy
@@ -264,10 +286,10 @@ def _instance(
         instanceName=None,
     )
     if not is_second(description):
-        instance.instantiate(loggingOn=True, logMessage=log, **callback)
+        instance.instantiate(loggingOn=True, logMessage=_LOGS[key], **callback)
         return instance
     callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+    callbacks.logger, callbacks.componentEnvironment = _logger(), key
     callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
     addLoggerProxy(ctypes.byref(callbacks))
