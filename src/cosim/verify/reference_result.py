@@ -46,7 +46,6 @@ REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
 MOST_ROWS = 201
 CONSTANT_NOISE = 1e-10  # range of a constant result, in nominal values: rounding and tolerance
-FINER_OUTPUTS = 10  # communication steps of a check within each output interval of the reference
 LOOSER = 10.0  # factor on the tolerance where the same solver estimates its own error
 AFFORDABLE = 5000  # most operations of equations that a second method integrates interpreted
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or a tighter tolerance"
@@ -257,14 +256,12 @@ def _result_checks(
                 path,
                 interface=backend.interface,
                 stop_time=float(run.time[-1]),
-                output_interval=float(run.time[1] - run.time[0]) / FINER_OUTPUTS,
+                output_interval=float(run.time[1] - run.time[0]),
                 relative_tolerance=tolerance,
             )
         except FmuError as error:
             yield Check(run.model, backend, OWN, None, failure=str(error))
             continue
-        rows = np.union1d(np.arange(0, len(again), FINER_OUTPUTS), [len(again) - 1])
-        again = replace(again, time=again.time[rows], values=again.values[rows])
         difference = compare(run, again, bound=bound)
         yield Check(run.model, backend, OWN, difference, dict(again.stats), doubt=doubt)
 
