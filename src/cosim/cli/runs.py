@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -84,20 +84,22 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
     return run, 0
 
 
+def _reject(args: argparse.Namespace, options: Iterable[str], what: str) -> None:
+    """Reject options that are for something else."""
+    for option in options:
+        if getattr(args, option, None) is not None:
+            raise UsageError(f"--{option.replace('_', '-')} is for {what}")
+
+
 def _scene_run(args: argparse.Namespace, scene: Scene) -> Trajectory:
     """Run a model or a scene."""
-    for option in _OF_FMUS:
-        if getattr(args, option, None) is not None:
-            name = option.replace("_", "-")
-            raise UsageError(f"--{name} is for FMU files; a model has --backend and --solver")
+    _reject(args, _OF_FMUS, "FMU files; a model has --backend and --solver")
     return run_scene(scene, args.backend or Backend.NATIVE)
 
 
 def _fmu_run(args: argparse.Namespace) -> Trajectory:
     """Run an FMU file in a process of its own."""
-    for option in _OF_MODELS:
-        if getattr(args, option) is not None:
-            raise UsageError(f"--{option.replace('_', '-')} is for models; an FMU has its own")
+    _reject(args, _OF_MODELS, "models; an FMU has its own")
     settings = options_in(args, "timeout", *TIMES, "relative_tolerance")
     if getattr(args, "master", None) is not None:
         settings["master"] = args.master
@@ -114,12 +116,8 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
 
 def _co_simulation(args: argparse.Namespace) -> Trajectory:
     """Run a coupled system by co-simulation; in a process of its own if it has foreign FMUs."""
-    for option in _OF_MODELS:
-        if getattr(args, option) is not None and option != "accuracy":
-            raise UsageError(
-                f"--{option.replace('_', '-')} is for models; a co-simulation has --method, "
-                "--accuracy and --macro-step"
-            )
+    others = [option for option in _OF_MODELS if option != "accuracy"]
+    _reject(args, others, "models; a co-simulation has --method, --accuracy and --macro-step")
     if inputs_in(args):
         raise UsageError("--input is for models; drive an input of a system by a part of its own")
     names = (*TIMES, "relative_tolerance", "accuracy", *_OF_SYSTEMS)
