@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from cosim.cli.options import Parser, add_options, did_you_mean
@@ -23,14 +24,7 @@ from cosim.text import sentence, visible
 
 _OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DESCRIPTION = "Simulate rigid-body systems natively or as FMUs, and compare the results."
-_EXAMPLES = """examples:
-  cosim info
-  cosim simulate crank_shaft --stop-time 1 -o crank.csv
-  cosim plot bicycle_model_1.toml -o bicycle.pdf
-  cosim export bicycle/multipliers -o bicycle.fmu
-
-exit codes: 0 done, 1 a run failed, 2 wrong usage, 3 unknown name, 4 results differ,
-            5 a tool is missing, 130 interrupted"""
+_EXAMPLES = Path(__file__).with_name("examples.txt")
 
 
 class CommandLine(Parser):
@@ -60,7 +54,7 @@ def command_line() -> CommandLine:
         prog="cosim",
         usage="cosim VERB ...",
         description=f"{_DESCRIPTION}\n\n{_verb_table()}",
-        epilog=_EXAMPLES,
+        epilog=_EXAMPLES.read_text(encoding="utf-8").rstrip(),
     )
     add = parser.output.add_argument
     add("-h", "--help", action="help", help="print this help, or that of a verb, and exit")

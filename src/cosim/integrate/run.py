@@ -1,6 +1,5 @@
 """`run`: execute a request natively: integrate a DAE and return a `Trajectory`."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -23,7 +22,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.request import RunRequest
 from cosim.model.times import Times
 from cosim.model.values import Values, numbers_of
-from cosim.trajectory import Event, Trajectory
+from cosim.trajectory import Trajectory
 
 _TOO_MANY_STEPS = ("TOO_MUCH_WORK", "too many steps at")  # as SUNDIALS and our solvers report it
 
@@ -113,7 +112,6 @@ def _trajectory(
     if solution.reason:
         last = "the start" if solution.reached is None else f"{solution.reached:g} s"
         status = f"stopped after {last}: {solution.reason}"
-    names = [c.name for c in prepared.columns] + [v.name for v in dae.states]
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
     return Trajectory(
         dae.full_name,
@@ -124,19 +122,8 @@ def _trajectory(
         status,
         drawing=drawing,
         numbers=dict(numbers),
-        events=tuple(_events(solution, names)),
+        events=solution.events,
     )
-
-
-def _events(solution: Solution, names: Sequence[str]) -> Iterator[Event]:
-    """Yield the events with all that is recorded, and the states, before and after each."""
-    sides = solution.sides.tolist() if solution.sides is not None else []
-    for record in solution.events:
-        before, after = (
-            dict(zip(names, [*side, *row.tolist()], strict=True))
-            for side, row in zip(sides[record.instant], (record.before, record.after), strict=True)
-        )
-        yield Event(float(record.time), record.name, before, after)
 
 
 def _failure(

@@ -1,6 +1,6 @@
 """`solve`: integrate a prepared run for given values and evaluate what it records."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -29,6 +29,7 @@ from cosim.integrate.validity import (
 )
 from cosim.model.request import OnInvalid
 from cosim.model.values import Values
+from cosim.trajectory import Event
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
 _NEARLY_SINGULAR = 0.5
@@ -41,29 +42,26 @@ class Solution:
     Attributes:
         time: Output times up to that one, s, (n,).
         table: Recorded values, SI, one row per time.
-        last: States and algebraic unknowns at the last time, SI; empty if there is no time.
         counts: Steps and calls of the solver.
         solve_time: Time of the solver, s; None if there was nothing to integrate.
         reason: Why the run stopped early; empty if it did not.
         invalid: Violated validity conditions of the model or of the fixed step, with their times.
         invalid_from: Time from which one is violated, s; None if none is.
         reached: The last good time, s, which may lie after the last output; None without one.
-        events: Events in their order.
+        events: Events in their order, with all that is recorded and the states on both sides.
         stop: Message of the event that ended the run; empty if it ran to its end.
     """
 
     time: Vector
     table: Vector
-    last: tuple[Vector, Vector]
     counts: Counts
     solve_time: float | None
     reason: str
     invalid: tuple[str, ...]
     invalid_from: float | None
     reached: float | None
-    events: tuple[EventRecord, ...] = ()
+    events: tuple[Event, ...] = ()
     stop: str = ""
-    sides: Vector | None = None
 
 
 def solve(prepared: Prepared, numbers: Values) -> Solution:
@@ -144,7 +142,6 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
     events, stop = motion.events, motion.stop
     if n < motion.states.shape[1]:  # what happened after the last good row is not a result
         events, stop = [e for e in events if n and e.time <= grid[n - 1]], ""
-    last = (motion.states[:, n - 1], seen.unknowns[n - 1]) if n else (np.empty(0), np.empty(0))
     rows: slice | NDArray[np.intp] = slice(0, n)
     if prepared.rows is not None:
         recorded = prepared.rows[prepared.rows < n]
@@ -154,27 +151,34 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
     return Solution(
         grid[rows],
         table,
-        last,
         motion.counts,
         motion.solve_time,
         reason,
         tuple(breach.text for breach in found),
         float(grid[found[0].position]) if found else None,
         float(grid[n - 1]) if n else None,
-        tuple(events),
+        tuple(_both_sides(prepared, motion, p, events)) if events else (),
         stop,
-        _sides(prepared, motion, p) if events else None,
     )
 
 
-def _sides(prepared: Prepared, motion: Motion, p: Vector) -> Vector:
-    """Return the recorded variables before and after each instant with an event, (m, 2, n)."""
+def _both_sides(
+    prepared: Prepared, motion: Motion, p: Vector, events: Sequence[EventRecord]
+) -> Iterator[Event]:
+    """Yield events with all that is recorded, and the states, before and after each."""
     every = [side for pair in motion.instants for side in pair]
     x, z = (np.array(rows).T for rows in ([side.x for side in every], [side.z for side in every]))
     u = np.array([np.concatenate((side.u, side.modes)) for side in every]).T
     solved = Solved(np.array([side.t for side in every]), x, z, u, p)
     seen = observe(motion.dae, solved, prepared.places, limits=False, margins=False, compiled=False)
-    return seen.table.reshape(len(motion.instants), 2, -1)
+    table = seen.table.reshape(len(motion.instants), 2, -1).tolist()
+    names = [c.name for c in prepared.columns] + [v.name for v in prepared.problem.dae.states]
+    for event in events:
+        before, after = (
+            dict(zip(names, [*side, *row.tolist()], strict=True))
+            for side, row in zip(table[event.instant], (event.before, event.after), strict=True)
+        )
+        yield Event(float(event.time), event.name, before, after)
 
 
 def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:

@@ -164,6 +164,7 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             _start_text(dae),
             f"#define LANES {lanes}",
             *(f"#define {name} {size}" for name, size in sizes.items()),
+            solver_source("lanes_start.h"),
             solver_source("lanes_dop853.h"),
             f"static const int model_needed[] = {{{places}}};",
             *(vector_text(function, name) for name, function in functions.items()),
@@ -177,29 +178,13 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
 
 
 def _start_text(dae: Dae) -> str:
-    """Return the C text of `lanes_start`: initial values of every run, and their defects."""
+    """Return the C text of the initial values of a run, for lanes_start.h."""
     function = start_function(dae)
     generator = ca.CodeGenerator("start", {"with_header": False})
     generator.add(function)
-    arg, res, iw, w = (getattr(function, f"sz_{size}")() + 1 for size in ("arg", "res", "iw", "w"))
-    nx, nu, np = (symbol.numel() for symbol in (dae.x, dae.u, dae.p))
-    return f"""{generator.dump()}
-CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double t, double *x, const double *u,
-                                      const double *p, double *defect) {{
-    const double *arg[{arg}];
-    double *res[{res}], w[{w}], solved[{nx}];
-    casadi_int iw[{iw}];
-    for (long long run = 0; run < runs; ++run, x += {nx}, u += {nu}, p += {np}) {{
-        arg[0] = &t;
-        arg[1] = x;
-        arg[2] = u;
-        arg[3] = p;
-        res[0] = solved;
-        res[1] = defect + run;
-        if (model_start(arg, res, iw, w, 0)) defect[run] = 1;
-        for (int i = 0; i < {nx}; ++i) x[i] = solved[i];
-    }}
-}}"""
+    sizes = {size: getattr(function, f"sz_{size}")() + 1 for size in ("arg", "res", "iw", "w")}
+    defined = (f"#define START_{name.upper()} {size}" for name, size in sizes.items())
+    return "\n".join((generator.dump(), *defined))
 
 
 @cache

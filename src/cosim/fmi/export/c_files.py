@@ -78,18 +78,6 @@ const char *const limits[] = {{
 {event_tables(system)}"""
 
 
-# Others compile without our options, so the code itself hides symbols, except in system headers.
-_INCLUDES = """#include "sine.h"
-#include "visibility.h"
-INSIDE_BEGIN
-#define CASADI_SYMBOL_EXPORT
-#if defined __GNUC__
-#define SMALL __attribute__((cold)) /* compiled for size */
-#else
-#define SMALL
-#endif
-"""
-
 # Start values and derivatives are most of the code, and no solver evaluates them in every step.
 _SMALL_FUNCTION = re.compile(
     r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE
@@ -116,9 +104,10 @@ def equations_c(generated: str, identifier: str) -> str:
             f"casadi {ca.CasadiMeta.version()} names generated functions differently; "
             "use casadi 3.8"
         )
-    # system headers come first, as everything after _INCLUDES is hidden
+    # system headers come first, as everything after generated.h is hidden
     headers = sorted({"#include <math.h>\n", *_SYSTEM_HEADER.findall(code)})
-    return "".join(headers) + _INCLUDES + _MODEL_NAME.sub(f"{identifier}_model_", code)
+    own = _MODEL_NAME.sub(f"{identifier}_model_", code)
+    return "".join((*headers, '#include "generated.h"\n', own))
 
 
 def _fields(variable: FmuVariable) -> tuple[str, ...]:

@@ -103,16 +103,10 @@ def event_tables(system: Hybrid | None) -> str:
     rows = ", ".join(map(str, system.time_bounds.relations))
     bounded = f"const int bounded[] = {{{rows}}};\n" if rows else ""
     for i, relation in enumerate(system.relations):
-        flags = (relation.floor, system.of_time[i], system.linear[i], system.of_input[i])
-        used = str(system.in_laws[i]).lower()
         at_zero = relation.at_zero if relation.operation in COMPARISONS else 0
-        facts = [
-            literal(system.described(i)),
-            *(str(flag).lower() for flag in flags),
-            str(at_zero),
-            used,
-        ]
-        relations += f"    {{{', '.join(facts)}}},\n"
+        kinds = relation.floor, system.of_time[i], system.linear[i], system.of_input[i]
+        facts = ", ".join(str(fact).lower() for fact in (*kinds, at_zero, system.in_laws[i]))
+        relations += f"    {{{literal(system.described(i))}, {facts}}},\n"
     for event in system.events:
         message = literal(event.message) if event.message else "NULL"
         place = f"{len(assigned)}, {len(event.states)}, {str(event.sampled).lower()}"
