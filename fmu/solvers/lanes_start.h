@@ -1,9 +1,22 @@
-/* Initial values of many runs, by `model_start` of one, whose sizes are START_ARG ... START_W. */
-CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double t, double *x, const double *u,
-                                      const double *p, double *defect) {
+/* Initial values of many runs, by `model_start` of one. */
+#ifndef LANES_START_H
+#define LANES_START_H
+
+#include "lanes.h"
+
+#if !defined NX || !defined NU || !defined NP || !defined START_ARG || !defined START_RES ||       \
+    !defined START_IW || !defined START_W
+#error "define NX, NU, NP, and the sizes that model_start needs, START_ARG to START_W"
+#endif
+
+/* Generated: start values and their defect; not 0 if there are none. */
+int model_start(const double **arg, double **res, long long int *iw, double *w, int memory);
+
+LANES_SHARED void lanes_start(long long runs, double t, double *x, const double *u, const double *p,
+                              double *defect) {
     const double *arg[START_ARG];
     double *res[START_RES], w[START_W], solved[NX];
-    casadi_int iw[START_IW];
+    long long int iw[START_IW];
     for (long long run = 0; run < runs; ++run, x += NX, u += NU, p += NP) {
         arg[0] = &t;
         arg[1] = x;
@@ -15,3 +28,5 @@ CASADI_SYMBOL_EXPORT void lanes_start(long long runs, double t, double *x, const
         for (int i = 0; i < NX; ++i) x[i] = solved[i];
     }
 }
+
+#endif

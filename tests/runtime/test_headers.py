@@ -14,6 +14,7 @@ MASTER = SOLVERS.parent / "master"
 FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir(), *MASTER.iterdir()]
 SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
 SIZES |= dict.fromkeys(("RELATIONS", "MODES", "EVENTS", "ASSIGNED"), 1)
+SIZES |= dict.fromkeys(("START_ARG", "START_RES", "START_IW", "START_W"), 4)
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
 
@@ -51,6 +52,7 @@ def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
     [
         ("dop853.h", "NX"), ("fixed.h", "NX"), ("problem.h", "NC"), ("lanes.h", "LANES"),
         ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"), ("crossings.h", "RELATIONS"),
+        ("lanes_start.h", "START_W"),
     ],
 )  # fmt: skip
 def test_a_forgotten_size_is_an_error_and_no_default(header, missing):

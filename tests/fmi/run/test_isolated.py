@@ -144,7 +144,7 @@ def test_a_child_sees_few_variables_of_the_environment(bad, monkeypatch):
 
 def test_crosscheck_goes_on_after_a_crash(bad, tmp_path):
     path = tmp_path / "proven.fmu"
-    with_reference(bad, path, interval=0.5 * 10)
+    with_reference(bad, path, interval=0.5)
     done = command("crosscheck", path, "--json")
     rows = json.loads(done.stdout)
     assert [row["verdict"] for row in rows] == ["ok", "FAILED"]
@@ -153,7 +153,7 @@ def test_crosscheck_goes_on_after_a_crash(bad, tmp_path):
 
 
 def with_reference(bad, path, interval):
-    """Write the FMU with a reference whose check takes communication steps of a tenth of this."""
+    """Write the FMU with a reference whose check takes communication steps of this length, s."""
     run = cosim.simulate(decay(), stop_time=2 * interval, output_interval=interval)
     table = "\n".join(
         [",".join(("time", *run.names))]
