@@ -154,8 +154,8 @@ def test_nothing_is_shown_if_quiet_or_without_a_terminal(why, monkeypatch):
 def test_time_left_follows_from_the_share_that_is_done(monkeypatch):
     terminal = shown_at_once(monkeypatch)
     began = time.time()
+    monkeypatch.setattr("tqdm.std.time", lambda: began + 10)
     with shown_on_terminal(False), doing("solving", lambda: 0.25):
-        monkeypatch.setattr("tqdm.std.time", lambda: began + 10)
         time.sleep(0.3)
     assert re.search(r"solving: 25 %\|.*\| 00:(10|09), 00:(29|30) left", terminal.getvalue())
 

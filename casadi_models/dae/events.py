@@ -9,7 +9,7 @@ from weakref import WeakSet
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import COMPARING, RELATIONS, operations, quoted, symbols
+from casadi_models.dae.expressions import COMPARING, RELATIONS, column, operations, quoted, symbols
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -172,10 +172,10 @@ class Happening:
 
     def _shared_events(self, conditions: SX, values: SX) -> Iterator[Event]:
         """Yield the events with their expressions from columns of all of them."""
-        begin = 0
+        begin, rows = 0, ca.vertsplit(values)
         for i, event in enumerate(self._events):
             end = begin + event.values.numel()
-            yield replace(event, condition=conditions[i], values=values[begin:end])
+            yield replace(event, condition=conditions[i], values=column(rows[begin:end]))
             begin = end
 
     def _event(
@@ -200,8 +200,7 @@ class Happening:
         if not states and not message:
             raise self._refusal(f"'{name}' assigns nothing; give a state and its new value")
         places = tuple(map(order.index, states))
-        column = ca.vertcat(SX(0, 1), *rows)
-        self._events.append(Event(name, rule, places, column, sampled, message))
+        self._events.append(Event(name, rule, places, column(rows), sampled, message))
 
     def bound(self, parameter: SX, minimum: float, maximum: float) -> bool:
         """See `Model`."""

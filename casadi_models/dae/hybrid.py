@@ -16,7 +16,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import RELATIONS, operations
+from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import LawsWithModes, Relation, applied
 from casadi_models.dae.time_bounds import TimeBounds, time_bounds
@@ -53,7 +53,7 @@ class Hybrid:
     @property
     def modes(self) -> SX:
         """Symbols of the modes, (n, 1)."""
-        return self.dae.u[self.dae.u.numel() - len(self.relations) :]
+        return column(ca.vertsplit(self.dae.u)[self.dae.u.numel() - len(self.relations) :])
 
     @cached_property
     def floors(self) -> tuple[bool, ...]:
@@ -74,7 +74,8 @@ class Hybrid:
     @cached_property
     def of_input(self) -> tuple[bool, ...]:
         """For each relation, whether its argument depends on inputs or algebraic unknowns."""
-        given = ca.vertcat(self.dae.z, self.dae.u[: self.dae.u.numel() - len(self.relations)])
+        inputs = ca.vertsplit(self.dae.u)[: self.dae.u.numel() - len(self.relations)]
+        given = ca.vertcat(self.dae.z, *inputs)
         return tuple(ca.depends_on(relation.argument, given) for relation in self.relations)
 
     @cached_property
@@ -430,7 +431,7 @@ def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:
     found = list[bool]()
     for relation in relations:
         others = [dae.u[first + i] for i in range(len(relations)) if found[i : i + 1] != [True]]
-        moving = ca.vertcat(dae.x, dae.z, dae.u[:first], *others)
+        moving = ca.vertcat(dae.x, dae.z, *ca.vertsplit(dae.u)[:first], *others)
         found.append(not ca.depends_on(relation.argument, moving))
     return found
 

@@ -6,6 +6,7 @@ import pytest
 from helpers import event_models
 from helpers.event_models import FIXED, SOLVERS, simulate
 
+import cosim
 from casadi_models.dae import Model
 from cosim.errors import SolverError
 
@@ -94,3 +95,27 @@ def test_events_that_cause_each_other_without_end_are_reported():
     model.when(ca.logic_and(model.t > 1, a > 0.5), {a: 0}, name="down")
     with pytest.raises(SolverError, match=r"happens again and again at 1 s"):
         simulate(model.freeze())
+
+
+def counter(order, name="counter"):
+    """Return a count that begins with 7, with events of no and of one value in some order."""
+    model = Model(name, stop_time=2.0, output_interval=0.5)
+    x, n = model.state("x", "1", 0.0, "x"), model.discrete("n", "1", 7.0, "number")
+    model.derivative(x, 1.0)
+    declare = {
+        "stop": lambda: model.stop(x > 9, "never"),
+        "when": lambda: model.when(x > 0.5, {n: n + 1}, name="up"),
+    }
+    for event in order:
+        declare[event]()
+    model.output("place", "1", x, "x")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("order", [("stop", "when"), ("when", "stop"), ("stop", "when", "stop")])
+def test_order_of_declarations_changes_no_assignment(order):
+    for solver in ("dop853", "cvodes"):
+        assert simulate(counter(order), solver).final["n"] == 8
+    parts = {"a": counter(order, "a"), "b": counter(("when",), "b"), "c": counter(order, "c")}
+    run = simulate(cosim.couple(parts, {}).dae, "dop853")
+    assert [run.final[f"{part}.n"] for part in parts] == [8, 8, 8]

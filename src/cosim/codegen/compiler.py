@@ -34,9 +34,10 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
 TIMEOUT = 600  # s, for one compiler call
 
-# Options for generated code. For one long function, such as a Jacobian, -O2 takes five times as
-# long to compile as -O1 and gains no speed. Hidden symbols can be inlined.
-_SHORT, _LONG, _LENGTH = "-O3", "-O1", 200_000  # characters
+# Options for generated code. -O3 takes up to twice as long to compile as -O2, and for one long
+# function, such as a Jacobian, -O2 five times as long as -O1; neither gains speed. Hidden symbols
+# can be inlined.
+_LONG, _LENGTH = "-O1", 200_000  # characters
 _HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # except those CasADi exports
 
 # Products and sums are not fused, so that every processor computes the same numbers. GCC fuses
@@ -178,7 +179,7 @@ def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
 
 
 def cached_library(
-    key: str, generate: Callable[[], str], beside: Mapping[str, str] = _NOTHING, level: str = _SHORT
+    key: str, generate: Callable[[], str], beside: Mapping[str, str] = _NOTHING
 ) -> Path:
     """Return the shared library of C code from the cache, compiled first if it is missing.
 
@@ -186,7 +187,6 @@ def cached_library(
         key: Key of the code; the same key must always mean the same code.
         generate: Returns the C code; called only if the library is missing.
         beside: Further C files by name; see `sources_beside`.
-        level: How far short code is optimized, the compiler's option.
 
     Raises:
         MissingTool: There is no compiler, or it fails, or the cache cannot be written.
@@ -194,7 +194,7 @@ def cached_library(
     """
     command = find_compiler()
     own, processor = _own_processor()
-    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, level, _LONG, str(_LENGTH))
+    settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _LONG, str(_LENGTH))
     more = (text for file in beside.items() for text in file)
     digest = hashlib.sha256("\0".join((key, *settings, *more)).encode()).hexdigest()[:32]
     folder = cache_folder()
@@ -215,7 +215,7 @@ def cached_library(
             files = {"code.c": code, **beside}
             for name, text in files.items():
                 (build / name).write_text(text, encoding="utf-8")
-            options = (*_HIDE_SYMBOLS, *own, level if len(code) < _LENGTH else _LONG)
+            options = (*_HIDE_SYMBOLS, *own, *([_LONG] * (len(code) >= _LENGTH)))
             sources = [build / name for name in files]
             compile_library(sources, library, options=options, command=command)
             target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"

@@ -28,7 +28,7 @@ from cosim.trajectory import Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
-_SMOOTH, _OTHERS = 0.5, 0.25  # tolerance of the first run, of the accuracy
+_SMOOTH, _OTHERS = 1.5, 0.25  # tolerance of the first run, of the accuracy
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _FALLS, _TIGHTEST = 0.75, 1e-13
 _LOOP_UNSOLVED = len(Ending)

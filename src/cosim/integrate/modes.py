@@ -199,7 +199,7 @@ def begun(system: Hybrid, at: Instant, p: Vector) -> Instant:
     at = replace(at, modes=modes)
     row = at.watched(system, p)
     apart = row.arguments[0] - np.where(system.floors, np.round(row.arguments[0]), 0.0)
-    near = np.abs(apart) <= _TIMES * abs(at.t) * np.abs(row.rates[0])
+    near = np.abs(apart) <= _TIMES * np.abs(at.t * np.nan_to_num(row.rates[0]))
     due = {i for i, line in enumerate(system.linear) if line and near[i]}  # but for rounding
     return settled(system, replace(at, zero=at.zero | due), p, frozenset())
 

@@ -95,8 +95,7 @@ def _library(
         return f"{head}#define SETTINGS {_SETTINGS}\n{method.finished(code)}"
 
     key = cache_key(f"generated-11 {method.name}", original, repr(sorted(COMMON.items())).encode())
-    # -O3 takes twice as long, and the result is not faster
-    return str(cached_library(key, generate, sources_beside(original), "-O2")), constants
+    return str(cached_library(key, generate, sources_beside(original))), constants
 
 
 @dataclass(frozen=True, kw_only=True)
