@@ -117,7 +117,7 @@ static inline int arrive(Coupling *self) {
         ++system->rows; /* recorded within the step */
     const int how = pass_events(self);
     if (how != DONE) return how;
-    if (system->rows < system->points && near(system->times[system->rows], self->now.t) &&
+    if (system->rows < system->points && same_time(system->times[system->rows], self->now.t) &&
         record_all(self, system->rows++))
         return CALL_FAILED;
     for (long long k = 0; k < system->inputs; ++k)
@@ -142,7 +142,7 @@ static inline int run_adaptive(Coupling *self) {
     const double span = system->stop - system->start;
     double h = FIRST * span;
     long long forced = 0;
-    while (system->time < system->stop && !near(system->time, system->stop)) {
+    while (system->time < system->stop && !same_time(system->time, system->stop)) {
         if (halted) return INTERRUPTED;
         double error = 0;
         const double goal = fmin(system->stop, self->event);
@@ -181,12 +181,21 @@ static inline int run_adaptive(Coupling *self) {
     return DONE;
 }
 
+/* Whether an output has jumped in the last step, so that a cubic through both sides misleads: the
+ * prediction was no better than none. */
+static inline int jumped(Coupling *self) {
+    const long long m = self->system->inputs;
+    as_vector(self, &self->now, self->change);
+    const double change = largest(m, self->found, self->change);
+    return change > 0 && largest(m, self->found, self->found + 2 * m) >= change;
+}
+
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
-    for (long long n = 1; system->time < system->stop && !near(system->time, system->stop);) {
+    for (long long n = 1; system->time < system->stop && !same_time(system->time, system->stop);) {
         if (halted) return INTERRUPTED;
         double error = 0, end = fmin(system->start + (double)n * system->macro_step, system->stop);
-        if (near(end, system->stop)) end = system->stop;
+        if (same_time(end, system->stop)) end = system->stop;
         self->next.t = fmin(end, self->event);
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);
@@ -197,9 +206,12 @@ static inline int run_fixed(Coupling *self) {
             if (passed != DONE) return passed;
             continue;
         }
-        system->mismatch = fmax(system->mismatch, self->mismatch);
+        const double given = largest(system->inputs, self->found, self->w);
+        system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));
+        const int jumps = jumped(self);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
+        if (jumps) self->known = 0;
         if (self->now.t == end) ++n;
     }
     return DONE;

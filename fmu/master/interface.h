@@ -34,7 +34,7 @@ typedef struct {
     /* answers */
     long long how, rows, macro_steps, rejected, iterations, unsettled, part, input, status;
     const char *function;
-    double time, mismatch; /* of inputs and outputs at output times, the largest */
+    double time, mismatch; /* of inputs and outputs where steps are given, the largest */
 } System;
 
 /* Whether two times are the same but for rounding. */

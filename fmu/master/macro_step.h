@@ -98,7 +98,7 @@ static inline int compare_with_cubics(Coupling *self, const Part *part, double s
 
 /* Whether a row is that of an output time before a time. */
 static inline int is_before(const System *system, long long row, double t) {
-    return row < system->points && system->times[row] < t && !near(system->times[row], t);
+    return row < system->points && system->times[row] < t && !same_time(system->times[row], t);
 }
 
 /* Into how many steps a part divides one: if it holds its inputs, into so many that their error

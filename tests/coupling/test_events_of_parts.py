@@ -210,3 +210,40 @@ def test_a_part_without_event_mode_ends_the_run_as_near_as_steps_come(method, tm
     assert "(part 'clock')" in run.stats["stop"]
     late = {"iterated": 1e-5, "gauss_seidel": 0.07}[method]
     assert run.time[-1] == pytest.approx(exact.time[-1], abs=late)
+
+
+def test_files_that_jump_within_macro_steps_converge_and_the_interface_error_tells(tmp_path):
+    parts, wires = relay()
+    exact = cosim.simulate(cosim.couple(parts, wires).dae, solver="dop853")
+    files = {n: cosim.export_fmu(part, tmp_path / f"{n}.fmu") for n, part in parts.items()}  # FMI 2
+    system, errors = cosim.couple({n: str(file) for n, file in files.items()}, wires), []
+    for step in (0.005, 0.001):
+        run = system.simulate(stop_time=STOP, macro_step=step, method="extrapolated")
+        assert run.final["room.count"] == exact.final["room.count"]
+        assert run["relay.u"].max() == 1
+        assert run.stats["interface_error"] == pytest.approx(1.0)
+        errors.append(abs(run.final["room.t"] - exact.final["room.t"]))
+    assert errors[1] < 0.3 * errors[0] < 0.03
+
+
+def test_files_of_both_versions_sample_until_the_end(tmp_path):
+    """Where one has no event mode, macro steps shrink to nearly nothing before a sample."""
+    controller, filtered = part("controller"), part("filter")
+    y, held = controller.input("y", "m", 0.0, "place"), controller.discrete("held", "N", 0.0, "u")
+    k = controller.discrete("k", "1", 0.0, "number of samples")
+    controller.every(0.1, {held: -2 * y, k: k + 1}, name="sample")
+    controller.output("u", "N", held, "force")
+    w, kept = filtered.input("w", "N", 0.0, "force"), filtered.discrete("kept", "N", 0.0, "force")
+    filtered.every(0.2, {kept: w}, name="sample")
+    filtered.output("z", "N", kept, "force")
+    parts = {"plant": (mass(), 2), "c": (controller.freeze(), 3), "e": (filtered.freeze(), 2)}
+    files = {
+        name: str(cosim.export_fmu(dae, tmp_path / f"{name}.fmu", fmi=fmi))
+        for name, (dae, fmi) in parts.items()
+    }
+    wires = {"plant.u": "e.z", "c.y": "plant.place", "e.w": "c.u"}
+    run = cosim.couple(files, wires).simulate(stop_time=STOP, accuracy=1e-6)
+    assert run.time[-1] == STOP
+    assert run.final["c.k"] == 31
+    row = int(np.argmin(np.abs(run.time - 1.8)))
+    assert [run["c.k"][row], run["c.k"][row - 1]] == [19, 18]
