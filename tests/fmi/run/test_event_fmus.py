@@ -322,3 +322,34 @@ def test_event_mode_is_declared_where_there_are_events(exported, tmp_path):
     assert fmpy.read_model_description(exported("ball", 3)).coSimulation.hasEventMode
     path = cosim.export_fmu(cosim.load("crank_shaft"), tmp_path / "x.fmu", fmi=3)
     assert not fmpy.read_model_description(path).coSimulation.hasEventMode
+
+
+@VERSIONS
+def test_parameters_of_events_may_change_during_a_run(tmp_path, fmi):
+    model = Model("tuned", stop_time=3.0)
+    x, n = model.state("x", "m", 0.0, "place"), model.discrete("n", "1", 0.0, "number")
+    far, more = model.parameter("far", "m", 0.4, "where"), model.parameter("more", "1", 2.0, "step")
+    model.derivative(x, 1.0)
+    model.when(x > far, {n: n + more}, name="there")
+    path = cosim.export_fmu(
+        model.freeze(), tmp_path / "tuned.fmu", fmi=fmi, tunable=["far", "more"]
+    )
+    description = fmpy.read_model_description(str(path))
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    instance = fmpy.instantiate_fmu(fmpy.extract(str(path)), description, "CoSimulation")
+    start = {"startTime": 0.0}
+    if fmi == 2:
+        instance.setupExperiment(**start)
+    instance.enterInitializationMode(**({} if fmi == 2 else start))
+    instance.exitInitializationMode()
+    set_numbers = instance.setReal if fmi == 2 else instance.setFloat64
+    get_numbers = instance.getReal if fmi == 2 else instance.getFloat64
+    found = []
+    for step in range(4):
+        if step == 2:
+            set_numbers([references["far"], references["more"]], [1.7, 5.0])
+        instance.doStep(0.5 * step, 0.5)
+        found += get_numbers([references["n"]])
+    instance.terminate()
+    instance.freeInstance()
+    assert found == [2, 2, 2, 7]

@@ -114,7 +114,8 @@ def fixed_parameters(dae: Dae) -> Mapping[str, str]:
     """Return the parameters that are fixed by default, with the reason."""
     reasons = {}
     starting = start_parameters(dae)
-    equations = ca.vertcat(dae.ode, dae.alg, dae.outputs)
+    happening = (part for event in dae.events for part in (event.condition, event.values))
+    equations = ca.vertcat(dae.ode, dae.alg, dae.outputs, *happening)
     used = ca.which_depends(equations, dae.p, 1, False) if dae.parameters else ()
     for parameter, needed in zip(dae.parameters, used, strict=True):
         base = dict(UNITS[parameter.unit].base)

@@ -147,12 +147,12 @@ class Moments:
     """Sums over complete runs that can be merged: number, mean, squared deviations, extremes.
 
     Attributes:
-        count: Number of complete runs.
-        mean, squares, low, high: Mean, sum of squared deviations from it, extremes; not a number
-            without a complete run; (times, outputs).
+        count: Number of complete runs that reach each time, (times, outputs).
+        mean, squares, low, high: Mean, sum of squared deviations from it, extremes; 0 and infinite
+            where there is no run; (times, outputs).
     """
 
-    count: int
+    count: Vector
     mean: Vector
     squares: Vector
     low: Vector
@@ -174,7 +174,7 @@ class Statistics:
     @property
     def count(self) -> int:
         """Number of complete runs."""
-        return self.moments.count
+        return int(self.moments.count.max(initial=0))
 
     def mean(self, name: str) -> Vector:
         """Return the mean over the runs, (times,)."""
@@ -182,7 +182,7 @@ class Statistics:
 
     def variance(self, name: str) -> Vector:
         """Return the variance of the runs, its divisor one less than their number, (times,)."""
-        return self._of(name, self.moments.squares / max(self.count - 1, 1))
+        return self._of(name, self.moments.squares / np.maximum(self.moments.count - 1, 1))
 
     def minimum(self, name: str) -> Vector:
         """Return the least value, (times,)."""
@@ -195,18 +195,20 @@ class Statistics:
     def _of(self, name: str, table: Vector) -> Vector:
         if name not in self.names:
             raise UnknownName.among("statistics", "output", name, self.names)
-        return table[:, self.names.index(name)]
+        reached = np.where(self.moments.count > 0, table, np.nan)
+        return reached[:, self.names.index(name)]
 
 
 def moments_of(values: Vector, complete: Truths) -> Moments:
     """Return the moments of the complete runs among trajectories, (runs, times, outputs)."""
     chosen = values[complete]
-    if not len(chosen):
-        nothing = np.full(values.shape[1:], np.nan)
-        return Moments(0, nothing, nothing, nothing, nothing)
-    mean = chosen.mean(axis=0)
-    squares = ((chosen - mean) ** 2).sum(axis=0)
-    return Moments(len(chosen), mean, squares, chosen.min(axis=0), chosen.max(axis=0))
+    there = ~np.isnan(chosen)  # an event may have ended a run
+    count = there.sum(axis=0).astype(float)
+    mean = np.where(there, chosen, 0.0).sum(axis=0) / np.maximum(count, 1)
+    squares = (np.where(there, chosen - mean, 0.0) ** 2).sum(axis=0)
+    low = np.where(there, chosen, np.inf).min(axis=0, initial=np.inf)
+    high = np.where(there, chosen, -np.inf).max(axis=0, initial=-np.inf)
+    return Moments(count, mean, squares, low, high)
 
 
 def merged(a: Moments, b: Moments) -> Moments:
@@ -216,9 +218,8 @@ def merged(a: Moments, b: Moments) -> Moments:
         Chan, Golub & LeVeque, The American Statistician 37, 1983,
         doi:10.1080/00031305.1983.10483115.
     """
-    if not a.count or not b.count:
-        return a if a.count else b
     count, shift = a.count + b.count, b.mean - a.mean
-    mean = a.mean + shift * (b.count / count)
-    squares = a.squares + b.squares + shift**2 * (a.count * b.count / count)
+    share = b.count / np.maximum(count, 1)
+    mean = a.mean + shift * share
+    squares = a.squares + b.squares + shift**2 * a.count * share
     return Moments(count, mean, squares, np.minimum(a.low, b.low), np.maximum(a.high, b.high))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _STATISTICS = ("mean", "variance", "minimum", "maximum")  # of all runs
-_MOMENTS = ("mean", "squares", "low", "high")  # of each block
+_MOMENTS = ("count", "mean", "squares", "low", "high")  # of each block
 _BLOCKS = "blocks/"  # a group of the store for them; xarray does not show it
 _MANIFEST = "sweep"  # an attribute of the store
 
@@ -233,7 +233,6 @@ class Store:
             for kind in _STATISTICS if layout.keep.statistics else ():
                 self._add(f"{output.name}_over_runs_{kind}", ("time",), np.nan, output.facts)
         if layout.keep.statistics and self.folder is not None:
-            self._add(f"{_BLOCKS}count", ("block",), 0, {})
             for kind in _MOMENTS:
                 self._add(f"{_BLOCKS}{kind}", ("block", "time", "output"), np.nan, {})
 
@@ -268,7 +267,7 @@ class Store:
         if self.folder is None:
             self._waiting[block] = moments
         else:
-            for kind in ("count", *_MOMENTS):
+            for kind in _MOMENTS:
                 self._arrays[_BLOCKS + kind][block] = getattr(moments, kind)
             self._waiting[block] = None
         self._merge()
@@ -282,7 +281,7 @@ class Store:
 
     def _stored_moments(self, block: int) -> Moments:
         tables = (np.asarray(self._arrays[_BLOCKS + kind][block]) for kind in _MOMENTS)
-        return Moments(int(self._arrays[f"{_BLOCKS}count"][block]), *tables)
+        return Moments(*tables)
 
 
 def stored_samples(folder: Path) -> Samples:

@@ -23,7 +23,7 @@ from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
 from cosim.study.sweep.store import Layout, Store, stored_samples
 from cosim.study.sweep.subject import RunKeywords, open_subject, run_settings
 
-_STORE_FORMAT = 2
+_STORE_FORMAT = 3
 _LANE_BLOCK = 16, 1024  # fewest and most runs of a block in SIMD lanes
 _BLOCK = 1, 16  # fewest and most runs of a block, run one by one
 _BLOCKS = 24  # blocks of a sweep, if these bounds allow it
