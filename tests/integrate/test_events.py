@@ -134,8 +134,11 @@ def test_run_that_a_stop_ends_is_computed_again_at_just_the_requested_times(solv
 @pytest.mark.parametrize("period", [7, 10, 23])
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
 def test_samples_at_output_times_are_in_their_rows(solver, period):
-    run = simulate(event_models.counting(period), solver)
+    dae = event_models.counting(period)
+    run = simulate(dae, solver)
     np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // period)
+    run = simulate(dae, solver, start_time=-0.05 * period, stop_time=0.05 * period)
+    np.testing.assert_array_equal(np.diff(run["n"]).nonzero()[0] % period, period - 1)
 
 
 def test_sampled_stop_ends_the_impacts():

@@ -178,7 +178,7 @@ class _Course:
         at, grid = self.at, self.grid
         due, changing = next_of_time(self.system, at, self.values.p, float(grid[-1]))
         row = float(grid[grid.searchsorted(due) - 1])
-        if changing and at.t < row and due - row <= 8 * np.spacing(row):
+        if changing and at.t < row and due - row <= 8 * np.spacing(abs(row)):
             due = row  # only rounding is between them
         series = self._followed()
         ends = series.breaks if series else np.empty(0), self.pulses
