@@ -73,7 +73,7 @@ def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> Non
 
 
 def _user_agrees(path: object) -> bool:
-    print(f"{path} {_RISK}. Run it? [y/N] ", end="", file=sys.stderr, flush=True)
+    print(f"{path} {_RISK}. Run it? [y/N]", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
