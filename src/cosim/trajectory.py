@@ -375,6 +375,7 @@ class Trajectory:
             "status": self.status,
             "numbers": None if self.numbers is None else dict(self.numbers),
             "columns": [asdict(column) for column in self.columns],
+            "events": [asdict(event) for event in self.events],
         }
         content = io.BytesIO()
         np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
@@ -398,6 +399,7 @@ class Trajectory:
             with np.load(content, allow_pickle=False) as stored:
                 facts = json.loads(str(stored["facts"]))
                 columns = tuple(Column(**column) for column in facts.pop("columns"))
+                facts["events"] = tuple(Event(**event) for event in facts["events"])
                 return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
         except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
             raise UsageError(f"{source} contains no trajectory: {error}") from error

@@ -4,15 +4,18 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cosim
+from casadi_models.dae import Model
 from cosim.cli.arguments import named_scene
 from cosim.cli.main import main
 from cosim.errors import FmuError, ParameterError, SolverError, UnknownName, UsageError
 from cosim.verify import crosscheck as crosschecks
 from cosim.verify.comparison import Check
 from cosim.verify.crosscheck import crosscheck
+from cosim.verify.reference_result import check_file, export_with_reference
 
 SHORT = {"stop_time": 0.1, "output_interval": 0.05}
 
@@ -274,3 +277,21 @@ def test_runs_that_stop_at_different_times_do_not_agree():
         runs.append(cosim.simulate("crank_shaft", stop_time=1, stop_when=f"phi > 50 * {end}"))
     with pytest.raises(UsageError, match="different output times"):
         cosim.compare(*runs, resample=False)
+
+
+def test_a_row_at_an_event_may_have_either_side_of_it(tmp_path):
+    model = Model("ramp", stop_time=2.0, output_interval=0.1)
+    x, n = model.state("x", "m", 0.0, "place"), model.discrete("n", "1", 0.0, "number")
+    model.derivative(x, 1.0)
+    for place in (0.5, 1.3):
+        model.when(x > place, {n: n + 1}, name="there")
+    dae = model.freeze()
+    runs = [cosim.simulate(dae, solver=solver) for solver in ("dop853", "cvodes")]
+    assert (runs[0]["n"] != runs[1]["n"]).any()  # by rounding
+    assert cosim.compare(*runs).agrees
+    assert cosim.compare(*reversed(runs)).agrees
+    shifted = replace(runs[1], values=runs[1].values + np.array([0.0, 2.0]))
+    assert not cosim.compare(runs[0], shifted).agrees
+    path = export_with_reference(dae, tmp_path / "ramp.fmu")
+    assert [check.verdict for check in check_file(path)] == ["ok", "ok"]
+    assert [len(check.comparison.event_times[0]) for check in check_file(path)] == [2, 2]

@@ -25,11 +25,6 @@ _TERMINAL: ContextVar[TextIO | None] = ContextVar("terminal", default=None)
 _HIDDEN = nullcontext()
 
 
-def looked_at() -> bool:
-    """Tell whether progress is displayed."""
-    return _TERMINAL.get() is not None
-
-
 def doing(what: What, fraction: Fraction | None = None) -> AbstractContextManager[None]:
     """Show what is being done inside this context, which may be a part of what is shown already.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
-from cosim.host.progress import doing, looked_at
+from cosim.host.progress import doing
 from cosim.host.signals import interruptible
 from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled
 
@@ -125,7 +125,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     if by_casadi:  # it writes column by column, and no column after a failure
         states.fill(np.nan)
         algebraics.fill(np.nan)
-    elif looked_at():
+    else:
         _marks(states).fill(np.nan)
     if engine.repeat_u:
         u = np.tile(u, n)

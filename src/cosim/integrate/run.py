@@ -92,30 +92,18 @@ def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Tra
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     """Run once, without a fallback."""
     began, compiling = perf_counter(), time_compiling()
-    dae = prepared.problem.dae
+    dae, values, status = prepared.problem.dae, request.numbers, "complete"
     with doing(dae.full_name):
-        solution = solve(prepared, request.numbers)
+        solution = solve(prepared, values)
     compile_time = time_compiling() - compiling
     stats = _stats(prepared, solution, perf_counter() - began, compile_time)
-    found = _trajectory(prepared, request.numbers, solution, stats)
-    if solution.reason == INTERRUPTED:
-        raise Interrupted(f"{dae.full_name}: {found.status}", found)
-    if solution.reason:
-        raise _failure(prepared, request.numbers, solution, found)
-    return found
-
-
-def _trajectory(
-    prepared: Prepared, values: Values, solution: Solution, stats: RunStats
-) -> Trajectory:
-    dae, time, status = prepared.problem.dae, solution.time, "complete"
     if solution.reason:
         last = "the start" if solution.reached is None else f"{solution.reached:g} s"
         status = f"stopped after {last}: {solution.reason}"
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
-    return Trajectory(
+    found = Trajectory(
         dae.full_name,
-        time,
+        solution.time,
         prepared.columns,
         solution.table,
         stats,
@@ -124,6 +112,11 @@ def _trajectory(
         numbers=dict(numbers),
         events=solution.events,
     )
+    if solution.reason == INTERRUPTED:
+        raise Interrupted(f"{dae.full_name}: {found.status}", found)
+    if solution.reason:
+        raise _failure(prepared, values, solution, found)
+    return found
 
 
 def _failure(

@@ -133,7 +133,8 @@ def compare(
     If the runs have different output times, the second run is evaluated at the times of the first
     one that lie within both; but if only the second one was read from a file (a measurement), the
     first run is evaluated at its times. `note` says how: computed again, or interpolated with an
-    estimated error. Gaps of a measurement (NaN) are left out.
+    estimated error. Gaps of a measurement (NaN) are left out. A row at the time of an event, within
+    the bound, may hold the values before or after it.
 
     Args:
         first, second: Two runs; the nominal values are those of the first.
@@ -177,7 +178,7 @@ def compare(
             first, second, note = _on_common_times(first, second)
     reject_other_times(first, second)
     with np.errstate(invalid="ignore"):  # infinity minus infinity
-        values = second.values - first.values
+        values = _difference(first, second, bound)
     gaps = np.zeros(values.shape, dtype=bool)
     for run in (first, second):
         gaps |= np.isnan(run.values) & ("file" in run.stats)
@@ -196,6 +197,19 @@ def compare(
     title = f"{labels[1]} minus {labels[0]}"
     residuals = Trajectory(title, first.time, runs[0].columns, values)
     return Comparison(*labels, tuple(differences), residuals, runs, bound, note)
+
+
+def _difference(first: Trajectory, second: Trajectory, bound: float) -> Vector:
+    """Return second minus first; rounding decides which side of an event a row at its time has."""
+    values = second.values - first.values
+    for run, other, sign in ((first, second, 1), (second, first, -1)):
+        reach = bound * (run.time[-1] - run.time[0])
+        for event in (event for event in run.events if event.before):
+            for row in np.flatnonzero(np.abs(run.time - event.time) <= reach).tolist():
+                for side in (event.before, event.after):
+                    left = sign * (other.values[row] - [side[name] for name in run.names])
+                    values[row] = np.where(np.abs(left) < np.abs(values[row]), left, values[row])
+    return values
 
 
 def _on_common_times(

@@ -212,8 +212,7 @@ def _couplings(
         except _FAILURES as error:
             yield Check(system.name, backend, run.stats["solver"], None, failure=str(error))
             continue
-        names = [name for name in run.names if name in other.names]
-        difference = compare(run.select(names), other.select(names), bound=bound, resample=False)
+        difference = compare(run, other, bound=bound, resample=False)
         yield Check(system.name, backend, run.stats["solver"], difference, dict(other.stats))
 
 
@@ -278,19 +277,17 @@ def _against_reference(
         advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"
         return replace(check, note=advice)
     found = check
-    for tighter in (1.0, 0.1, 0.01):
+    for tighter in (1.0, 0.1, 0.01) if again else (1.0,):
         now = tighter * tolerance
         try:
-            if tighter < 1:
-                if again is None:
-                    break
+            if again and tighter < 1:
                 other = again(replace(request, solver=Tolerance(now)))
             difference = compare(truth, other, bound=bound, resample=False)
         except _FAILURES:
             break
-        note = f"at relative tolerance {now:g}" if tighter < 1 else ""
+        stats, note = dict(other.stats), f"at relative tolerance {now:g}" if tighter < 1 else ""
         found = replace(check, against=best.method, comparison=difference, doubt=doubt)
-        found = replace(found, stats=dict(other.stats), note=note)
+        found = replace(found, stats=stats, note=note)
         if found.verdict is not Verdict.DIFFERS:
             break
     if found.verdict is Verdict.DIFFERS:

@@ -34,7 +34,7 @@ from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no further method is tried
-_REFERENCE_FORMAT = "reference-4"
+_REFERENCE_FORMAT = "reference-5"
 
 
 # In the order of trial; which of them succeed depends on the model. The number is a relative

@@ -10,7 +10,7 @@ import os
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
@@ -37,7 +37,7 @@ from cosim.integrate.keywords import requested
 from cosim.integrate.run import run as execute
 from cosim.model.request import DriftControl
 from cosim.text import sentence
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Column, Event, Trajectory
 from cosim.verify.comparison import Check, Verdict, compare
 from cosim.verify.crosscheck import BOUND
 
@@ -121,6 +121,7 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "bound": BOUND,
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
+        "events": [asdict(event) for event in _with_sides_at_rows(run)],
         "largest difference in nominal values": {
             backend: {"variable": w.name, "difference": w.scaled, "time": w.time}
             for backend, w in worst.items()
@@ -266,6 +267,13 @@ def _result_checks(
         yield Check(run.model, backend, OWN, difference, dict(again.stats), doubt=doubt)
 
 
+def _with_sides_at_rows(run: Trajectory) -> Iterator[Event]:
+    """Yield the events of a run; where no row is, both sides are left out, as nobody needs them."""
+    for event in run.events:
+        beside = np.isclose(run.time, event.time).any()
+        yield event if beside else Event(event.time, event.name, {}, {})
+
+
 def _under_its_names(run: Trajectory, path: Path) -> Trajectory:
     """Return a result under the names of an FMU's variables, which may be structured."""
     with opened(path) as fmu:
@@ -283,5 +291,6 @@ def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Tra
     columns = tuple(
         Column(name, facts["unit"][name], nominal=facts["nominal"][name]) for name in head[1:]
     )
-    stats = {"solver": facts["solver"]}
-    return Trajectory(facts["model"], numbers[:, 0].copy(), columns, numbers[:, 1:].copy(), stats)
+    stats, time, values = {"solver": facts["solver"]}, numbers[:, 0].copy(), numbers[:, 1:].copy()
+    events = tuple(Event(**event) for event in facts.get("events", ()))
+    return Trajectory(facts["model"], time, columns, values, stats, events=events)

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,17 +30,12 @@ def run(args: argparse.Namespace) -> int:
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
-
-    def progress(line: str) -> None:
-        if shown:
-            print(line, file=sys.stderr, flush=True)
-
     study = tradeoff(
         scene,
         selection=selection,
         every_formulation=not named,
         repeats=args.repeats,
-        progress=progress,
+        progress=partial(print, file=sys.stderr, flush=True) if shown else None,
     )
     if args.output_file:
         text = study.to_csv() if args.output_file.endswith(".csv") else study.to_json()

@@ -3,7 +3,7 @@
 import ctypes
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import chdir, contextmanager
+from contextlib import ExitStack, chdir, contextmanager
 from enum import StrEnum
 from functools import cache, lru_cache
 from itertools import count
@@ -232,20 +232,17 @@ def instantiated(
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
     key = next(_KEYS)
-    _LOGS[key] = collect
-    try:
+    with ExitStack() as afterwards:
+        _LOGS[key] = collect
+        afterwards.callback(_LOGS.pop, key)
         with chdir("."):  # fmpy stays in the library's folder if it cannot load the library
             try:
                 instance = _instance(folder, description, Interface(kind), key, **callback)
             except Exception as error:
                 raise explained(error) from error
+        afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
-        try:
-            yield instance, explained
-        finally:
-            instance.freeInstance()
-    finally:
-        del _LOGS[key]
+        yield instance, explained
 
 
 def why_it_ended(texts: Sequence[str]) -> str:

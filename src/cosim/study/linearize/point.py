@@ -106,9 +106,8 @@ def _of_dae(
     n = len(x) + len(values.u)
     rates, outputs, jacobian = _at_point(followed, names, time, x, replace(values, u=u))
     for place, what in edges.items():
-        u[place] *= -1
-        change = _at_point(followed, names, time, x, replace(values, u=u))[2] - jacobian
-        u[place] *= -1
+        other = np.where(np.arange(len(u)) == place, -u, u)
+        change = _at_point(followed, names, time, x, replace(values, u=other))[2] - jacobian
         if not np.linalg.norm(change[:, :n]) <= SAME * np.linalg.norm(jacobian[:, :n]):
             raise InitialConditionError(
                 f"{dae.full_name}: {what} is exactly at 0 at {point}, and the linear system is "
