@@ -189,7 +189,7 @@ static inline int pass_event(Problem *self, const Crossing *crossing, double *x)
     self->looked_at = 0;
     for (int i = 0; i < RELATIONS; ++i) {
         const int mode = switches.watched[i];
-        self->stays[i] = zero[mode] && !switches.floors[mode] ? 0 : -1; /* it moves */
+        self->stays[i] = zero[mode] ? 0 : -1; /* it moves */
         self->offsets[i] = 0;
     }
     return 0;

@@ -141,6 +141,44 @@ def test_samples_at_output_times_are_in_their_rows(solver, period):
     np.testing.assert_array_equal(np.diff(run["n"]).nonzero()[0] % period, period - 1)
 
 
+@pytest.mark.parametrize("solver", ["dop853", "ode8", "rk4", "erk"])
+def test_two_floors_of_a_steady_motion_are_no_zeno(solver):
+    model = Model("floors", stop_time=2.0, output_interval=0.05)
+    x, y = model.state("x", "m", 0.1, "place"), model.state("y", "m", 0.0, "sum")
+    a = model.parameter("a", "m/s", 1.3, "speed")
+    model.derivative(x, a)
+    model.derivative(y, ca.floor(x / 0.4 * a) + ca.floor(x / 0.39))
+    dae = model.freeze()
+    for speed in (*np.random.default_rng(3).uniform(1, 2, 25), 1.3003):
+        run = simulate(dae, solver, start_values={"a": speed})
+        end = 0.1 + 2 * speed
+        crossings = [k * size for size in (0.4 / speed, 0.39) for k in range(1, 99)]
+        assert len(run.events) == sum(0.1 < crossing < end for crossing in crossings)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "erk", "rosenbrock"])
+def test_event_of_a_state_at_the_instant_of_a_clock_happens_once(solver):
+    model = Model("clocked", stop_time=1.0)
+    c, period = model.parameter("c", "m/s2", 0.5, "c"), model.parameter("T", "s", 0.2, "period")
+    x = model.state("x", "m", 0.0, "place")
+    b, k = model.discrete("b", "1", 0.0, "passages"), model.discrete("k", "1", 0.0, "samples")
+    model.derivative(x, 2 * c * model.t)
+    model.when(x > c * (3 * period) ** 2, {b: b + 1}, name="passage")
+    model.every(period, {k: k + 1}, name="sample")
+    dae = model.freeze()
+    for values in ((0.532, 0.14453), (0.78, 0.248974), (1.7935, 0.18403), (0.5, 1 / 6)):
+        start = dict(zip(("c", "T"), values, strict=True))
+        assert simulate(dae, solver, start_values=start).final["b"] == 1
+    model = Model("clocked", stop_time=1.0)
+    x, b = model.state("x", "m", 0.0, "place"), model.discrete("b", "1", 0.0, "passages")
+    y = model.state("y", "m", 0.0, "another place")
+    model.derivative(x, 1.0)
+    model.derivative(y, x)
+    model.when(x > 0.5, {b: b + 1}, name="passage")
+    model.when(model.t > 0.5, {y: y + 1}, name="clock")
+    assert simulate(model.freeze(), solver).final["b"] == 1
+
+
 def test_sampled_stop_ends_the_impacts():
     """A controller looks every 0.1 s whether the ball is slow, and a stop ends the run."""
     model, h, v = ball()

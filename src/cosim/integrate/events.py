@@ -278,7 +278,8 @@ class _Course:
             modes[i] = np.sign(modes[i])
             at = replace(at, modes=modes, sliding=at.sliding - {i})
         last, n = self.at, len(self.events)
-        at = replace(at, zero=at.zero | crossing)
+        same = at.t - last.t <= 8 * np.spacing(abs(at.t))  # what crossed at the last event is at 0
+        at = replace(at, zero=at.zero | crossing | (last.zero if same else frozenset()))
         self.at = settled(self.system, at, self.values.p, left)
         self._happen(before, crossing | begin.switched(self.at), x, dt)
         if dt:

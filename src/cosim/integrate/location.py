@@ -114,8 +114,9 @@ class Piece:
         sizes = own_sizes(self.system.dae, self.began)
         self.noise = self.begin.noise(self.system, self.p, sizes)
         self.offsets, self.stays = np.zeros_like(self.noise), np.full_like(self.noise, -1.0)
-        signs = frozenset(i for i in self.system.of_states if not self.system.floors[i])
-        near = sorted(signs & self.begin.zero - self.begin.sliding)
+        zero = self.begin.zero & frozenset(self.system.of_states) - self.begin.sliding
+        self.stays[list(zero)] = 0.0
+        near = sorted(i for i in zero if not self.system.floors[i])
         if near:
             row = self.begin.watched(self.system, self.p)
             self.offsets[near] = row.arguments[0, near]
