@@ -179,6 +179,27 @@ def test_event_of_a_state_at_the_instant_of_a_clock_happens_once(solver):
     assert simulate(model.freeze(), solver).final["b"] == 1
 
 
+@pytest.mark.parametrize(
+    ("condition", "end"),
+    [
+        ("n >= 2", 0.2),
+        ("2 <= n", 0.2),
+        ("not n < 2", 0.2),
+        ("x > 0.15 and n >= 1", 0.15),
+        ("0.1 < x < 0.5", 0.1),
+        ("n >= 9 or x >= 0.35", 0.35),
+        ("where(n >= 3, x, 0) > 0", 0.3),
+    ],
+)
+def test_stop_when_is_exact_at_equality(condition, end):
+    model = Model("counter", stop_time=1.0)
+    x, n = model.state("x", "m", 0.0, "place"), model.discrete("n", "1", 0.0, "number")
+    model.derivative(x, 1.0)
+    model.every(0.1, {n: n + 1}, offset=0.1, name="tick")
+    run = simulate(model.freeze(), "dop853", stop_when=condition)
+    assert run.time[-1] == pytest.approx(end, abs=1e-12)
+
+
 def test_sampled_stop_ends_the_impacts():
     """A controller looks every 0.1 s whether the ball is slow, and a stop ends the run."""
     model, h, v = ball()

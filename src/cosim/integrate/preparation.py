@@ -19,8 +19,8 @@ from cosim.integrate.outputs import all_columns, recorded_columns, watching
 from cosim.integrate.solvers import chosen_solver
 from cosim.integrate.validity import times_between
 from cosim.memo import cached_per_thread
+from cosim.model import formula
 from cosim.model.driving import names_of
-from cosim.model.formula import margin
 from cosim.model.inputs import InputSeries
 from cosim.model.request import DriftControl, OnInvalid, Policy, RunRequest
 from cosim.model.solver import Goal, Solver, Tolerance
@@ -150,7 +150,7 @@ def stopping(dae: Dae, condition: str) -> Dae:
         symbols |= {v.name: s for v, s in zip(variables, ca.vertsplit(column), strict=True)}
     rows = ca.vertsplit(dae.outputs)
     symbols |= {v.name: s for v, s in zip(dae.output_variables, rows, strict=True)}
-    holds = margin(f"{dae.full_name}: stop_when", condition, symbols) > 0
+    holds = formula.condition(f"{dae.full_name}: stop_when", condition, symbols)
     event = Event(STOP_WHEN, holds, (), ca.SX(0, 1), message=condition)
     return replace(dae, events=(*dae.events, event))
 

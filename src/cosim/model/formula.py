@@ -38,6 +38,9 @@ _OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
+_COMPARISONS: Mapping[type, Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge
+}  # fmt: skip
 
 
 def expression(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
@@ -52,14 +55,14 @@ def expression(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
     return SX(_Reader(owner, text, symbols).value(_parsed(owner, text)))
 
 
-def margin(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
-    """Read a condition (comparisons, `and`, `or`) as a number that is positive while it holds.
+def condition(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
+    """Read a condition: comparisons, `and`, `or`, `not`.
 
     Raises:
         ParameterError: It is no condition.
         UnknownName: A name in it does not exist.
     """
-    return SX(_Reader(owner, text, symbols).margin(_parsed(owner, text)))
+    return SX(_Reader(owner, text, symbols).condition(_parsed(owner, text)))
 
 
 def _parsed(owner: str, text: str) -> ast.expr:
@@ -110,25 +113,20 @@ class _Reader:
                 return self.called(node, name, arguments)
         raise self.refusal(node)
 
-    def margin(self, node: ast.expr) -> Any:
-        """Return what is positive while a condition holds."""
+    def condition(self, node: ast.expr) -> Any:
+        """Return whether a condition holds, 1 or 0."""
         match node:
             case ast.Compare(left=left, ops=operators, comparators=others):
-                sides = [self.value(side) for side in (left, *others)]
-                gaps = []
-                for op, low, high in zip(operators, sides[:-1], sides[1:], strict=True):
-                    if isinstance(op, ast.Lt | ast.LtE):
-                        gaps.append(high - low)
-                    elif isinstance(op, ast.Gt | ast.GtE):
-                        gaps.append(low - high)
-                    else:
-                        raise self.refusal(node)
-                return reduce(ca.fmin, gaps)
+                sides = [SX(self.value(side)) for side in (left, *others)]
+                if not {*map(type, operators)} <= _COMPARISONS.keys():
+                    raise self.refusal(node)
+                pairs = zip(operators, sides[:-1], sides[1:], strict=True)
+                return reduce(ca.logic_and, (_COMPARISONS[type(op)](a, b) for op, a, b in pairs))
             case ast.BoolOp(op=op, values=parts):
                 both = isinstance(op, ast.And)
-                return reduce(ca.fmin if both else ca.fmax, map(self.margin, parts))
+                return reduce(ca.logic_and if both else ca.logic_or, map(self.condition, parts))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
-                return -self.margin(operand)
+                return ca.logic_not(self.condition(operand))
         raise ParameterError(
             f"{self.owner}: '{self.text}' is no condition; compare two values, e.g. "
             "abs(phi) > 45deg"
@@ -150,7 +148,7 @@ class _Reader:
         if name == "where":
             condition, *values = arguments
             first, second = (SX(self.value(value)) for value in values)
-            return ca.if_else(SX(self.margin(condition)) > 0, first, second)
+            return ca.if_else(self.condition(condition), first, second)
         return function(*(SX(self.value(argument)) for argument in arguments))
 
     def refusal(self, node: ast.expr) -> ParameterError:
