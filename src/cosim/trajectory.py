@@ -198,7 +198,8 @@ class Trajectory:
     def with_events(self) -> Trajectory:
         """Return the run with rows just before and just after each event, at the same time."""
         names = self.names
-        known = [e for e in self.events if all(name in e.before for name in names)]
+        hidden = [e for e in self.events if np.count_nonzero(self.time == e.time) < 2]
+        known = [e for e in hidden if all(name in e.before for name in names)]
         places, times, rows = list[int](), list[float](), list[list[float]]()
         for time, here in groupby(known, lambda event: event.time):
             events = list(here)

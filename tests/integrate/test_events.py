@@ -95,6 +95,7 @@ def test_events_are_recorded_with_both_sides(solver):
     recorded = simulate(dae, solver, stop_time=1.5, record_events=True)
     assert len(run.events) == 2
     assert len(recorded) == len(run) + 4
+    assert recorded.with_events() is recorded
     for event in run.events:
         rows = np.flatnonzero(recorded.time == event.time)
         np.testing.assert_array_equal(np.diff(rows), 1)

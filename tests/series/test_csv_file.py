@@ -42,3 +42,13 @@ def test_file_that_cannot_be_finished_leaves_the_old_one(tmp_path, monkeypatch):
         run.to_csv(tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_line_of_units_may_hold_a_1(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("time,x,n\ns,mm,1\n0,1,2\n1,3,4\n")
+    run = Trajectory.read_csv(path)
+    np.testing.assert_allclose(run["x"], [1e-3, 3e-3])
+    assert run["n"].tolist() == [2, 4]
+    path.write_text("time,x\n1,\n2,1\n")  # a gap is no unit
+    assert np.isnan(Trajectory.read_csv(path)["x"][0])

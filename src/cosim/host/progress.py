@@ -22,7 +22,6 @@ Fraction = Callable[[], float]
 What = str | Callable[[], str]
 
 _TERMINAL: ContextVar[TextIO | None] = ContextVar("terminal", default=None)
-_HIDDEN = nullcontext()
 
 
 def doing(what: What, fraction: Fraction | None = None) -> AbstractContextManager[None]:
@@ -33,7 +32,7 @@ def doing(what: What, fraction: Fraction | None = None) -> AbstractContextManage
         fraction: Returns how much of it is done, 0 to 1. Both are called from another thread.
     """
     terminal = _TERMINAL.get()
-    return _HIDDEN if terminal is None else _showing(terminal, what, fraction)
+    return nullcontext() if terminal is None else _showing(terminal, what, fraction)
 
 
 @contextmanager

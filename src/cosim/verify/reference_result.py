@@ -121,7 +121,10 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "bound": BOUND,
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
-        "events": [asdict(event) for event in _with_sides_at_rows(run)],
+        "events": [  # both sides where a row is, which may hold either
+            asdict(e if np.isclose(run.time, e.time).any() else Event(e.time, e.name, {}, {}))
+            for e in run.events
+        ],
         "largest difference in nominal values": {
             backend: {"variable": w.name, "difference": w.scaled, "time": w.time}
             for backend, w in worst.items()
@@ -265,13 +268,6 @@ def _result_checks(
             continue
         difference = compare(run, again, bound=bound)
         yield Check(run.model, backend, OWN, difference, dict(again.stats), doubt=doubt)
-
-
-def _with_sides_at_rows(run: Trajectory) -> Iterator[Event]:
-    """Yield the events of a run; where no row is, both sides are left out, as nobody needs them."""
-    for event in run.events:
-        beside = np.isclose(run.time, event.time).any()
-        yield event if beside else Event(event.time, event.name, {}, {})
 
 
 def _under_its_names(run: Trajectory, path: Path) -> Trajectory:

@@ -235,3 +235,14 @@ def test_finite_differences_at_few_times_are_no_check():
     model.when(x > 0, {n: n + 1}, name="passage")
     with pytest.raises(SolverError, match="times only, as a small change of a value leads to"):
         sensitivity(model.freeze(), outputs=["n"], with_respect_to=["x"])
+
+
+def test_run_that_a_stop_ends_is_differentiated_up_to_it():
+    model = Model("wall", stop_time=2.0, output_interval=0.05)
+    x, speed = model.state("x", "m", 0.0, "place"), model.parameter("speed", "m/s", 1.0, "speed")
+    model.derivative(x, speed)
+    model.stop(x > 0.777, "the wall is reached")
+    found = sensitivity(model.freeze())
+    assert found.run.time[-1] == pytest.approx(0.75)
+    np.testing.assert_allclose(found["x", "speed"], found.run.time, atol=1e-12)
+    assert found.check is not None

@@ -211,9 +211,10 @@ def sensitivity(
     result = Sensitivity(plain, columns, table)
     if not check or not targets:
         return result
-    second[:, :, rows] = differences(task.changed, targets, [at[row] for row in rows])
+    moved = differences(task.changed, targets, [at[row] for row in rows])[: len(plain)]
+    second[: len(moved), :, rows] = moved
     method = f"finite differences of {solver} at {CHECK_TOLERANCE:g}"
-    compared = task.between_events(plain.time)
+    compared = task.between_events(plain.time) & (np.arange(len(plain)) < len(moved))
     if 2 * compared.sum() < len(compared):
         raise SolverError(
             f"{dae.full_name}: finite differences check the derivatives at {compared.sum()} of "
@@ -284,11 +285,11 @@ class _Task:
         outputs = (*names, *map(derivative, names))
         with_slopes = replace(self.at(tolerance), dae=_variational(dae), outputs=outputs, values={})
         many = self._runs(with_slopes, rows)
-        plain = many.run(0).select(names)
+        n, plain = int(many.reached.min()), many.run(0).select(names)  # a stop may have ended it
+        plain = replace(plain, time=plain.time[:n], values=plain.values[:n])
         calls = {"steps": int(many.steps.sum()), "rhs_calls": int(many.rhs_calls.sum())}
-        stats = {**many.stats, **calls}  # of all directions together
-        values_of = many.values[:, :, len(names) :] / np.array([[[t.size]] for t in targets])
-        return replace(plain, stats=stats), np.moveaxis(values_of, 0, -1)
+        values_of = many.values[:, :n, len(names) :] / np.array([[[t.size]] for t in targets])
+        return replace(plain, stats={**many.stats, **calls}), np.moveaxis(values_of, 0, -1)
 
     def between_events(self, times: Vector) -> NDArray[np.bool_]:
         """Return at which times all changed runs have passed equally many events, (n,)."""
@@ -308,7 +309,8 @@ class _Task:
             quiet = replace(request, policy=replace(request.policy, on_invalid=OnInvalid.IGNORE))
             runs = [run(replace(quiet, values={**base, name: x})) for name, x in changes]
             self.events.extend(np.array([event.time for event in r.events]) for r in runs)
-            return np.stack([r.values for r in runs])
+            n = min(len(r) - ("stop" in r.stats) for r in runs)
+            return np.stack([r.values[:n] for r in runs])
         given = {name: np.full(len(changes), value) for name, value in base.items()}
         for i, (name, value) in enumerate(changes):
             given[name][i] = value
