@@ -5,7 +5,6 @@ from random import Random
 import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
 
 from casadi_models.dae import Dae, Model
 
@@ -46,27 +45,27 @@ class RandomSystem:
 
     def solution(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Return states and outputs at times, by scipy, loops solved in every evaluation."""
-        last = np.zeros(sum(".y" in name for name in self._names))
+        t, x = ca.MX.sym("t"), ca.MX.sym("x", len(self._starts))
+        y = ca.MX.sym("y", sum(".y" in name for name in self._names))
+        ends = [0, *self._split.tolist(), len(self._starts)]
+        ways = zip(self._laws, ca.vertsplit(x, ends), self._wires, strict=True)
+        found = [law(t, states, y[wires]) for law, states, wires in ways]
+        rates, outputs = (ca.vertcat(*column) for column in zip(*found, strict=True))
+        loops = {"x": y, "p": ca.vertcat(t, x), "g": outputs - y}
+        solved = ca.rootfinder("loops", "newton", loops, {"abstol": 1e-14})(0, ca.vertcat(t, x))
+        both = ca.Function("both", [t, x, y], [rates, y])(t, x, solved)
+        whole = ca.Function("whole", [t, x], both)
 
-        def evaluated(t, x, y, which):
-            states = np.split(x, self._split)
-            ways = zip(self._laws, states, self._wires, strict=True)
-            return np.concatenate([np.array(law(t, s, y[w])[which]).ravel() for law, s, w in ways])
+        def evaluated(t, x, which):
+            return np.array(whole(t, x)[which]).ravel()
 
-        def outputs(t, x):
-            nonlocal last
-            y = evaluated(t, x, last, 1)
-            if (evaluated(t, x, y, 1) != y).any():
-                y = root(lambda guess: evaluated(t, x, guess, 1) - guess, y, tol=1e-14).x
-            last = y
-            return y
-
-        method = "Radau" if self._fast > 20 else "DOP853"
-        found = solve_ivp(
-            lambda t, x: evaluated(t, x, outputs(t, x), 0), (0, times[-1]), self._starts, method,
-            t_eval=times, rtol=1e-11, atol=1e-13,
+        run = solve_ivp(
+            lambda t, x: evaluated(t, x, 0), (0, times[-1]), self._starts,
+            "Radau" if self._fast > 20 else "DOP853", t_eval=times, rtol=1e-11, atol=1e-13,
         )  # fmt: skip
-        rows = [np.concatenate((x, outputs(t, x))) for t, x in zip(times, found.y.T, strict=True)]
+        rows = [
+            np.concatenate((x, evaluated(t, x, 1))) for t, x in zip(times, run.y.T, strict=True)
+        ]
         return dict(zip(self._names, np.array(rows).T, strict=True))
 
     def _sizes(self) -> tuple[int, int, int]:
