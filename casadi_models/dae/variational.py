@@ -12,7 +12,9 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.expressions import operations
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.relations import applied
 from casadi_models.dae.variables import Start, Variable
 
 
@@ -36,7 +38,7 @@ def variational(dae: Dae) -> Dae:
     (s, w, by_u, by_p) = (
         SX.sym(n, v.numel()) for n, v in zip("swuq", (dae.x, dae.z, dae.u, dae.p), strict=True)
     )
-    rows = ca.vertcat(dae.ode, dae.alg, dae.outputs)
+    rows = _with_branches(ca.vertcat(dae.ode, dae.alg, dae.outputs))
     symbols = ca.vertcat(dae.x, dae.z, dae.u, dae.p)
     moved = ca.densify(ca.jtimes(rows, symbols, ca.vertcat(s, w, by_u, by_p)))
     nx, nz = dae.x.numel(), dae.z.numel()
@@ -61,6 +63,35 @@ def variational(dae: Dae) -> Dae:
         monitors=(),
         derived=nx,
     )
+
+
+def _with_branches(column: SX) -> SX:
+    """Return a column with branches for `fmin` and `fmax`.
+
+    CasADi's derivative of these, (b <= a) / ((b <= a) + (a <= b)), has two comparisons, and no
+    value where an event changes one before the other.
+    """
+    if operations(column).isdisjoint({ca.OP_FMIN, ca.OP_FMAX}) or ca.OP_CALL in operations(column):
+        return column
+    symbols = ca.symvar(column)
+    function = ca.Function("f", symbols, [ca.densify(column)])
+    work, rows = dict[int, SX](), [SX(0)] * column.numel()
+    for k in range(function.n_instructions()):
+        code, to = function.instruction_id(k), function.instruction_output(k)
+        given = function.instruction_input(k)
+        if code == ca.OP_OUTPUT:
+            rows[to[1]] = work[given[0]]
+        elif code == ca.OP_INPUT:
+            work[to[0]] = symbols[given[0]]
+        elif code == ca.OP_CONST:
+            work[to[0]] = SX(function.instruction_constant(k))
+        elif code in (ca.OP_FMIN, ca.OP_FMAX):
+            a, b = (work[i] for i in given)
+            first = a < b if code == ca.OP_FMIN else b < a
+            work[to[0]] = ca.if_else(first, a, b)
+        else:
+            work[to[0]] = applied(code, [work[i] for i in given])
+    return ca.vertcat(SX(0, 1), *rows)
 
 
 def _derived(

@@ -246,3 +246,15 @@ def test_run_that_a_stop_ends_is_differentiated_up_to_it():
     assert found.run.time[-1] == pytest.approx(0.75)
     np.testing.assert_allclose(found["x", "speed"], found.run.time, atol=1e-12)
     assert found.check is not None
+
+
+@pytest.mark.parametrize("extreme", [ca.fmax, lambda a, b: -ca.fmin(-a, -b)])
+def test_kinks_of_nonlinear_algebraic_equations_are_differentiated(extreme):
+    model = Model("buffer", stop_time=2.0, output_interval=0.05)
+    x, v = model.state("x", "m", 0.3, "place"), model.state("v", "m/s", 1.0, "speed")
+    z, k = model.algebraic("z", "m/s2", 0.0, "acceleration"), model.parameter("k", "1/s2", 9.0, "k")
+    model.derivative(x, v)
+    model.derivative(v, z)
+    model.equation(z + 0.1 * z**3 + k * x + 30 * extreme(x - 0.4, 0))
+    found = sensitivity(model.freeze(), outputs=["x"], with_respect_to=["k"])  # checks itself
+    assert found["x", "k"][-1] == pytest.approx(0.065553, abs=1e-6)
