@@ -18,7 +18,7 @@ from casadi import MX, SX
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import LawsWithModes, Relation, applied
+from casadi_models.dae.relations import LawsWithModes, Relation, applied, replayed
 from casadi_models.dae.time_bounds import TimeBounds, time_bounds
 from casadi_models.dae.variables import Variable
 
@@ -445,34 +445,30 @@ def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae
         taken: Whether a branch that is not taken has no influence even where it has no value; the
             derivatives with respect to modes are then wrong.
     """
-    laws = [dae.ode, dae.alg, dae.outputs]
-    function = ca.Function("laws", dae.arguments, laws, {"cse": True})
-    symbols = [ca.vertsplit(column) for column in dae.arguments]
-    work: dict[int, tuple[SX, bool]] = {}  # value, and whether it is a truth value of modes
-    results = [[SX(0)] * law.numel() for law in laws]
-    for k in range(function.n_instructions()):
-        code, given = function.instruction_id(k), function.instruction_input(k)
-        to = function.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            results[to[0]][to[1]] = work[given[0]][0]
-        elif code == ca.OP_INPUT:
-            column, row = given
-            work[to[0]] = symbols[column][row], column == 3 and row in modes
-        elif code == ca.OP_CONST:
-            work[to[0]] = SX(function.instruction_constant(k)), False
-        else:
-            terms, of_mode = [work[i][0] for i in given], any(work[i][1] for i in given)
-            if of_mode and code == ca.OP_LT:  # 0 < mode
-                work[to[0]] = (1 + terms[1]) / 2, True
-            elif of_mode and taken and code == ca.OP_IF_ELSE_ZERO:
-                work[to[0]] = terms[0] * SX.binary(code, *terms), False
-            elif of_mode and code in _LOGIC:
-                work[to[0]] = _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
-            else:
-                work[to[0]] = applied(code, terms), False
-    columns = [ca.densify(ca.vertcat(SX(0, 1), *column)) for column in results]
+    results = [dae.ode, dae.alg, dae.outputs]
+    function = ca.Function("laws", dae.arguments, results, {"cse": True})
+    symbols = [ca.vertsplit(argument) for argument in dae.arguments]
+
+    def operation(code: int, operands: list[tuple[SX, bool]]) -> tuple[SX, bool]:
+        """Return a value, and whether it is a truth value of modes."""
+        terms, of_mode = [value for value, _ in operands], any(truth for _, truth in operands)
+        if of_mode and code == ca.OP_LT:  # 0 < mode
+            return (1 + terms[1]) / 2, True
+        if of_mode and taken and code == ca.OP_IF_ELSE_ZERO:
+            return terms[0] * SX.binary(code, *terms), False
+        if of_mode and code in _LOGIC:
+            return _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
+        return applied(code, terms), False
+
+    found = replayed(
+        function,
+        lambda argument, row: (symbols[argument][row], argument == 3 and row in modes),
+        lambda value: (value, False),
+        operation,
+    )
+    columns = [column(value for value, _ in rows) for rows in found]
     for mode in (symbols[3][i] for i in sorted(modes)):
-        columns = [_affine(column, mode, taken) for column in columns]
+        columns = [_affine(laws, mode, taken) for laws in columns]
     ode, alg, outputs = columns
     return replace(dae, ode=ode, alg=alg, outputs=outputs)
 

@@ -3,9 +3,10 @@
 The mode of a sign is 1 or -1, that of a floor an integer; see `casadi_models.dae.hybrid`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
 import casadi as ca
 from casadi import SX
@@ -242,3 +243,36 @@ def _nonzeros(matrix: SX) -> list[SX]:
 def applied(code: int, terms: Sequence[SX]) -> SX:
     """Return the result of an operation by CasADi's code of it."""
     return SX.unary(code, *terms) if len(terms) == 1 else SX.binary(code, *terms)
+
+
+_Value = TypeVar("_Value")
+
+
+def replayed(
+    function: ca.Function,
+    symbol: Callable[[int, int], _Value],
+    constant: Callable[[SX], _Value],
+    operation: Callable[[int, list[_Value]], _Value],
+) -> list[list[_Value]]:
+    """Return the values of the rows of each result of a function, from its instructions.
+
+    Args:
+        function: An `SX` function with dense results.
+        symbol: Returns the value of a symbol, from its argument and its row.
+        constant: Returns that of a constant.
+        operation: Returns that of an operation, from CasADi's code of it and its operands.
+    """
+    work = dict[int, _Value]()
+    rows = [[constant(SX(0))] * function.numel_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        code, given = function.instruction_id(k), function.instruction_input(k)
+        to = function.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            rows[to[0]][to[1]] = work[given[0]]
+        elif code == ca.OP_INPUT:
+            work[to[0]] = symbol(*given)
+        elif code == ca.OP_CONST:
+            work[to[0]] = constant(SX(function.instruction_constant(k)))
+        else:
+            work[to[0]] = operation(code, [work[i] for i in given])
+    return rows

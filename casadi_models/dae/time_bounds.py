@@ -13,7 +13,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import applied
+from casadi_models.dae.relations import applied, replayed
 
 ORDERS = 3  # value, first and second derivative
 
@@ -78,28 +78,20 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
 def _spans(function: ca.Function, dae: Dae, length: SX) -> list[_Span]:
     """Return the spans of the results of a function of the equations' symbols."""
     symbols = [ca.vertsplit(column) for column in dae.arguments]
-    work, results = dict[int, _Span](), [_constant(SX(0))] * ORDERS
-    for k in range(function.n_instructions()):
-        code, given = function.instruction_id(k), function.instruction_input(k)
-        to = function.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            results[to[1]] = work[given[0]]
-        elif code == ca.OP_INPUT:
-            column, row = given
-            known = symbols[column][row]
-            work[to[0]] = _constant(known) if column else _Span(known, known + length, False)
-        elif code == ca.OP_CONST:
-            work[to[0]] = _constant(SX(function.instruction_constant(k)))
-        else:
-            operands = [work[i] for i in given]
-            if code == ca.OP_CALL or len(to) != 1:
-                raise _UnknownError
-            work[to[0]] = (
-                _constant(applied(code, [operand.low for operand in operands]))
-                if all(operand.stays for operand in operands)
-                else _result(code, operands)
-            )
-    return results
+
+    def symbol(argument: int, row: int) -> _Span:
+        known = symbols[argument][row]
+        return _constant(known) if argument else _Span(known, known + length, False)
+
+    def operation(code: int, operands: list[_Span]) -> _Span:
+        if code == ca.OP_CALL:
+            raise _UnknownError
+        if all(operand.stays for operand in operands):
+            return _constant(applied(code, [operand.low for operand in operands]))
+        return _result(code, operands)
+
+    (spans,) = replayed(function, symbol, _constant, operation)
+    return spans
 
 
 def _constant(value: SX) -> _Span:

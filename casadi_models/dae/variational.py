@@ -14,7 +14,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import applied
+from casadi_models.dae.relations import applied, replayed
 from casadi_models.dae.variables import Start, Variable
 
 
@@ -71,26 +71,19 @@ def _with_branches(column: SX) -> SX:
     CasADi's derivative of these, (b <= a) / ((b <= a) + (a <= b)), has two comparisons, and no
     value where an event changes one before the other.
     """
-    if operations(column).isdisjoint({ca.OP_FMIN, ca.OP_FMAX}) or ca.OP_CALL in operations(column):
+    used = operations(column)
+    if used.isdisjoint({ca.OP_FMIN, ca.OP_FMAX}) or ca.OP_CALL in used:
         return column
+
+    def operation(code: int, terms: list[SX]) -> SX:
+        if code not in (ca.OP_FMIN, ca.OP_FMAX):
+            return applied(code, terms)
+        a, b = terms
+        return ca.if_else(a < b if code == ca.OP_FMIN else b < a, a, b)
+
     symbols = ca.symvar(column)
     function = ca.Function("f", symbols, [ca.densify(column)])
-    work, rows = dict[int, SX](), [SX(0)] * column.numel()
-    for k in range(function.n_instructions()):
-        code, to = function.instruction_id(k), function.instruction_output(k)
-        given = function.instruction_input(k)
-        if code == ca.OP_OUTPUT:
-            rows[to[1]] = work[given[0]]
-        elif code == ca.OP_INPUT:
-            work[to[0]] = symbols[given[0]]
-        elif code == ca.OP_CONST:
-            work[to[0]] = SX(function.instruction_constant(k))
-        elif code in (ca.OP_FMIN, ca.OP_FMAX):
-            a, b = (work[i] for i in given)
-            first = a < b if code == ca.OP_FMIN else b < a
-            work[to[0]] = ca.if_else(first, a, b)
-        else:
-            work[to[0]] = applied(code, [work[i] for i in given])
+    (rows,) = replayed(function, lambda i, _: symbols[i], lambda value: value, operation)
     return ca.vertcat(SX(0, 1), *rows)
 
 
