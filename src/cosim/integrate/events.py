@@ -421,6 +421,8 @@ class _Course:
             if seen[i] == 0 and relation.operation in COMPARISONS:
                 modes[i] = relation.at_zero
         before = self._conditions_at(replace(self.at, modes=modes))
+        if not sampled.any():
+            return before
         near = np.abs(seen - np.round(seen)) <= 8 * np.spacing(np.abs(seen))
         due = near & np.array(self.system.floors, dtype=bool)
         earlier = replace(self.at, modes=np.where(due, np.round(seen) - 1, self.at.modes))

@@ -194,14 +194,12 @@ def begun(system: Hybrid, at: Instant, p: Vector) -> Instant:
     modes = np.ones(len(system.relations))
     # arguments may hold the modes of others, most of them of relations before them
     for count in [*range(1, len(modes) + 1), len(modes)]:
-        arguments = replace(at, modes=modes.copy()).watched(system, p).arguments[0]
-        modes[:count] = literal_modes(system, arguments)[:count]
-    at = replace(at, modes=modes)
-    row = at.watched(system, p)
+        row = replace(at, modes=modes.copy()).watched(system, p)
+        modes[:count] = literal_modes(system, row.arguments[0])[:count]
     apart = row.arguments[0] - np.where(system.floors, np.round(row.arguments[0]), 0.0)
     near = np.abs(apart) <= _TIMES * np.abs(at.t * np.nan_to_num(row.rates[0]))
     due = {i for i, line in enumerate(system.linear) if line and near[i]}  # but for rounding
-    return settled(system, replace(at, zero=at.zero | due), p, frozenset())
+    return settled(system, replace(at, modes=modes, zero=at.zero | due), p, frozenset())
 
 
 def settled(

@@ -100,9 +100,7 @@ def read_samples(
     names = [match[1] if match else "" for match in header]
     written: list[str | None] = [match[2] if match else None for match in header]
     body = rows[1:]
-    words = (
-        [cell for cell in body[0][1] if cell.strip() != "1"] if body else []
-    )  # "1" may be a unit
+    words = [cell for cell in body[0][1] if cell.strip() != "1"] if body else []  # 1 is a unit
     if any(map(str.strip, words)) and not any(map(_is_number, words)):
         written, body = [cell.strip() or None for cell in body[0][1]], body[1:]
     if not body:
