@@ -273,13 +273,11 @@ class Hybrid:
             dt: Change of time along it.
         """
         dae, nx = self.dae, self.dae.derived
-        nu = dae.u.numel() - len(self.relations)
-        np_ = (dae.p.numel() - nu) // 2  # the directions of inputs and parameters follow these
-        u, p = ca.vertsplit(dae.u)[:nu], ca.vertsplit(dae.p)[:np_]  # CasADi's [:0] may be a row
-        moving = ca.vertcat(dae.t, dae.x[:nx], *u, *p)
-        return ca.densify(
-            ca.jtimes(column, moving, ca.vertcat(dt, dae.x[nx : 2 * nx], dae.p[np_:]))
-        )
+        u, p = ca.vertsplit(dae.u), ca.vertsplit(dae.p)  # CasADi's [:0] may be a row
+        nu, np_ = (len(u) - len(self.relations)) // 2, len(p) // 2  # each direction follows these
+        moving = ca.vertcat(dae.t, dae.x[:nx], *u[:nu], *p[:np_])
+        rates = ca.vertcat(dt, dae.x[nx : 2 * nx], *u[nu : 2 * nu], *p[np_:])
+        return ca.densify(ca.jtimes(column, moving, rates))
 
     def blended(self) -> "Hybrid":
         """Return equations that are affine in each mode of a sign, between -1 and 1.

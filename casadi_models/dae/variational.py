@@ -47,14 +47,15 @@ def variational(dae: Dae) -> Dae:
         dae,
         x=ca.vertcat(dae.x, s),
         z=ca.vertcat(dae.z, w),
-        p=ca.vertcat(dae.p, by_u, by_p),
+        u=ca.vertcat(dae.u, by_u),
+        p=ca.vertcat(dae.p, by_p),
         ode=ca.vertcat(dae.ode, ode),
         alg=ca.vertcat(dae.alg, alg),
         outputs=ca.vertcat(dae.outputs, outputs),
         states=dae.states + _derived(dae.states, derivative, Start.EXACT),
         algebraics=dae.algebraics + _derived(dae.algebraics, derivative, Start.GUESS),
-        parameters=dae.parameters
-        + _derived((*dae.inputs, *dae.parameters), direction, Start.EXACT),
+        inputs=dae.inputs + _derived(dae.inputs, direction, Start.EXACT),
+        parameters=dae.parameters + _derived(dae.parameters, direction, Start.EXACT),
         output_variables=dae.output_variables
         + _derived(dae.output_variables, derivative, Start.CALCULATED),
         x_start=dae.x_start + (0.0,) * nx,

@@ -257,6 +257,25 @@ static inline int make_room(Coupling *self) {
     return 0;
 }
 
+/* Threads for the parts, if they are wanted: returns 0 unless there is no memory. */
+static inline int gather_crew(Coupling *self) {
+    const System *system = self->system;
+    const long long n = system->n_parts, m = system->inputs + 1;
+    if (!system->threads || system->method == GAUSS_SEIDEL || n < 2) return 0;
+    const size_t each = sizeof(Stepper) + 4 * (size_t)m * sizeof(double);
+    char *memory = calloc((size_t)n, each);
+    if (!memory) return 1;
+    double *numbers = (double *)(memory + (size_t)n * sizeof(Stepper));
+    for (long long i = 0; i < n; ++i) {
+        Stepper *one = (Stepper *)memory + i;
+        one->part_u = take(&numbers, m);
+        one->given = take(&numbers, 3 * m);
+    }
+    self->crew = (Crew){step_member, memory, sizeof(Stepper), n, 0, NULL};
+    crew_start(&self->crew);
+    return 0;
+}
+
 static inline int run_from_start(Coupling *self) {
     System *system = self->system;
     const long long m = system->inputs;
@@ -275,7 +294,11 @@ static inline int run_from_start(Coupling *self) {
     const int how = in_event_mode ? let_happen(self) : settle(self, &self->now);
     if (how != DONE) return how;
     if (record_all(self, system->rows++)) return CALL_FAILED;
-    return system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
+    if (gather_crew(self)) return CALL_FAILED;
+    const int end = system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
+    if (self->crew.count) crew_end(&self->crew);
+    free(self->crew.members);
+    return end;
 }
 
 /* Settles the inputs of parts in initialization mode, whose start values may follow from them. */

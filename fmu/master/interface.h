@@ -6,6 +6,7 @@
 #ifndef INTERFACE_H
 #define INTERFACE_H
 
+#include "crew.h"
 #include "fixed_point.h"
 #include "part.h"
 #include "run.h"
@@ -31,6 +32,7 @@ typedef struct {
     double macro_step; /* 0: chosen by the error */
     double tolerance;  /* of the inputs, in their scales */
     long long method;
+    long long threads; /* whether parts step at the same time, where their order does not matter */
     /* answers */
     long long how, rows, macro_steps, rejected, iterations, unsettled, part, input, status;
     const char *function;
@@ -62,6 +64,7 @@ typedef struct {
     double mismatch;                 /* of outputs and inputs, at output times within the step */
     double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
     FixedPoint iteration;
+    Crew crew; /* of `Stepper`s; none if its count is 0 */
     double *memory;
 } Coupling;
 

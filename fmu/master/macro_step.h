@@ -195,18 +195,71 @@ static inline int take_new_outputs(Coupling *self, long long p) {
     return 0;
 }
 
+/* A part that steps at the same time as others, with room of its own for what that writes. */
+typedef struct {
+    Coupling own;
+    double *part_u, *given;
+    long long part, steps; /* taken before */
+    int pass, recording, how;
+} Stepper;
+
+/* Step a part; from the second pass on only if it rolls back. */
+static inline int step_again(Coupling *self, Part *part, int pass, int recording) {
+    if (pass > 0 && !part->rolls_back) return STEPPED;
+    if (pass > 0 && part_restore(&self->fmu, part)) return PART_FAILED;
+    return step_part(self, part, recording || !part->rolls_back);
+}
+
+static inline void step_member(void *member) {
+    Stepper *self = member;
+    Part *part = self->own.system->parts + self->part;
+    self->steps = part->steps;
+    self->how = step_again(&self->own, part, self->pass, self->recording);
+}
+
+static inline long long part_at(const System *system, long long turn) {
+    long long p = 0;
+    while (system->parts[p].turn != turn) ++p;
+    return p;
+}
+
+/* Step all parts at the same time; the answer is that of one after the other. */
+static inline int step_together(Coupling *self, int pass, int recording) {
+    System *system = self->system;
+    Stepper *steppers = (Stepper *)self->crew.members;
+    for (long long turn = 0; turn < system->n_parts; ++turn) {
+        Stepper *one = steppers + turn;
+        one->own = *self;
+        one->own.part_u = one->part_u;
+        one->own.given = one->given;
+        one->part = part_at(system, turn);
+        one->pass = pass;
+        one->recording = recording;
+    }
+    crew_work(&self->crew);
+    int how = STEPPED;
+    for (long long turn = 0; turn < system->n_parts; ++turn) {
+        const Stepper *one = steppers + turn;
+        if (how != STEPPED) { /* it would not have stepped */
+            system->parts[one->part].steps = one->steps;
+            continue;
+        }
+        how = one->how;
+        self->fmu = one->own.fmu;
+        if (!(one->own.mismatch <= self->mismatch)) self->mismatch = one->own.mismatch;
+        system->part = one->part;
+    }
+    return how;
+}
+
 /* Step all parts; from the second pass on those that roll back. */
 static inline int step_parts(Coupling *self, int pass, int recording) {
     System *system = self->system;
+    if (self->crew.count) return step_together(self, pass, recording);
     for (long long turn = 0; turn < system->n_parts; ++turn) {
-        long long p = 0;
-        while (system->parts[p].turn != turn) ++p;
-        Part *part = system->parts + p;
-        system->part = p;
-        if (pass > 0 && !part->rolls_back) continue;
-        if (pass > 0 && part_restore(&self->fmu, part)) return PART_FAILED;
+        const long long p = system->part = part_at(system, turn);
         if (system->method == GAUSS_SEIDEL && take_new_outputs(self, p)) return PART_FAILED;
-        const int how = step_part(self, part, recording || !part->rolls_back);
+        const int how = step_again(self, system->parts + p, pass, recording);
         if (how != STEPPED) return how;
     }
     return STEPPED;

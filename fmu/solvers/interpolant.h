@@ -32,7 +32,8 @@ static inline void evaluate_both(const Interpolant *p, double t, double *x, doub
             x[i] = p->row[j][i] + factor * x[i];
         }
     }
-    for (int i = 0; i < NX; ++i) dx[i] /= p->h;
+    const double per_time = 1 / p->h;
+    for (int i = 0; i < NX; ++i) dx[i] *= per_time;
 }
 
 #endif

@@ -2,14 +2,7 @@
 
 import pytest
 
-from cosim.codegen.casadi_patches import (
-    differential_errors,
-    in_one_piece,
-    run_time_grid,
-    run_time_tolerances,
-    smallest_step,
-    watched,
-)
+from cosim.codegen.casadi_patches import patched, run_time_grid, watched
 from cosim.errors import UsageError
 
 DRIVER = """static int casadi_f0(int a) {
@@ -25,7 +18,7 @@ DRIVER = """static int casadi_f0(int a) {
 
 
 def test_tolerances_become_expressions():
-    code = run_time_tolerances(DRIVER, "arg[2][7]", "arg[2][8]")
+    code = patched(DRIVER, "run_time_tolerances", relative="arg[2][7]", absolute="arg[2][8]")
     assert "p.reltol = arg[2][7];\n" in code
     assert "p.abstol = arg[2][8];\n" in code
     assert "1e-8" not in code
@@ -33,7 +26,7 @@ def test_tolerances_become_expressions():
 
 
 def test_algebraic_unknowns_leave_the_error_test():
-    assert "p.nz_err = 0;" in differential_errors(DRIVER)
+    assert "p.nz_err = 0;" in patched(DRIVER, "differential_errors")
 
 
 def test_report_is_taken_before_the_driver_gives_up():
@@ -49,24 +42,26 @@ def test_run_can_be_halted_at_every_right_hand_side():
 
 
 def test_smallest_step_is_what_time_resolves():
-    code = smallest_step(DRIVER)
+    code = patched(DRIVER, "smallest_step")
     assert "p.h_min = 1e-60;" in code
     assert "d->h_next < 2.3e-16 * fabs(d->t)" in code
 
 
 def test_entry_is_flattened():
-    assert in_one_piece(DRIVER).startswith("__attribute__((flatten)) static int casadi_f0(")
+    assert patched(DRIVER, "in_one_piece").startswith(
+        "__attribute__((flatten)) static int casadi_f0("
+    )
 
 
 @pytest.mark.parametrize("code", ["", DRIVER + DRIVER])
 @pytest.mark.parametrize(
     "change",
     [
-        lambda code: run_time_tolerances(code, "a", "b"),
-        differential_errors,
+        lambda code: patched(code, "run_time_tolerances", relative="a", absolute="b"),
+        lambda code: patched(code, "differential_errors"),
         watched,
-        in_one_piece,
-        smallest_step,
+        lambda code: patched(code, "in_one_piece"),
+        lambda code: patched(code, "smallest_step"),
     ],
 )
 def test_unknown_form_of_the_driver_is_rejected(code, change):

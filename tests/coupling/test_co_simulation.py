@@ -91,6 +91,23 @@ def test_order_of_the_parts_changes_no_bit(name, method):
         np.testing.assert_array_equal(runs[0][column], runs[1][column])
 
 
+@pytest.mark.parametrize(
+    "ways",
+    [{"accuracy": 1e-5}, *({"macro_step": 0.01, "method": m} for m in ("jacobi", "extrapolated"))],
+    ids=lambda ways: ways.get("method", "iterated"),
+)
+@pytest.mark.parametrize("name", ["driven_frame", "three_masses", "digital_ride"])
+def test_threads_change_no_bit(name, ways):
+    system = read_system(f"{FOLDER}/{name}.toml")
+    alone, together = (system.simulate(stop_time=0.5, threads=t, **ways) for t in (False, True))
+    np.testing.assert_array_equal(together.values, alone.values)
+    own, other = ({**run.stats} for run in (alone, together))
+    assert own.pop("wall_time")
+    assert other.pop("wall_time")
+    assert own == other
+    assert together.events == alone.events
+
+
 def test_two_runs_of_one_system_have_equal_bits():
     system = read_system(f"{FOLDER}/ride.toml")
     first, second = (system.simulate(stop_time=0.5, accuracy=1e-5) for _ in range(2))
@@ -156,12 +173,13 @@ def test_jump_of_an_output_is_found_by_the_macro_steps():
     assert run.final["b.x"] == pytest.approx(np.exp(-1.0) + 0.7, abs=1e-6)
 
 
-def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before():
+@pytest.mark.parametrize("threads", [False, True])
+def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before(threads):
     growth = single("growth", lambda x, u: x**2 + 0 * u, start=1.0)
     steady = single("steady", lambda x, u: 0 * u)
     system = cosim.couple({"growth": growth, "steady": steady}, {"growth.u": "steady.x"})
     with pytest.raises(SolverError, match="part 'growth' failed after 1 s") as caught:
-        system.simulate(stop_time=2, macro_step=0.1)
+        system.simulate(stop_time=2, macro_step=0.1, threads=threads)
     run = caught.value.partial
     assert run.time[-1] == pytest.approx(0.9, abs=0.11)
     np.testing.assert_allclose(run["growth.x"][:-1], 1 / (1 - run.time[:-1]), rtol=1e-6)

@@ -108,6 +108,16 @@ def test_events_end_macro_steps_so_that_their_error_is_that_of_the_coupling(make
         assert times[0] == times[1]
 
 
+@pytest.mark.parametrize("ways", [{"accuracy": 1e-6}, {"macro_step": 0.02}], ids=str)
+@pytest.mark.parametrize("make", [relay, block])
+def test_threads_change_nothing_where_events_end_steps(make, ways):
+    system = cosim.couple(*make())
+    alone, together = (system.simulate(stop_time=STOP, threads=t, **ways) for t in (False, True))
+    np.testing.assert_array_equal(together.values, alone.values)
+    assert together.stats["part_steps"] == alone.stats["part_steps"]
+    assert together.events == alone.events
+
+
 def test_an_event_that_another_part_causes_at_an_output_time_is_in_its_row():
     source, counter = part("source"), part("counter")
     level = source.discrete("level", "1", 0.0, "level")

@@ -10,7 +10,7 @@ from fmpy.ssp.ssd import read_ssd
 import cosim
 from cosim.cli.main import main
 from cosim.coupling.files import read_system
-from cosim.errors import CosimError, FmuError, UsageError
+from cosim.errors import CosimError, FmuError, ParameterError, UsageError
 
 FOLDER = "examples/coupled"
 
@@ -41,6 +41,20 @@ def test_start_values_in_files_are_read(ssp, tmp_path):
     )
     found = cosim.read_ssp(path).start_values
     assert {".".join(name): value for name, value in found.items()} == values
+
+
+@pytest.mark.parametrize(("text", "value"), [("25 deg/s", 25 * np.pi / 180), ("0.25 rad/s", 0.25)])
+def test_start_values_in_another_unit_are_converted(text, value, tmp_path):
+    system = cosim.couple({"bicycle": "bicycle"}, {}, start_values={"bicycle.phi_dot": 0.5})
+    path, (number, unit) = system.write_ssp(tmp_path / "own.ssp"), text.split()
+    own = 'value="0.5" unit="rad/s"'
+    other = changed(
+        path, tmp_path / "other.ssp", own.encode(), f'value="{number}" unit="{unit}"'.encode()
+    )
+    assert cosim.read_ssp(other).start_values["bicycle", "phi_dot"] == pytest.approx(value)
+    wrong = changed(path, tmp_path / "wrong.ssp", own.encode(), b'value="1" unit="kg"')
+    with pytest.raises(ParameterError, match="cannot be converted to 'rad/s'"):
+        cosim.read_ssp(wrong)
 
 
 def test_fmpy_reads_the_same_connections(ssp):

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import cosim
 from casadi_models.dae import Model
-from cosim.errors import SolverError, UsageError
+from cosim.errors import SolverError
 from cosim.integrate import location
 
 G = 9.81
@@ -432,11 +432,6 @@ def test_forward_derivatives_jump_at_events():
         for output in names:
             slope = (ends[0].final[output] - ends[1].final[output]) / (2 * step)
             assert found[output, name][-1] == pytest.approx(slope, rel=1e-6, abs=1e-6)
-
-
-def test_integrator_refuses_a_model_with_events():
-    with pytest.raises(UsageError, match=r"ball has events .*use cosim.simulate and cosim.sens"):
-        cosim.integrator(ball()[0].freeze(), [0.0, 1.0])
 
 
 def test_reduction_keeps_events_that_outputs_depend_on():

@@ -4,6 +4,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -59,3 +60,26 @@ def test_three_masses_are_recovered_from_roll_and_steer():
 def test_other_solvers_recover_the_masses_from_the_record_of_one(solver):
     found = masses(solver=solver)
     np.testing.assert_allclose(found, [2.0, 85.0, 4.0], rtol=1e-6)
+
+
+def test_ipopt_fits_two_masses_in_few_iterations_with_every_solver():
+    dae = cosim.load("bicycle")
+    given, grid = cosim.start_vectors(dae), np.linspace(0, 2, 41)
+    record = cosim.integrator(dae, grid, solver="dop853", relative_tolerance=1e-12)(**given)["xf"]
+    sizes = np.abs(np.array(record)).max(axis=1, keepdims=True) + 1e-12
+    which = [[v.name for v in dae.parameters].index(name) for name in ("mB", "mC")]
+    iterations = {}
+    for solver in ("dop853", "cvodes", "rosenbrock"):
+        run = cosim.integrator(dae, grid, solver=solver, relative_tolerance=1e-6)
+        shares, p = ca.MX.sym("shares", 2), ca.MX(given["p"])
+        for i, share in zip(which, ca.vertsplit(shares), strict=True):
+            p[i] *= share
+        apart = (run(**given | {"p": p})["xf"] - record) / ca.repmat(ca.DM(sizes), 1, len(grid))
+        problem = {"x": shares, "f": ca.sumsqr(apart)}
+        quiet = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"}
+        options = {"ipopt.hessian_approximation": "limited-memory", "ipopt.max_iter": 100}
+        fit = ca.nlpsol("fit", "ipopt", problem, options | quiet)
+        found = np.array(fit(x0=[1.2, 0.8], lbx=0.3, ubx=3)["x"]).ravel()
+        np.testing.assert_allclose(found, 1, rtol=0, atol=1e-4)
+        iterations[solver] = fit.stats()["iter_count"]
+    assert max(iterations.values()) <= 3 * iterations["dop853"]

@@ -1,7 +1,7 @@
 """Patches of the C code that CasADi generates for its `erk` and `rosenbrock` integrators.
 
 Each patched text must occur exactly once; otherwise this CasADi version generates other code, and
-every function here raises UsageError. casadi_patches.toml has the texts.
+every function here raises UsageError. casadi_patches.toml has the texts, and what they are for.
 """
 
 import re
@@ -20,30 +20,6 @@ _PATCHES = tomllib.loads(
 )
 
 
-def run_time_tolerances(code: str, relative: str, absolute: str) -> str:
-    """Make the tolerances C expressions over `arg` that are evaluated at every call."""
-    return _patched(code, "run_time_tolerances", relative=relative, absolute=absolute)
-
-
-def smallest_step(code: str) -> str:
-    """Limit the step size by the resolution of time instead of a part of the whole span."""
-    return _patched(code, "smallest_step")
-
-
-def largest_step(code: str, largest: str) -> str:
-    """Make the largest step a C expression that is evaluated at every call; 0 is no limit."""
-    return _patched(code, "largest_step", largest=largest)
-
-
-def differential_errors(code: str) -> str:
-    """Base the error control on the differential states alone.
-
-    Algebraic unknowns are functions of the states and equally accurate. Their rounding errors can
-    exceed a tight tolerance when large and small forces occur together.
-    """
-    return _patched(code, "differential_errors")
-
-
 def watched(code: str) -> str:
     """Add functions that report on an integration and that let signals stop it.
 
@@ -54,7 +30,7 @@ def watched(code: str) -> str:
     """
     return f"""static _Thread_local double cosim_seen[{REPORT}];
 {solver_source("interrupt.h")}
-{_patched(code, "watched", report=REPORT)}
+{patched(code, "watched", report=REPORT)}
 CASADI_SYMBOL_EXPORT void cosim_report(double *out) {{
   for (int i = 0; i < {REPORT}; ++i) out[i] = cosim_seen[i];
 }}
@@ -70,16 +46,17 @@ def run_time_grid(code: str, constants: int) -> str:
         constants: Number of the integrator's parameters; `arg[2]` continues with the number of
             output times, the number of times passed without a stop, and the times themselves.
     """
-    code = _patched(code, "run_time_grid", constants=constants)
-    return f"{code}\n{solver_source('casadi_driver.h')}"
+    return (
+        f"{patched(code, 'run_time_grid', constants=constants)}\n{solver_source('casadi_driver.h')}"
+    )
 
 
-def in_one_piece(code: str) -> str:
-    """Compile driver and equations as one function, which saves a fifth of the time of `erk`."""
-    return _patched(code, "in_one_piece")
+def patched(code: str, patch: str, **values: str | int) -> str:
+    """Return code with a patch, whose $names stand for the values: C expressions over `arg`.
 
-
-def _patched(code: str, patch: str, **values: str | int) -> str:
+    Raises:
+        UsageError: A text of the patch does not occur exactly once.
+    """
     for pattern, text in _PATCHES[patch].items():
         replacement = Template(text).substitute(values)
         code, found = re.subn(pattern, replacement.replace("\\", "\\\\"), code)

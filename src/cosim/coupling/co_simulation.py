@@ -46,7 +46,7 @@ class Method(StrEnum):
 
 @dataclass(frozen=True)
 class Settings:
-    """How to simulate: times, s; accuracy or macro step; method; tolerance of the parts."""
+    """How to simulate: times and steps in s, tolerance of the parts; see `System.simulate`."""
 
     start: float
     stop: float
@@ -55,6 +55,7 @@ class Settings:
     macro_step: float | None
     method: Method
     tolerance: float | None
+    threads: bool = False
 
     def __post_init__(self) -> None:
         if self.accuracy is not None and self.macro_step is not None:
@@ -96,7 +97,7 @@ class _System(ctypes.Structure):
         ("times", _POINTER),
         ("points", _LONG),
         *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance")),
-        ("method", _LONG),
+        *((name, _LONG) for name in ("method", "threads")),
         *((name, _LONG) for name in ("how", "rows", "macro_steps", "rejected", "iterations")),
         *((name, _LONG) for name in ("unsettled", "part", "input", "status")),
         ("function", ctypes.c_char_p),
@@ -252,6 +253,7 @@ class CoSimulation:
             macro_step=settings.macro_step or 0.0,
             tolerance=tolerance,
             method=list(Method).index(settings.method),
+            threads=settings.threads,
         )
         library, everything = _library(), np.ones_like(self._feeds)
         system.feeds = everything.ctypes.data  # a start value may follow from any input

@@ -222,7 +222,7 @@ class _Description:
 
     def _start_values(
         self, system: ET.Element, place: _Place, parts: Mapping[_Place, ET.Element]
-    ) -> Iterator[tuple[_Place, str, float]]:
+    ) -> Iterator[tuple[_Place, str, float | str]]:
         """Yield values of parts: those of the parts first, then those of the systems around."""
         for element in _elements(system):
             inner = (*place, element.get("name", ""))
@@ -237,7 +237,7 @@ class _Description:
                     yield (*place, *owner[:n]), ".".join((*owner[n:], variable)), value
                     break
 
-    def _bound(self, element: ET.Element) -> Iterator[tuple[str, float]]:
+    def _bound(self, element: ET.Element) -> Iterator[tuple[str, float | str]]:
         for binding in _children(_child(element, "ParameterBindings"), "ParameterBinding"):
             if _child(binding, "ParameterMapping") is not None:
                 raise UsageError(
@@ -255,8 +255,9 @@ class _Description:
                         if _local(number) in ("Real", "Float64", "Integer", "Int32", "Boolean"):
                             yield own + parameter.get("name", ""), self._number(parameter, number)
 
-    def _number(self, parameter: ET.Element, number: ET.Element) -> float:
-        text = number.get("value", "")
+    def _number(self, parameter: ET.Element, number: ET.Element) -> float | str:
+        """Return a value in the variable's own unit; as a text if it has another one."""
+        text, unit = number.get("value", ""), number.get("unit")
         value = {"true": 1.0, "false": 0.0}.get(text)
         try:
             value = float(text) if value is None else value
@@ -264,7 +265,7 @@ class _Description:
             value = float("nan")
         if not isfinite(value):
             raise UsageError(f"{self._path}: {parameter.get('name')} = {text!r} is no number")
-        return value
+        return value if unit is None else f"{value!r} {unit}"
 
     def _xml(self, source: str) -> ET.Element:
         content = self._inside(source).read_bytes()

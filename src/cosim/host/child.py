@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
 
-from cosim.host.limits import LIMITS_VARIABLE, Limits
+from cosim.host.limits import LIMITS_VARIABLE, apply_limits, chosen_limits
 from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import fmu_folder, remove_leftovers
 from cosim.text import visible
@@ -227,10 +227,10 @@ def _variables(folder: Path | None) -> dict[str, str]:
 
 
 def be_confined() -> None:
-    """Apply the limits of `Limits.chosen` to this process, and end it with its parent."""
+    """Apply the limits of `chosen_limits` to this process, and end it with its parent."""
     die_with_parent()
     threading.Thread(target=_end_with_input, daemon=True).start()
-    Limits.chosen().apply()
+    apply_limits(chosen_limits())
     if hasattr(signal, "SIGXFSZ"):  # Python ignores it, and an FMU may not notice
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
 

@@ -2,69 +2,51 @@
 
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
 
 from cosim.errors import UsageError
 
 LIMITS_VARIABLE = "COSIM_FMU_LIMITS"
+# Address space, bytes; processor time, s; size of a file, bytes; open files; 0 means no limit
+_USUAL = {"memory": 16 * 2**30, "cpu": 4 * 3600, "file": 2**30, "files": 256}
+_KINDS = {"memory": "AS", "cpu": "CPU", "file": "FSIZE", "files": "NOFILE"}
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Resource limits of one run, as far as the system has them; 0 means none.
+def chosen_limits() -> dict[str, int]:
+    """Return the limits of one run by name, with those of the variable COSIM_FMU_LIMITS.
 
-    Attributes:
-        memory: Address space, bytes.
-        cpu: Processor time, s.
-        file: Size of a file that the run writes, bytes.
-        files: Open files.
+    Raises:
+        UsageError: The variable is not written like `memory=32e9,cpu=0`.
     """
-
-    memory: int = 16 * 2**30
-    cpu: int = 4 * 3600
-    file: int = 2**30
-    files: int = 256
-
-    @classmethod
-    def chosen(cls) -> "Limits":
-        """Return the default limits with those of the variable COSIM_FMU_LIMITS.
-
-        Raises:
-            UsageError: The variable is not written like `memory=32e9,cpu=0`.
-        """
-        chosen, text = cls(), os.environ.get(LIMITS_VARIABLE, "")
-        known = asdict(chosen)
-        for word in filter(None, text.split(",")):
-            name, _, value = word.partition("=")
-            try:
-                number = float(value)
-            except ValueError:
-                number = -1.0
-            if name.strip() not in known or not 0 <= number < 2**62:
-                raise UsageError(
-                    f"{LIMITS_VARIABLE}: '{word}' is no limit; give some of {', '.join(known)} as "
-                    "NAME=NUMBER, 0 for none, e.g. memory=32e9,cpu=0"
-                )
-            chosen = replace(chosen, **{name.strip(): int(number)})
-        return chosen
-
-    def apply(self) -> None:
-        """Limit this process and every process that it will start."""
+    chosen = dict(_USUAL)
+    for word in filter(None, os.environ.get(LIMITS_VARIABLE, "").split(",")):
+        name, _, value = (part.strip() for part in word.partition("="))
         try:
-            import resource
-        except ImportError:  # not on Windows
-            return
-        limits = {
-            resource.RLIMIT_CPU: self.cpu,
-            resource.RLIMIT_FSIZE: self.file,
-            resource.RLIMIT_NOFILE: self.files,
-        }
-        if sys.platform == "linux":
-            limits[resource.RLIMIT_AS] = self.memory
-        chosen = {kind: most for kind, most in limits.items() if most}
-        for kind, most in {resource.RLIMIT_CORE: 0, **chosen}.items():
-            _, hard = resource.getrlimit(kind)
-            most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-            with suppress(OSError, ValueError):
-                resource.setrlimit(kind, (most, most))
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if name not in chosen or not 0 <= number < 2**62:
+            raise UsageError(
+                f"{LIMITS_VARIABLE}: '{word}' is no limit; give some of {', '.join(chosen)} as "
+                "NAME=NUMBER, 0 for none, e.g. memory=32e9,cpu=0"
+            )
+        chosen[name] = int(number)
+    return chosen
+
+
+def apply_limits(limits: Mapping[str, int]) -> None:
+    """Limit this process and every process that it will start, as far as the system can."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    wanted = {_KINDS[name]: most for name, most in limits.items() if most} | {"CORE": 0}
+    if sys.platform != "linux":
+        wanted.pop("AS", None)
+    for name, most in wanted.items():
+        kind = getattr(resource, f"RLIMIT_{name}")
+        _, hard = resource.getrlimit(kind)
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        with suppress(OSError, ValueError):
+            resource.setrlimit(kind, (most, most))

@@ -67,25 +67,22 @@ def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
     limit = TimeLimit()
     if seconds is None:
         yield limit
-    elif hasattr(signal, "setitimer"):
-        before = signal.signal(signal.SIGALRM, limit.interrupt)
-        # again after 2 s: a callback of native code may have swallowed the exception
+        return
+    thread, by_timer = Timer(seconds, limit.expire), hasattr(signal, "setitimer")
+    thread.daemon = True
+    kind = signal.SIGALRM if by_timer else signal.SIGINT
+    before = signal.signal(kind, limit.interrupt)
+    if by_timer:  # again after 2 s: a callback of native code may have swallowed the exception
         timer = signal.setitimer(signal.ITIMER_REAL, seconds, 2.0)
-        try:
-            yield limit
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, *timer)
-            signal.signal(signal.SIGALRM, before)
     else:
-        before = signal.signal(signal.SIGINT, limit.interrupt)
-        thread = Timer(seconds, limit.expire)
-        thread.daemon = True
         thread.start()
-        try:
-            yield limit
-        finally:
-            thread.cancel()
-            signal.signal(signal.SIGINT, before)
+    try:
+        yield limit
+    finally:
+        if by_timer:
+            signal.setitimer(signal.ITIMER_REAL, *timer)
+        thread.cancel()
+        signal.signal(kind, before)
 
 
 @contextmanager

@@ -232,8 +232,10 @@ class _Course:
         own = sliding(self.system, self.at.sliding)
         self.slides |= bool(own.sliding)
         series = self._followed()
-        inputs = series and series.around(float(times[0]))
-        problem, gaps = replace(self.problem, dae=own.dae, inputs=inputs), np.diff(times)
+        inputs, gaps = series and series.around(float(times[0])), np.diff(times)
+        if inputs is not None and inputs.rests:  # code compiled without it serves all values
+            inputs = None
+        problem = replace(self.problem, dae=own.dae, inputs=inputs)
         while True:
             inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks
             looks = np.sort(np.append(times, inner[gaps > gaps.max() / self.looks]))
@@ -253,7 +255,7 @@ class _Course:
         try:
             for before, after, which in piece.passed:
                 was, self.at, done = self.at.t, after, done + 1
-                switched = before.zero | before.switched(after)
+                switched = () if which else before.zero | before.switched(after)
                 self._record([self.system.events[i].name for i in which], switched, before.x)
                 self.instants.append((before, after))
                 self._reject_zeno(was)
@@ -341,9 +343,10 @@ class _Course:
 
     def _record(self, happened: Sequence[str], switched: Iterable[int], before: Vector) -> None:
         """Record the events of an instant, or the relations of the equations that switch there."""
-        laws = (i for i in sorted(switched) if self.system.in_laws[i])
-        cause = ", ".join(map(self.system.described, laws))
-        for name in happened or ([cause] if cause else []):
+        if not happened:
+            laws = (i for i in sorted(switched) if self.system.in_laws[i])
+            happened = list(filter(None, [", ".join(map(self.system.described, laws))]))
+        for name in happened:
             place = len(self.instants)
             self.events.append(EventRecord(self.at.t, name, before, self.at.x, place))
 

@@ -1,6 +1,10 @@
-"""`integrator`: a function in CasADi's integrator API, with derivatives of the solution."""
+"""`integrator`: a function in CasADi's integrator API, with derivatives of the solution.
 
-from collections.abc import Mapping
+Of a model with events, CasADi calls back to `integrate`, once for the function and once per column
+of its Jacobian, in which the model is integrated together with its derivatives along one argument.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from warnings import warn
@@ -11,6 +15,7 @@ from casadi import MX
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
+from casadi_models.dae.variational import variational
 from cosim.arrays import Vector
 from cosim.codegen.functions import CALL, equations, symbols_like
 from cosim.codegen.initialization import algebraic_function
@@ -21,20 +26,23 @@ from cosim.codegen.runge_kutta.explicit_library import (
     explicit_library,
     fixed_step_method,
 )
-from cosim.errors import UsageError
+from cosim.errors import SolverError, UsageError
 from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.events import integrate
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.families.plugin import COMMON, tolerances
-from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.initial_values import algebraic_values, consistent_values
 from cosim.integrate.modes import hybrid
-from cosim.integrate.nominal import Nominal, in_nominal_values
+from cosim.integrate.nominal import InitialState, Nominal, in_nominal_values
 from cosim.integrate.preparation import compilation_of
 from cosim.integrate.solvers import chosen_solver, engine_of, requested_solver
+from cosim.integrate.validity import times_between
 from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import checked_grid
-from cosim.model.values import assign
+from cosim.model.values import Values, assign
 
 
 def directions(dae: Dae) -> int:
@@ -188,6 +196,93 @@ def _results(dae: Dae, last: MX, before: MX, after: MX) -> list[MX]:
     return [last[:nx], dz[0], ca.reshape(last[nx:], nx, nq), dz[1]]
 
 
+# Options of a function whose derivatives all follow from its Jacobian
+_BY_JACOBIAN: dict[str, Any] = {"enable_forward": False, "enable_reverse": False}
+_BY_JACOBIAN |= {"never_inline": True, "jac_penalty": 0.0, "ad_weight_sp": -1.0}
+_ALIVE = list[ca.Callback]()  # CasADi's expressions do not keep the Python part of a function
+_Compute = Callable[[Vector, Vector, Vector], Sequence[Vector]]
+_variational = cached_per_thread(8)(variational)
+
+
+class _Called(ca.Callback):
+    """A CasADi function of x0, z0, p, u and more, whose results Python computes from x0, p, u."""
+
+    def __init__(
+        self, name: str, given: Sequence[MX], results: Sequence[tuple[int, int]], compute: _Compute
+    ) -> None:
+        super().__init__()
+        self.given, self.results, self.compute = [g.shape for g in given], results, compute
+        _ALIVE.append(self)
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self.given)
+
+    def get_n_out(self) -> int:
+        return len(self.results)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(*self.given[i])
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(*self.results[i])
+
+    def eval(self, arguments: Sequence[ca.DM]) -> Sequence[Vector]:
+        x, _, p, u = (np.array(argument) for argument in arguments[:4])
+        return self.compute(x.ravel(), p.ravel(), u)
+
+
+def _hybrid_function(
+    dae: Dae, times: Vector, solver: Solver, compiled: bool, derivatives: bool
+) -> ca.Function:
+    """Return a function like that of `integrator`, for a model with events; z0 has no effect."""
+    n, sizes = len(times), [dae.x.numel(), dae.z.numel(), dae.p.numel(), dae.u.numel()]
+    grid = times_between(dae, times)
+
+    def run(x: Vector, p: Vector, u: Vector, model: Dae = dae) -> list[Vector]:
+        held, inputs = u[:, 1:], None
+        if len(changes := 1 + np.flatnonzero((np.diff(held) != 0).any(axis=0))):
+            begins = np.append(0, changes)
+            time = np.append(np.repeat(times[begins], 2)[1:], times[-1])
+            names = tuple(variable.name for variable in model.inputs)
+            inputs = InputSeries(names, time, np.repeat(held[:, begins], 2, axis=1).T)
+        values = Values(x, p, held[:, 0])
+        start = InitialState(x, algebraic_values(model, grid[0], x, values), values)
+        problem = Problem(model, grid.tobytes(), inputs, compiled, sensitivities=False)
+        found = integrate(problem, solver, start)
+        if found.reason or found.stop:
+            reason = found.reason or f"'{found.stop}' ends it at {found.time[-1]:g} s"
+            raise SolverError(f"{dae.full_name}: a run to {grid[-1]:g} s fails: {reason}")
+        return [rows[:, np.searchsorted(grid, times)] for rows in (found.states, found.algebraics)]
+
+    def slopes(x: Vector, p: Vector, u: Vector) -> list[Vector]:
+        own = np.concatenate((x, p, u.T.ravel()))
+        nominal = [v.nominal for v in (*dae.states, *dae.parameters, *dae.inputs * n)]
+        columns = list[Vector]()
+        for along in np.diag(np.where(own == 0, nominal, np.abs(own))):
+            by_x, by_p, by_u = np.split(along, np.cumsum([len(x), len(p)]))
+            moved = np.concatenate((u, by_u.reshape(n, -1).T))
+            found = run(np.append(x, by_x), np.append(p, by_p), moved, _variational(dae))
+            ends = [a[k:].T.ravel() for a, k in zip(found, sizes, strict=False)]
+            columns.append(np.concatenate(ends) / along.sum())
+        blocks = list[Vector]()
+        for rows in np.split(np.transpose(columns), [n * len(x)]):
+            by_x, by_p, by_u = np.split(rows, np.cumsum([len(x), len(p)]), axis=1)
+            blocks += [by_x, np.zeros((len(rows), sizes[1])), by_p, by_u]
+        return blocks
+
+    names, results = ["x0", "z0", "p", "u"], ["xf", "zf"]
+    given = [MX.sym(m, k, n if m == "u" else 1) for m, k in zip(names, sizes, strict=True)]
+    shapes, options = [(k, n) for k in sizes[:2]], dict[str, Any]()
+    if derivatives:
+        known = [*given, *(MX.sym(m, *shape) for m, shape in zip(results, shapes, strict=True))]
+        blocks = [(k * n, g.numel()) for k in sizes[:2] for g in given]
+        options = {"custom_jacobian": _Called("jac_integrator", known, blocks, slopes)}
+        options |= _BY_JACOBIAN
+    found = _Called("run", given, shapes, run).call(given)
+    return ca.Function("integrator", given, found, names, results, options)
+
+
 def integrator(
     dae: Dae,
     grid: ArrayLike,
@@ -219,7 +314,7 @@ def integrator(
         ends at its time, so that the first has no effect. A single column applies to all
         intervals. Forward and reverse derivatives are those of the solution, to the tolerance of
         the solver, or those of the steps if these are fixed. Second derivatives exist for fixed
-        steps with `compiled=False` only.
+        steps with `compiled=False` only. Of a model with events, CasADi calls back to Python.
 
     Raises:
         ParameterError: The grid is not increasing or not finite.
@@ -235,14 +330,11 @@ def integrator(
     """
     times = checked_grid(grid)
     requested = requested_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
-    if hybrid(dae) is not None:
-        raise UsageError(
-            f"{dae.full_name} has events (relations in its equations, or declared ones), at which "
-            "no CasADi integrator stops; use cosim.simulate and cosim.sensitivity, or mark what is "
-            "smooth with Model.smooth"
-        )
+    has_events = hybrid(dae) is not None
     span = float(times[0]), float(times[-1])
-    if len(found := pulse_times(dae, assign(dae, {}).p, *span, span[1] - span[0])):
+    if not has_events and len(
+        found := pulse_times(dae, assign(dae, {}).p, *span, span[1] - span[0])
+    ):
         warn(
             f"{dae.full_name}: a term of time changes from {found[0]:.6g} to {found[-1]:.6g} s, in "
             "short pulses that CasADi's integrators may step over; divide the grid there into "
@@ -259,22 +351,23 @@ def integrator(
 
     compiled = compilation_of(dae, chosen, compiled).compiled
     # only then, derivatives are those of the steps
-    by_casadi = isinstance(chosen, FixedStep) and not compiled
-    problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=by_casadi, piecewise=True)
-    scaled, sizes = in_nominal_values(problem, chosen, nominal)
-    built = engine_of(scaled, chosen)
+    by_casadi = isinstance(chosen, FixedStep) and not compiled and not has_events
     known = dae.x.numel() + dae.p.numel() + len(times) * dae.u.numel()
     size = len(times) * (dae.x.numel() + dae.z.numel()) * known  # elements of the Jacobian of a run
-    if by_casadi or derivatives is False or (derivatives is None and size > MOST_JACOBIAN_NUMBERS):
-        return _bare_function(dae, built, sizes, len(times), {})
-    if size > MOST_JACOBIAN_NUMBERS:
+    if derivatives and not by_casadi and size > MOST_JACOBIAN_NUMBERS:
         raise UsageError(
             f"{dae.full_name}: derivatives at {len(times)} output times are {size:.0e} numbers; "
             "give fewer times, or chain several integrators"
         )
-    jacobian = jacobian_of_run(problem, chosen)
-    options = {"custom_jacobian": jacobian, "jac_penalty": 0.0, "never_inline": True}
-    options |= {"enable_forward": False, "enable_reverse": False, "ad_weight_sp": -1.0}
+    derivatives = size <= MOST_JACOBIAN_NUMBERS if derivatives is None else derivatives
+    if has_events:
+        return _hybrid_function(dae, times, chosen, compiled, derivatives)
+    problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=by_casadi, piecewise=True)
+    scaled, sizes = in_nominal_values(problem, chosen, nominal)
+    built = engine_of(scaled, chosen)
+    options = {}
+    if derivatives and not by_casadi:
+        options = {"custom_jacobian": jacobian_of_run(problem, chosen), **_BY_JACOBIAN}
     return _bare_function(dae, built, sizes, len(times), options)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cached_property
+from itertools import compress, count
 from typing import NamedTuple
 
 import numpy as np
@@ -124,13 +125,13 @@ class Piece:
 
     def _passed(self, events: NDArray[np.void]) -> list[Passed]:
         """Return events from their records; see `event_type`."""
-        given = events["time"].tolist(), *self._own_inputs(events["time"])
+        times, inputs = events["time"].tolist(), self._own_inputs(events["time"])
 
         def instants(side: NDArray[np.void]) -> list[Instant]:
-            rows = zip(*given, *(side[k] for k in ("x", "z", "modes", "zero")), strict=True)
+            zeros = [frozenset(compress(count(), row)) for row in side["zero"].tolist()]
+            rows = zip(times, side["x"], side["z"], *inputs, side["modes"], zeros, strict=True)
             return [
-                Instant(t, x, z, u, du, modes, zero=frozenset(zero.nonzero()[0].tolist()))
-                for t, u, du, x, z, modes, zero in rows
+                Instant(t, x, z, u, du, modes, zero=zero) for t, x, z, u, du, modes, zero in rows
             ]
 
         sides = instants(events["before"]), instants(events["after"])

@@ -171,14 +171,14 @@ def _both_sides(
     u = np.array([np.concatenate((side.u, side.modes)) for side in every]).T
     solved = Solved(np.array([side.t for side in every]), x, z, u, p)
     seen = observe(motion.dae, solved, prepared.places, limits=False, margins=False, compiled=False)
-    table = seen.table.reshape(len(motion.instants), 2, -1).tolist()
     names = [c.name for c in prepared.columns] + [v.name for v in prepared.problem.dae.states]
-    for event in events:
-        before, after = (
-            dict(zip(names, [*side, *row.tolist()], strict=True))
-            for side, row in zip(table[event.instant], (event.before, event.after), strict=True)
+    rows, sides = 2 * np.array([event.instant for event in events]), list[list[list[float]]]()
+    for i, states in enumerate(([e.before for e in events], [e.after for e in events])):
+        sides.append(np.hstack((seen.table[rows + i], np.array(states))).tolist())
+    for event, *pair in zip(events, *sides, strict=True):
+        yield Event(
+            float(event.time), event.name, *(dict(zip(names, row, strict=True)) for row in pair)
         )
-        yield Event(float(event.time), event.name, before, after)
 
 
 def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:

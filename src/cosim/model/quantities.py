@@ -50,7 +50,7 @@ def quantity(name: str, text: str, unit: str) -> float:
     given = f"{name} = {bounded(text, LONGEST_WORD)}"
     if "," in written:
         raise ParameterError(f"{given}: write a decimal point, and one number only")
-    if not written:
+    if not written or written == unit:
         return value
     target = parse_unit(unit)
     if target is None:  # not in the table

@@ -13,7 +13,7 @@ from helpers.small_models import decay
 import cosim
 from cosim.cli.main import main
 from cosim.errors import FmuError, MissingTool, UnknownName, UsageError
-from cosim.fmi.run import c_master, opened
+from cosim.fmi.run import opened
 from cosim.fmi.run.request import communication_points
 from cosim.model.inputs import InputSeries
 
@@ -171,8 +171,8 @@ def test_what_the_master_does_not_have_is_refused(fmus, monkeypatch):
     series = InputSeries(("u",), np.array([0.0, 1.0]), np.array([[0.0], [1.0]]))
     with pytest.raises(UsageError, match="takes no series of inputs; use 'fmpy'"):
         cosim.simulate_fmu(fmus[2], inputs=series, master="c")
-    monkeypatch.setattr(c_master, "cached_library", _no_compiler)
-    monkeypatch.setattr(c_master, "_library", c_master._library.__wrapped__)
+    monkeypatch.setattr(opened, "cached_library", _no_compiler)
+    monkeypatch.setattr(opened, "_library", opened._library.__wrapped__)
     with pytest.raises(MissingTool, match="no compiler"):
         cosim.simulate_fmu(fmus[2], interface="CoSimulation", master="c")
 

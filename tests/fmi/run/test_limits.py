@@ -11,7 +11,7 @@ from helpers.hostile import hostile, hostile_binary
 
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.isolated import simulate_apart
-from cosim.host.limits import Limits
+from cosim.host.limits import chosen_limits
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and /proc of Linux")
 
@@ -40,7 +40,7 @@ def test_run_ends_at_its_limit(bad, monkeypatch, limit, fault, told):
 def test_limit_that_is_none_is_refused(monkeypatch, text):
     monkeypatch.setenv("COSIM_FMU_LIMITS", text)
     with pytest.raises(UsageError, match="is no limit; give some of memory, cpu, file"):
-        Limits.chosen()
+        chosen_limits()
 
 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])

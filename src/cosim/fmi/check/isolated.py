@@ -15,10 +15,8 @@ from cosim.fmi.archive import unpacked
 from cosim.fmi.check.finding import ADVICE, TRIAL_RULES, WRONG, Finding, Rule
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
-from cosim.fmi.check.trials.calls import calls, exchange, settings
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives, slopes
 from cosim.fmi.check.trials.motion import motion
-from cosim.fmi.check.trials.process import memory, quiet
 from cosim.fmi.check.trials.start import (
     callbacks,
     defaults,
@@ -31,11 +29,11 @@ from cosim.fmi.check.trials.start import (
     start,
     time,
 )
-from cosim.fmi.check.trials.steps import steps, stop
+from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, settings, steps, stop
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
-from cosim.host.limits import Limits
+from cosim.host.limits import chosen_limits
 from cosim.model.values import number
 from cosim.text import sentence
 
@@ -104,7 +102,7 @@ class TrialResults:
 def try_apart(
     path: str | os.PathLike[str], *, timeout: float = 120.0, trials: Sequence[Trial] = TRIALS
 ) -> TrialResults:
-    """Run the trials of an FMU in a child process with the limits of `Limits.chosen`.
+    """Run the trials of an FMU in a child process with the limits of `chosen_limits`.
 
     Args:
         path: The FMU. Its binary runs with the rights of this user.
@@ -114,7 +112,7 @@ def try_apart(
         FmuError, SecurityError: It cannot be run here at all, see `simulate_fmu`.
     """
     number(str(path), "timeout", timeout, positive=True)
-    Limits.chosen()
+    chosen_limits()
     with own_folder() as folder, unpacked(path) as files:
         bench = Bench(files, str(path))
         try:

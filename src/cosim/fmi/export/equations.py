@@ -12,7 +12,7 @@ from casadi import MX, SX
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.casadi_library import add_integrator, sources_beside
-from cosim.codegen.casadi_patches import differential_errors, run_time_tolerances
+from cosim.codegen.casadi_patches import patched
 from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
 from cosim.codegen.runge_kutta.tableau import Tableau
@@ -84,8 +84,9 @@ def equations_code(
     code = str(generator.dump())
     if not dae.states or solver == DOP853 or solver in FIXED_STEPS:
         return code
-    code = run_time_tolerances(code, "arg[2][2]", "0.01 * arg[2][2]")
-    return differential_errors(code) if dae.algebraics else code
+    given = "arg[2][2]"
+    code = patched(code, "run_time_tolerances", relative=given, absolute=f"0.01 * {given}")
+    return patched(code, "differential_errors") if dae.algebraics else code
 
 
 def embedded_sources(dae: Dae) -> dict[str, str]:

@@ -17,7 +17,7 @@ from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.child import be_confined, leave, own_folder, run_confined
-from cosim.host.limits import LIMITS_VARIABLE, Limits
+from cosim.host.limits import LIMITS_VARIABLE, chosen_limits
 from cosim.host.progress import doing
 from cosim.model.values import number
 from cosim.text import sentence
@@ -34,7 +34,7 @@ def simulate_apart(
     function: Callable[..., Trajectory] = simulate_fmu,
     **options: Any,
 ) -> Trajectory:
-    """Simulate an FMU like `simulate_fmu`, in a child process with the limits of `Limits.chosen`.
+    """Simulate an FMU like `simulate_fmu`, in a child process with the limits of `chosen_limits`.
 
     The child works in an empty folder of its own, without the environment and open files of the
     parent, and ends with every process that it started. The first 10 kB of its output go to stderr.
@@ -50,7 +50,7 @@ def simulate_apart(
     """
     if timeout is not None:
         number(str(path), "timeout", timeout, positive=True)
-    Limits.chosen()  # refuses before anything has been started
+    chosen_limits()  # refuses before anything has been started
     with own_folder() as folder:
         place = str(Path(path).absolute())
         (folder / _REQUEST).write_bytes(pickle.dumps((function, place, options)))

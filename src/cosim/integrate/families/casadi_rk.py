@@ -9,14 +9,7 @@ from casadi import MX
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.casadi_library import add_integrator, cache_key, sources_beside
-from cosim.codegen.casadi_patches import (
-    in_one_piece,
-    largest_step,
-    run_time_grid,
-    run_time_tolerances,
-    smallest_step,
-    watched,
-)
+from cosim.codegen.casadi_patches import patched, run_time_grid, watched
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import CALL, inputs_at, prepared, symbols_of
 from cosim.codegen.runge_kutta.explicit_library import explicit_function
@@ -88,9 +81,10 @@ def _library(
         generator = ca.CodeGenerator("code", {"with_header": False})
         add_integrator(generator, run)
         first = c.numel() + 2
-        numbers = [f"arg[2][{first + i}]" for i in range(3)]
-        code = run_time_tolerances(str(generator.dump()), *numbers[:2])
-        code = largest_step(smallest_step(code), numbers[2])
+        relative, absolute, largest = (f"arg[2][{first + i}]" for i in range(3))
+        code = patched(str(generator.dump()), "smallest_step")
+        code = patched(code, "run_time_tolerances", relative=relative, absolute=absolute)
+        code = patched(code, "largest_step", largest=largest)
         code = run_time_grid(watched(code), known.numel())
         return f"{head}#define SETTINGS {_SETTINGS}\n{method.finished(code)}"
 
@@ -107,7 +101,7 @@ class Erk(_CasadiSolver):
     @staticmethod
     def finished(code: str) -> str:
         """Return the generated code, edited for the compiler."""
-        return in_one_piece(code)
+        return patched(code, "in_one_piece")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,6 @@ import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
-from time import perf_counter
 
 from casadi_models.dae import Dae
 from cosim.codegen.cache import content_of, store_if_possible
@@ -26,8 +25,6 @@ from cosim.verify.comparison import compare
 from cosim.verify.reference import Reference, reference, reference_key, rounding_errors
 
 TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
-ROUNDS = 4  # timed runs, of which the fastest counts: other work of the machine only adds time
-TIMING_SECONDS = 5.0  # after this time no configuration is timed again
 MOST_CALLS = 200_000  # of the equations; a solver that needs more is not run at tighter tolerances
 # Time of a call in those of the equations, and beside them, s: the choice must not follow the noise
 # of measured times, so that a command gives the same bits again
@@ -70,7 +67,7 @@ class Candidates:
     """All candidates of a model.
 
     Attributes:
-        every: The fastest run of each solver at each tolerance.
+        every: A run of each solver at each tolerance.
         rounding: Rounding error of double precision in each variable, in nominal values.
     """
 
@@ -124,12 +121,6 @@ def _measured(request: RunRequest, compiled: bool, entry: str) -> Candidates:
                 break  # too tight; the first ones may be too loose
             if candidate is not None and candidate.rhs_calls > MOST_CALLS:
                 break
-    began = perf_counter()
-    for _ in range(ROUNDS - 1):
-        for i, candidate in enumerate(found):
-            if perf_counter() - began < TIMING_SECONDS:
-                again = _run(request, candidate.solver, candidate.tolerance, best) or candidate
-                found[i] = min(candidate, again, key=lambda c: c.solve_time)
     candidates = Candidates(tuple(found), rounding_errors(best.run))
     content = json.dumps(asdict(candidates)).encode()
     store_if_possible(entry, content)  # else they are measured again next time

@@ -26,7 +26,6 @@ from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import simulate_many
 from cosim.integrate.initial_values import input_values
 from cosim.integrate.keywords import TimeKeywords, requested
-from cosim.integrate.modes import hybrid
 from cosim.integrate.run import run
 from cosim.integrate.solvers import requested_solver
 from cosim.memo import cached_per_thread
@@ -305,16 +304,13 @@ class _Task:
         request = self.at(CHECK_TOLERANCE)
         own = {name: float(request.dae.variable(name).start or 0.0) for name, _ in changes}
         base = {**own, **request.values}
-        if hybrid(request.dae) is not None:
-            quiet = replace(request, policy=replace(request.policy, on_invalid=OnInvalid.IGNORE))
-            runs = [run(replace(quiet, values={**base, name: x})) for name, x in changes]
-            self.events.extend(np.array([event.time for event in r.events]) for r in runs)
-            n = min(len(r) - ("stop" in r.stats) for r in runs)
-            return np.stack([r.values[:n] for r in runs])
         given = {name: np.full(len(changes), value) for name, value in base.items()}
         for i, (name, value) in enumerate(changes):
             given[name][i] = value
-        return self._runs(replace(request, values={}), given).values
+        many = self._runs(replace(request, values={}), given)
+        runs = (many.run(i) for i in range(len(changes)))
+        self.events.extend(np.array([event.time for event in run.events]) for run in runs)
+        return many.values[:, : many.reached.min()]
 
     def _runs(self, request: RunRequest, given: Mapping[str, Any]) -> Ensemble:
         found = simulate_many(request, given, on_invalid=OnInvalid.IGNORE)

@@ -1,23 +1,45 @@
-"""Trials of an FMU's steps: their end, and the sum of many."""
+"""Trials of an FMU's steps, of what it does to its process, and of calls beside its steps."""
 
+import ctypes
+import os
+import sys
+import tempfile
 from collections.abc import Iterator
+from contextlib import chdir, suppress
+from itertools import islice
+from pathlib import Path
 from time import monotonic
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
-from cosim.fmi.check.trials.bench import MEMORY_GROWTH, Bench, Note, Skipped, memory_in_use
+from cosim.fmi.check.trials.bench import (
+    MEMORY_GROWTH,
+    MOST_NAMES,
+    Bench,
+    Note,
+    Session,
+    Skipped,
+    altered,
+    memory_in_use,
+)
+from cosim.fmi.check.trials.derivatives import need_model_exchange
+from cosim.fmi.check.trials.start import few_numbers, moved
+from cosim.host.temporary import temporary_folder
 
 MOST_MADE = 1_000_000
 SIZE = 1 / 60  # s
-_SHARE = 1 / 12  # of all time is for the steps
+_FOR_STEPS, _FOR_INSTANCES = 1 / 12, 1 / 24  # share of all time
 _FEW_STEPS = 10
+_MOST_INSTANCES = 10_000
+_NOISE = 1e-12  # of numbers that two functions give
 
 
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
-    end, made, looked = monotonic() + _SHARE * bench.timeout, 0, 0
+    end, made, looked = monotonic() + _FOR_STEPS * bench.timeout, 0, 0
     stop, outputs, used = bench.experiment("stopTime"), bench.outputs(), [memory_in_use()]
     with bench.session(kind) as session:
         session.start()
@@ -98,3 +120,126 @@ def _needs_free_steps(bench: Bench, kind: str) -> None:
         raise Skipped("it is a trial of co-simulation")
     if not bench.offers(kind, "canHandleVariableCommunicationStepSize"):
         raise Skipped("it may require steps of its own size")
+
+
+def quiet(bench: Bench, kind: str) -> Iterator[Finding]:
+    """It writes neither to standard output nor into the current folder."""
+    rule = TRIAL_RULES["quiet"]
+    c = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.msvcrt
+    sys.stdout.flush()
+    c.fflush(None)
+    with temporary_folder() as place, tempfile.TemporaryFile() as written:
+        saved = os.dup(1)
+        os.dup2(written.fileno(), 1)
+        try:
+            with chdir(place), bench.session(kind) as session:
+                few_numbers(session)
+            c.fflush(None)
+        finally:
+            os.dup2(saved, 1)
+            os.close(saved)
+        written.seek(0)
+        if text := written.read():
+            yield rule.at(kind, f"it writes {len(text)} bytes to standard output: {text[:40]!r}")
+        for file in islice(Path(place).iterdir(), 1):
+            yield rule.at(kind, f"it writes '{file.name}' into the current folder")
+
+
+def memory(bench: Bench, kind: str) -> Iterator[Finding | Note]:
+    """Memory does not grow with instances; `steps` looks whether it does with steps."""
+    if bench.offers(kind, "canBeInstantiatedOnlyOncePerProcess"):
+        raise Skipped("it can be instantiated once per process only")
+    end, used = monotonic() + _FOR_INSTANCES * bench.timeout, [memory_in_use()]
+    with bench.session(kind) as session:
+        while len(used) <= _MOST_INSTANCES and monotonic() < end:
+            session.start()
+            try:
+                session.instantiate_bare(logger=True)
+            except Exception as error:
+                raise Skipped(f"it does not instantiate again: {error}") from error
+            used.append(memory_in_use())
+    if (growth := used[-1] - used[len(used) // 2]) > MEMORY_GROWTH:
+        found = f"{growth / 1e6:.1f} MB are lost in {len(used) // 2} instances"
+        yield TRIAL_RULES["memory"].at(kind, found)
+    yield Note(f"{len(used) - 1} instances")
+
+
+def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
+    """Functions of all states at once agree with the variables; a completed step moves nothing."""
+    need_model_exchange(kind)
+    states, rates = zip(*bench.states(), strict=True)
+    rule = TRIAL_RULES["exchange"]
+    with bench.session(kind) as session:
+        session.start()
+        if session.next_event < session.start_time:
+            yield rule.at(kind, f"its next event is at {session.next_event:.6g} s, in the past")
+        nominals = _all(session, "getNominalsOfContinuousStates", len(states))
+        if not (np.isfinite(nominals) & (nominals > 0)).all():
+            yield rule.at(kind, f"a state has the nominal value {nominals.min():g}")
+        _all(session, "getEventIndicators", bench.fmpy.numberOfEventIndicators or 0)
+        _, ends = session.instance.completedIntegratorStep()
+        if ends:
+            yield rule.at(kind, "it ends the run after a step of length 0")
+        given = moved(session.values(states))
+        session.put_states(given)
+        session.instance.completedIntegratorStep()
+        slopes = "getDerivatives" if bench.second else "getContinuousStateDerivatives"
+        for function, variables in ("getContinuousStates", states), (slopes, rates):
+            own = session.values(variables)
+            expected = given if variables is states else own
+            found = _all(session, function, len(own))
+            allowed = _NOISE * np.maximum(np.abs(expected), 1.0)
+            wrong = ~((np.abs(found - expected) <= allowed) & (np.abs(own - expected) <= allowed))
+            for i in np.flatnonzero(wrong)[:MOST_NAMES]:
+                fault = f"{function} gives {found[i]:.10g}, its variable is {own[i]:.10g}"
+                yield rule.at(variables[i].name, fault)
+
+
+def _all(session: Session, function: str, size: int) -> Vector:
+    """Return what a function gives for all states or event indicators."""
+    found = (ctypes.c_double * size)()
+    getattr(session.instance, function)(found, size)
+    return np.array(found)
+
+
+def settings(bench: Bench, kind: str) -> Iterator[Finding]:
+    """Parameters and inputs keep the values that they are given before the start."""
+    every = bench.reals("parameter") + bench.reals("input", "continuous")
+    known = [v for v in every if "start" in v.texts]
+    given = dict[str, float]()
+    with bench.session(kind) as session:
+        for variable in known:
+            start = float(variable.texts["start"])
+            session.put(variable, start)  # which none may reject
+            with suppress(Exception):
+                session.put(variable, value := altered(variable, start, 0.02))
+                given[variable.name] = value
+        try:
+            session.start()
+        except Exception as error:
+            raise Skipped(f"it does not start with other parameters: {error}") from error
+        for variable, value in zip(known, session.values(known), strict=True):
+            wanted = given.get(variable.name, value)
+            if not abs(value - wanted) <= _NOISE * abs(wanted):
+                found = f"it was set to {wanted:.10g} before the start and is {value:.10g}"
+                yield TRIAL_RULES["settings"].at(variable.name, found)
+
+
+def calls(bench: Bench, kind: str) -> Iterator[Finding]:
+    """It tells its version; its outputs can be read after the end, as the last step left them."""
+    outputs = bench.outputs()
+    with bench.session(kind) as session:
+        instance = session.instance
+        second = {"fmi2GetVersion": "2.0", "fmi2GetTypesPlatform": "default"}
+        names = second if bench.second else {"fmi3GetVersion": "3.0"}
+        for name, expected in names.items():
+            function = instance.dll[name]
+            function.restype = ctypes.c_char_p
+            if (said := (function() or b"").decode(errors="replace")) != expected:
+                yield TRIAL_RULES["calls"].at(name, f"it is '{said}', not '{expected}'")
+        session.start()
+        instance.setDebugLogging(False, [])
+        last = session.values(outputs)
+        instance.terminate()
+        if session.values(outputs).tobytes() != last.tobytes():
+            yield TRIAL_RULES["calls"].at(kind, "its outputs change at the end")

@@ -1,0 +1,122 @@
+"""`cosim.integrator` of models with events: values, derivatives, and failures."""
+
+import gc
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import cosim
+
+
+def ball():
+    """Return a ball that bounces, with a force and an algebraic unknown."""
+    model = cosim.Model("ball", stop_time=1.0, output_interval=0.01)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    g = model.parameter("g", "m/s^2", 9.81, "gravity")
+    e = model.parameter("e", "1", 0.7, "restitution")
+    push = model.input("push", "m/s^2", 0.0, "force by mass")
+    a = model.algebraic("a", "m/s^2", 0.0, "acceleration")
+    model.derivative(h, v)
+    model.derivative(v, a)
+    model.equation(a + g - push)
+    model.when(h < 0, {v: -e * v}, name="impact")
+    return model.freeze()
+
+
+def after_one_impact():
+    """Return a function of x0, p of the height at 1 s in closed form."""
+    x0, p = ca.SX.sym("x0", 2), ca.SX.sym("p", 2)
+    (h, v), (g, e) = ca.vertsplit(x0), ca.vertsplit(p)
+    hit = (v + ca.sqrt(v**2 + 2 * g * h)) / g
+    left = 1.0 - hit
+    return ca.Function("height", [x0, p], [e * (g * hit - v) * left - g / 2 * left**2])
+
+
+@pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])
+def test_value_and_derivatives_in_closed_form(solver):
+
+    run = cosim.integrator(ball(), [0.0, 0.3, 1.0], solver=solver, relative_tolerance=1e-10)
+    x0, p, u = ca.MX.sym("x0", 2), ca.MX.sym("p", 2), ca.MX.sym("u", 1, 3)
+    found = run(x0=x0, p=p, u=u)
+    exact = after_one_impact()
+    of = found["xf"][0, -1], exact(x0, p)
+    own, other = (
+        ca.Function("of", [x0, p, u], [value, ca.gradient(value, x0), ca.jacobian(value, p)])
+        for value in of
+    )
+    at = [1.0, 0.4], [9.81, 0.7], np.zeros((1, 3))
+    for a, b in zip(own(*at), other(*at), strict=True):
+        np.testing.assert_allclose(np.array(a).ravel(), np.array(b).ravel(), rtol=1e-7, atol=1e-8)
+    slopes = ca.Function("by", [x0, p, u], [ca.jacobian(found["zf"][:, -1], ca.veccat(p, u))])
+    np.testing.assert_allclose(np.array(slopes(*at)).ravel(), [-1, 0, 0, 0, 1], atol=1e-12)
+
+
+def test_steps_of_an_input_move_a_block_that_rests_with_friction():
+    """Slides 1/(2 mu), rests, is pushed from 2.5 to 3.5 s, and slides on."""
+    model = cosim.Model("block", stop_time=4.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 1.0, "speed")
+    mu = model.parameter("mu", "m/s^2", 0.5, "friction by mass")
+    push = model.input("push", "m/s^2", 0.0, "force by mass")
+    model.derivative(x, v)
+    model.derivative(v, push - mu * ca.sign(v))
+    dae = model.freeze()
+    run = cosim.integrator(dae, np.linspace(0, 4, 9), solver="dop853", relative_tolerance=1e-9)
+    p, u = ca.MX.sym("p"), ca.MX.sym("u", 1, 9)
+    place = run(x0=[0.0, 1.0], p=p, u=u)["xf"][0, -1]
+    f = ca.Function("f", [p, u], [place, ca.jacobian(place, p), ca.jacobian(place, u)])
+    pushed = np.where((np.arange(9) == 6) | (np.arange(9) == 7), 1.0, 0.0)[None]
+    value, by_mu, by_push = f(0.5, pushed)
+    assert float(value) == pytest.approx(1.4375, abs=1e-9)
+    assert float(by_mu) == pytest.approx(-3.125, abs=1e-7)
+    # at rest, a small force does nothing: in the fifth interval, and in those of the push it does
+    np.testing.assert_allclose(
+        np.array(by_push)[0, [0, 5, 6, 7, 8]], [0, 0, 0.625, 0.375, 0.125], atol=1e-7
+    )
+
+
+def test_optimization_finds_the_throw_that_bounces_to_a_height():
+    run = cosim.integrator(ball(), [0.0, 1.0], solver="dop853", relative_tolerance=1e-10)
+    speed = ca.MX.sym("speed")
+    height = run(x0=ca.vertcat(1.0, speed), p=[9.81, 0.7])["xf"][0, -1]
+    problem = {"x": speed, "f": (height - 0.5) ** 2}
+    quiet = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"}
+    options = {"ipopt.hessian_approximation": "limited-memory", **quiet}
+    found = ca.nlpsol("throw", "ipopt", problem, options)(x0=0.0)
+    assert float(after_one_impact()([1.0, float(found["x"])], [9.81, 0.7])) == pytest.approx(
+        0.5, abs=1e-6
+    )
+
+
+def test_function_outlives_its_name():
+    run = cosim.integrator(ball(), [0.0, 1.0], solver="dop853", derivatives=False)
+    x0 = ca.MX.sym("x0", 2)
+    within = ca.Function("within", [x0], [run(x0=x0, p=[9.81, 0.7])["xf"][0, -1]])
+    del run
+    gc.collect()
+    exact = after_one_impact()([1.0, 0.0], [9.81, 0.7])
+    assert float(within([1.0, 0.0])) == pytest.approx(float(exact), abs=1e-6)
+
+
+def test_run_that_a_stop_ends_has_no_result():
+    model = cosim.Model("riser", stop_time=2.0)
+    h = model.state("h", "m", 0.0, "height")
+    model.derivative(h, 1.0)
+    model.stop(h > 1, "at the top")
+    run = cosim.integrator(model.freeze(), [0.0, 2.0])
+    with pytest.raises(RuntimeError, match="a run to 2 s fails: 'at the top' ends it at 1 s"):
+        run(x0=0.0)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rosenbrock"])
+def test_other_steps_of_an_input_compile_nothing(solver):
+    model = cosim.Model("cart", stop_time=2.0, output_interval=0.1)
+    v = model.state("v", "m/s", 0.0, "speed")
+    push = model.input("push", "m/s^2", 0.0, "force by mass")
+    model.derivative(v, push - v)
+    dae = model.freeze()
+    for k, height in enumerate((1.0, 3.0)):
+        steps = cosim.InputSeries(("push",), [0, 1, 1, 2], [[0], [0], [height], [height]])
+        run = cosim.simulate(dae, inputs=steps, solver=solver, relative_tolerance=1e-9)
+        assert run.final["v"] == pytest.approx(height * (1 - np.exp(-1)), rel=1e-7)
+        assert not k or "compile_time" not in run.stats
