@@ -1,34 +1,28 @@
 """Coupled systems: error and cost of co-simulation by each method, against all parts as one model.
 
-    python benchmarks/coupling.py [--figure FILE.png]
+    python benchmarks/coupling.py
 
 Prints, for the systems of examples/coupled, the true error and the estimate for each accuracy,
 macro steps, and the time in units of that of the one model under dop853 (medians, interleaved);
-then the error of each method by macro step with its order; then libcosim, which holds inputs, if
-libcosimpy is installed. With `--figure FILE` it only draws error against macro step.
+then `cosim tradeoff` of each: error and order of each method by macro step; then libcosim, which
+holds inputs, if libcosimpy is installed.
 """
 
 import statistics
-import sys
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import cosim
-from cosim.colors import CURVES
 from cosim.coupling.files import read_system
 from cosim.errors import SolverError
-from cosim.plotting import STYLE
+from cosim.study.tradeoff.configuration import Selection
 
 FOLDER = Path(__file__).parents[1] / "examples" / "coupled"
 NAMES = [
     *("ride", "quarter_car", "dual_mass", "three_masses", "cut_pendulum", "driven_frame", "loop"),
     *("strong_loop", "digital_ride"),
 ]
-METHODS = {"jacobi": 1, "gauss_seidel": 1, "extrapolated": 4, "iterated": 4}
 REPEATS = 9
 
 
@@ -68,31 +62,11 @@ def accuracies() -> None:
             )
 
 
-def by_step(name, steps):
-    """Return the errors of a system by method, one for each macro step; outputs at its ends."""
-    system = read_system(FOLDER / f"{name}.toml")
-    found = {}
-    for method in METHODS:
-        row = []
-        for step in steps:
-            exact = exact_run(system, output_interval=step)
-            ways = {"macro_step": step, "output_interval": step, "method": method}
-            try:
-                row.append(error_of(system.simulate(**ways), exact))
-            except SolverError:  # unstable: not finite
-                row.append(np.nan)
-        found[method] = np.array(row)
-    return found
-
-
 def orders() -> None:
-    steps = [0.04, 0.02, 0.01, 0.005]
-    print(f"\nsystem         method        {'  '.join(f'{s:g} s' for s in steps)}  order")
+    chosen = Selection(steps=(0.04, 0.02, 0.01, 0.005))
     for name in NAMES:
-        for method, errors in by_step(name, steps).items():
-            order = np.log2(errors[-2] / errors[-1])
-            shown = "  ".join(f"{e:.1e}" for e in errors)
-            print(f"{name:14} {method:12} {shown}  {order:.2f}")
+        system = read_system(FOLDER / f"{name}.toml")
+        print(f"\n{cosim.tradeoff(system, selection=chosen, repeats=0)}")
 
 
 def drift() -> None:
@@ -152,45 +126,8 @@ def libcosim() -> None:
           f"{steps} steps of a part, for which it needs {needed:.0f}")  # fmt: skip
 
 
-def figure(path: str) -> None:
-    with matplotlib.rc_context(STYLE):
-        _figure(np.geomspace(2e-3, 0.1, 11)).savefig(path, dpi=120)
-
-
-def _figure(steps: np.ndarray) -> Figure:
-    drawing = Figure(figsize=(9, 4.2), layout="constrained")
-    axes = drawing.subplots(1, 2, sharey=True)
-    titles = {"ride": "Bicycle and rider", "cut_pendulum": "Stiff hinge"}
-    for axis, (name, title) in zip(axes, titles.items(), strict=True):
-        looks = zip(by_step(name, steps).items(), CURVES, "osD^", strict=False)
-        for (method, errors), color, marker in looks:
-            shown = np.where(errors < 10, errors, np.nan)
-            label = f"{method.replace('_', '-')} (order {METHODS[method]})"
-            axis.loglog(steps * 1e3, shown, f"{marker}-", color=color, ms=4, label=label)
-        for order, start in ((1, 0.3), (4, 3e-9)):
-            slope = start * (steps / steps[0]) ** order
-            axis.loglog(steps * 1e3, slope, ":", color="gray", lw=1)
-            axis.annotate(
-                f"slope {order}",
-                (2.1, start * (1.5 if order == 1 else 0.2)),
-                color="gray",
-                fontsize=8,
-            )
-        axis.set(title=title, xlabel="macro step [ms]", xlim=(1.8, 110), ylim=(1e-10, 10))
-        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.xaxis.set_minor_formatter(NullFormatter())
-    axes[0].set_ylabel("largest error of an output [nominal values]")
-    axes[1].annotate("order 1: unstable", (2.2, 3), fontsize=8)
-    axes[0].legend(loc="lower right")
-    return drawing
-
-
 if __name__ == "__main__":
-    if "--figure" in sys.argv:
-        figure(sys.argv[sys.argv.index("--figure") + 1])
-    else:
-        accuracies()
-        orders()
-        drift()
-        libcosim()
+    accuracies()
+    orders()
+    drift()
+    libcosim()

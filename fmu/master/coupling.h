@@ -262,16 +262,15 @@ static inline int gather_crew(Coupling *self) {
     const System *system = self->system;
     const long long n = system->n_parts, m = system->inputs + 1;
     if (!system->threads || system->method == GAUSS_SEIDEL || n < 2) return 0;
-    const size_t each = sizeof(Stepper) + 4 * (size_t)m * sizeof(double);
-    char *memory = calloc((size_t)n, each);
-    if (!memory) return 1;
-    double *numbers = (double *)(memory + (size_t)n * sizeof(Stepper));
+    Stepper *steppers = calloc((size_t)n, sizeof *steppers);
+    double *numbers = calloc((size_t)(4 * n * m), sizeof *numbers);
+    self->crew = (Crew){step_member, (char *)steppers, sizeof *steppers, n, 0, NULL};
+    self->crew_numbers = numbers;
+    if (!steppers || !numbers) return 1;
     for (long long i = 0; i < n; ++i) {
-        Stepper *one = (Stepper *)memory + i;
-        one->part_u = take(&numbers, m);
-        one->given = take(&numbers, 3 * m);
+        steppers[i].part_u = take(&numbers, m);
+        steppers[i].given = take(&numbers, 3 * m);
     }
-    self->crew = (Crew){step_member, memory, sizeof(Stepper), n, 0, NULL};
     crew_start(&self->crew);
     return 0;
 }
@@ -297,7 +296,6 @@ static inline int run_from_start(Coupling *self) {
     if (gather_crew(self)) return CALL_FAILED;
     const int end = system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
     if (self->crew.count) crew_end(&self->crew);
-    free(self->crew.members);
     return end;
 }
 
@@ -320,6 +318,8 @@ static inline void answer_of(System *system, int (*task)(Coupling *)) {
     system->status = self.fmu.status;
     for (long long p = 0; p < system->n_parts; ++p) part_forget(system->parts + p);
     free(self.memory);
+    free(self.crew.members);
+    free(self.crew_numbers);
 }
 
 SHARED void settle_coupled(System *system) {

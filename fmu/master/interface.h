@@ -65,7 +65,7 @@ typedef struct {
     double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
     FixedPoint iteration;
     Crew crew; /* of `Stepper`s; none if its count is 0 */
-    double *memory;
+    double *memory, *crew_numbers;
 } Coupling;
 
 static inline int give_up(Coupling *self, long long part) {

@@ -36,7 +36,7 @@ present_by(
     animate="cosim.present.playback.animate:animate",
     compare="cosim.present.figures:draw_residuals",
     plot="cosim.present.figures:draw_panels",
-    tradeoff="cosim.present.work_precision:draw_tradeoff",
+    tradeoff="cosim.present.study_figures:draw_tradeoff",
 )
 
 

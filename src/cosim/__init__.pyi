@@ -46,9 +46,9 @@ from cosim.series.samples import Column as Column
 from cosim.study.extremes.campaign import extremes as extremes
 from cosim.study.linearize.linearize import linearize as linearize
 from cosim.study.sensitivity.sensitivity import sensitivity as sensitivity
-from cosim.study.sweep.result import SweepResult as SweepResult
 from cosim.study.sweep.samples import design as design
 from cosim.study.sweep.samples import grid as grid
+from cosim.study.sweep.sweep import SweepResult as SweepResult
 from cosim.study.sweep.sweep import sweep as sweep
 from cosim.study.tradeoff.configuration import Selection as Selection
 from cosim.study.tradeoff.study import tradeoff as tradeoff

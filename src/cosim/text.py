@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -75,6 +76,14 @@ class Table:
 
     def __getitem__(self, position: int) -> Mapping[str, Any]:
         return self.rows[position]
+
+    def to_csv(self) -> str:
+        """Return the rows as CSV."""
+        return csv_text(self.rows)
+
+    def to_json(self) -> str:
+        """Return the rows as JSON."""
+        return json.dumps([*self.rows], indent=1) + "\n"
 
     def __repr__(self) -> str:
         text = text_table(self.rows, digits=self.digits)

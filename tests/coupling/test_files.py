@@ -195,7 +195,7 @@ def test_command_line_runs_the_model_the_co_simulation_and_the_ssp(ssp, tmp_path
         (["simulate", "SSP", "--input", "x=t"], "--input is for models"),
         (["simulate", "SSP", "--method", "jacobi"], "give macro_step"),
         (["export", "crank_shaft", "-o", "x.ssp"], ".ssp is for coupled systems"),
-        (["tradeoff", "SSP"], "a system is taken by simulate and info"),
+        (["linearize", "SSP"], "a system is taken by simulate, tradeoff and info"),
     ],
 )
 def test_options_that_do_not_fit_are_rejected(words, message, ssp, capsys, tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ from cosim.backend import Backend
 from cosim.colors import solver_look
 from cosim.integrate.families.casadi_rk import Erk
 from cosim.integrate.solvers import SOLVERS
-from cosim.present.work_precision import draw_tradeoff
+from cosim.present.study_figures import draw_tradeoff
 from cosim.study.tradeoff.configuration import Configuration
 from cosim.study.tradeoff.measurement import Measurement, Outcome, Timing
 

@@ -247,7 +247,7 @@ class System:
             MissingTool: There is no compiler.
         """
         settings = Settings(
-            *self._times(start_time, stop_time, output_interval),
+            *self.times(start_time, stop_time, output_interval),
             accuracy=_positive(self.name, "accuracy", accuracy),
             macro_step=_positive(self.name, "macro_step", macro_step),
             method=choice(Method, "method", method),
@@ -324,9 +324,10 @@ class System:
             found[name] = plain_values(dae, own) if isinstance(dae, Dae) else own
         return found
 
-    def _times(
-        self, start: float, stop: float | None, interval: float | None
+    def times(
+        self, start: float = 0.0, stop: float | None = None, interval: float | None = None
     ) -> tuple[float, float, float]:
+        """Return start, stop and output interval of a run, s, with those of the system for None."""
         daes = [p.subject.experiment for p in self.parts.values() if isinstance(p.subject, Dae)]
         start = number(self.name, "start_time", start)
         if stop is None:

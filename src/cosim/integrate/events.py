@@ -233,8 +233,8 @@ class _Course:
         self.slides |= bool(own.sliding)
         series = self._followed()
         inputs, gaps = series and series.around(float(times[0])), np.diff(times)
-        if inputs is not None and inputs.rests:  # code compiled without it serves all values
-            inputs = None
+        if inputs and not np.ptp(inputs.values, axis=0).any():
+            inputs = None  # it rests: code that is compiled without it serves all values
         problem = replace(self.problem, dae=own.dae, inputs=inputs)
         while True:
             inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks

@@ -88,7 +88,7 @@ def _described(error: BaseException) -> str:
 
 _OTHER_FILES = {
     ".py": "name the function that builds it, too, as PATH.py:FUNCTION",
-    ".ssp": "a system is taken by simulate and info",
+    ".ssp": "a system is taken by simulate, tradeoff and info",
     ".toml": "a scene is taken by simulate, export, crosscheck, tradeoff and plot",
     ".fmu": "an FMU is taken by simulate, crosscheck and plot",
 }

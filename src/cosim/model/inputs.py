@@ -97,11 +97,6 @@ class InputSeries:
         found: Vector = self.time[1:][np.diff(self.time) == 0]
         return found
 
-    @cached_property
-    def rests(self) -> bool:
-        """Whether all values are constant."""
-        return bool((self.values == self.values[0]).all())
-
     def at(self, times: Vector) -> Vector:
         """Return the values at some times, (len(names), n); at a jump those that come after it."""
         return self._rows(times, "right")

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.fmi.export.documentation import formulas
-from cosim.fmi.export.package import FmuOptions, source_files
+from cosim.fmi.export.package import FmuOptions, formulas, source_files
 
 BAR = "bar_on_frame/reduced"
 

@@ -6,7 +6,7 @@ import pytest
 from casadi import DM, MX, SX
 
 import cosim
-from cosim.model.foreign.scalar_graph import scalar_graph
+from cosim.model.foreign.casadi_system import scalar_graph
 
 INDEX, X = MX.sym("i"), MX.sym("x")
 CASES = [X, 2 * X, ca.sin(X)]

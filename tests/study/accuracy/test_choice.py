@@ -22,8 +22,7 @@ from cosim.integrate import events
 from cosim.integrate.call import RunStats
 from cosim.solvers import Goal
 from cosim.study.accuracy import choice
-from cosim.study.accuracy.candidates import measured_candidates
-from cosim.study.accuracy.choice import report
+from cosim.study.accuracy.choice import measured_candidates, report
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import show_table, write_text
+from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
 from cosim.model.quantities import quantity
 from cosim.study.tradeoff.configuration import Selection
@@ -26,12 +27,13 @@ def run(args: argparse.Namespace) -> int:
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
     if ending not in (".csv", ".json"):
         raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
-    selection, scene = _selection(args), scene_from(args)
+    selection = _selection(args)
+    co_simulated = is_system(args.model) and selection == Selection(steps=selection.steps)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
     study = tradeoff(
-        scene,
+        read_system(args.model) if co_simulated else scene_from(args),
         selection=selection,
         every_formulation=not named,
         repeats=args.repeats,
@@ -42,13 +44,19 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.output_file, text)
     if args.figure:
         from cosim.plotting import save
-        from cosim.present.work_precision import draw_tradeoff
+        from cosim.present import study_figures
 
-        save([draw_tradeoff(study)], args.figure)
+        if isinstance(study, Tradeoff):
+            figure = study_figures.draw_tradeoff(study)
+        else:
+            figure = study_figures.draw_methods(study)
+        save([figure], args.figure)
     if args.json:
         write_text(None, study.to_json())
-    else:
+    elif isinstance(study, Tradeoff):
         _print(study)
+    else:
+        show_table(study.rows)
     return 0
 
 
@@ -58,9 +66,9 @@ def _selection(args: argparse.Namespace) -> Selection:
     chosen: dict[str, Any] = {
         name: names_in(text) for name in names if (text := getattr(args, name))
     }
-    for name in ("tolerances", "steps"):
+    for name, unit in (("tolerances", "1"), ("steps", "s")):
         if text := getattr(args, name):
-            chosen[name] = tuple(quantity(f"--{name}", word, "1") for word in text.split(","))
+            chosen[name] = tuple(quantity(f"--{name}", word, unit) for word in text.split(","))
     if args.relative_tolerance is not None:
         if "tolerances" in chosen:
             raise UsageError(
@@ -89,9 +97,6 @@ def _print(study: Tradeoff) -> None:
             for m in study.pareto_front(cost)
         ]  # fmt: skip
         show_table(best)
-    if fits := study.proportionality():
-        print("\nerror = constant * tolerance ** slope")
-        show_table([fit.row() for fit in fits])
     if study.orders:
         print("\nobserved order of the fixed-step methods")
         show_table([order.row() for order in study.orders])

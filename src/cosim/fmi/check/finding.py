@@ -72,3 +72,4 @@ def _rules(table: Mapping[str, Mapping[str, str]]) -> Mapping[str, Rule]:
 _TABLES = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
 RULES = _rules(_TABLES["static"])
 TRIAL_RULES = _rules(_TABLES["trials"])
+EVERYWHERE: Mapping[str, str] = _TABLES["everywhere"]

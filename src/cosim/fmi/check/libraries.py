@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import MissingTool
 from cosim.fmi.archive import entry_content
-from cosim.fmi.check.finding import RULES, TRIAL_RULES, Finding, Rule
+from cosim.fmi.check.finding import EVERYWHERE, RULES, TRIAL_RULES, Finding, Rule
 from cosim.fmi.check.parsed import BUILD
 from cosim.fmi.check.trials.bench import Bench, Skipped
 from cosim.fmi.export.build import fmi_headers
@@ -107,19 +107,7 @@ def _fails(call: Sequence[str], folder: Path) -> str:
 
 
 _SUFFIXES = (".so", ".dll", ".dylib")
-_RUNTIME = re.compile(  # of C and C++, whose names all have versions
-    r"(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc\+\+|libmvec|ld-linux[\w-]*)\.so\.\d+(\.\d+)*"
-)
-_EVERYWHERE = {  # on every computer with that system
-    "linux": re.compile(_RUNTIME.pattern),
-    "windows": re.compile(
-        r"(api-ms-win-[\w-]+|kernel32|kernelbase|ntdll|user32|gdi32|advapi32|shell32|shlwapi|ole32"
-        r"|oleaut32|ws2_32|mswsock|iphlpapi|winmm|rpcrt4|bcrypt|crypt32|secur32|psapi|version"
-        r"|dbghelp|setupapi|comdlg32|comctl32|msvcrt|ucrtbase)\.dll",
-        re.IGNORECASE,
-    ),
-    "darwin": re.compile(r"/usr/lib/.*|/System/Library/.*"),
-}
+_EVERYWHERE = {system: re.compile(pattern) for system, pattern in EVERYWHERE.items()}
 _OLDEST = {  # systems of 2020
     "GLIBC": ((2, 31), RULES["glibc"]),  # Debian 11, Ubuntu 20.04
     "macOS": ((11, 0), RULES["macos"]),
@@ -165,7 +153,7 @@ def _elsewhere(
     if foreign := [name for name in needed if not everywhere.fullmatch(name)]:
         yield RULES["imports"], f"it loads {', '.join(foreign)}, not in the FMU"
     missing = sorted(library.undefined)
-    if missing and all(_RUNTIME.fullmatch(name) for name in library.needs):
+    if missing and all(_EVERYWHERE["linux"].fullmatch(name) for name in library.needs):
         shown = shortened(missing, _NAMES)
         yield RULES["undefined"], f"it names no library that has {shown} ({len(missing)} symbols)"
     found = [m for text in library.versions if (m := _VERSION.fullmatch(text))]

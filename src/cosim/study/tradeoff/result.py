@@ -3,15 +3,11 @@
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
-from math import log10
 from typing import Any
 
-import numpy as np
-
-from cosim.backend import Backend
 from cosim.codegen.compiler import find_compiler
 from cosim.errors import MissingTool
 from cosim.presenters import presenter
@@ -21,22 +17,6 @@ from cosim.study.tradeoff.fixed_steps import Order, StabilityLimit
 from cosim.study.tradeoff.measurement import COSTS, Measurement
 from cosim.text import MOST_LINES, csv_text, html_table, text_table
 from cosim.verify.reference import Reference
-
-
-@dataclass(frozen=True)
-class Proportionality:
-    """Fit of an adaptive solver's error: constant * tolerance ** slope."""
-
-    model: str
-    reduced: bool
-    solver: str
-    slope: float
-    constant: float
-    points: int
-
-    def row(self) -> dict[str, Any]:
-        """Return plain values, for tables."""
-        return vars(self) | {"reduced": "yes" if self.reduced else "no"}
 
 
 @dataclass(frozen=True)
@@ -84,10 +64,6 @@ class Tradeoff:
         """Return the measurements that no other one beats in error and cost, cheapest first."""
         negligible = self.reference_error
         return pareto_front(self.competing, lambda m: m.cost(cost), lambda m: m.error, negligible)
-
-    def proportionality(self) -> tuple[Proportionality, ...]:
-        """Fit error against tolerance for each compiled adaptive solver."""
-        return proportionality(self.measurements, self.reference_error)
 
     def missing(self) -> list[dict[str, str]]:
         """Return the configurations without a result, with the reason.
@@ -154,38 +130,12 @@ class Tradeoff:
             "pareto_fronts": {
                 cost: [str(m.configuration) for m in self.pareto_front(cost)] for cost in COSTS
             },
-            "proportionality": [fit.row() for fit in self.proportionality()],
             "orders": [order.row() for order in self.orders],
             "stability": [limit.row() for limit in self.stability],
             "missing": self.missing(),
             "measurements": rows,
         }
         return json.dumps(facts, indent=1) + "\n"
-
-
-def proportionality(
-    measurements: Sequence[Measurement], reference_error: float
-) -> tuple[Proportionality, ...]:
-    """Fit log error = log constant + slope log tolerance.
-
-    Errors count from ten times the reference's error up to 0.1.
-    """
-    families: dict[Family, list[tuple[float, float]]] = {}
-    for measurement in measurements:
-        configuration, error = measurement.configuration, measurement.error
-        adaptive = configuration.backend is Backend.NATIVE and configuration.tolerance is not None
-        if adaptive and error is not None and 10 * reference_error < error < 0.1:
-            point = (log10(configuration.tolerance or 1.0), log10(error))
-            families.setdefault(configuration.family, []).append(point)
-    fits = []
-    for (model, reduced, _, solver, control), points in families.items():
-        if len(points) >= 3:
-            tolerances, errors = np.array(points).T
-            slope, intercept = np.polyfit(tolerances, errors, 1)
-            name = f"{solver} {control or ''}".rstrip()
-            constant = 10 ** float(intercept)
-            fits.append(Proportionality(model, reduced, name, float(slope), constant, len(points)))
-    return tuple(fits)
 
 
 def provenance(reference: Reference) -> dict[str, str]:

@@ -8,6 +8,7 @@ from time import perf_counter
 from cosim import backend as backends
 from cosim.backend import Backend
 from cosim.codegen.compiler import find_compiler, has_compiler
+from cosim.coupling.system import System
 from cosim.errors import CosimError, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.exported import run_file
@@ -19,6 +20,7 @@ from cosim.model.request import Policy, RunRequest
 from cosim.scene.scene import Scene
 from cosim.scene.variants import fitting_formulations
 from cosim.study.tradeoff.configuration import Configuration, Selection
+from cosim.study.tradeoff.coupled import coupled_tradeoff
 from cosim.study.tradeoff.fixed_steps import observed_order, stability_limit
 from cosim.study.tradeoff.measurement import (
     LEFT_OUT,
@@ -30,6 +32,7 @@ from cosim.study.tradeoff.measurement import (
     measurement_of,
 )
 from cosim.study.tradeoff.result import Tradeoff, provenance
+from cosim.text import Table
 from cosim.trajectory import Trajectory
 from cosim.verify.reference import reference
 
@@ -106,21 +109,23 @@ SECONDS = 240.0  # after this time of a study, no run begins
 
 
 def tradeoff(
-    subject: Scene | RunRequest | str,
+    subject: Scene | RunRequest | System | str,
     *,
     selection: Selection | None = None,
     every_formulation: bool | None = None,
     repeats: int = REPEATS,
     seconds: float = SECONDS,
     progress: Progress | None = None,
-) -> Tradeoff:
+) -> Tradeoff | Table:
     """Measure error against cost.
 
     Every configuration runs once for its error and its counts. Then all of them are timed in turn,
     so that other work of the machine affects them equally.
 
     Args:
-        subject: A scene, a request, `MODEL`, `MODEL/FORMULATION` or `PATH.py:FUNCTION`.
+        subject: A scene, a request, `MODEL`, `MODEL/FORMULATION` or `PATH.py:FUNCTION`; or a
+            coupled system, whose methods of co-simulation are measured over macro steps, those of
+            the selection or 10 to 1/8 output intervals, and returned as a table.
         selection: Solvers, tolerances, steps and backends to measure.
         every_formulation: Whether the model's other formulations are measured as well. None: yes,
             unless `subject` names a formulation.
@@ -139,12 +144,17 @@ def tradeoff(
         >>> len(study.measurements)
         2
     """
-    if isinstance(subject, str) and every_formulation is None:
-        every_formulation = "/" not in subject and ".py:" not in subject
-    name, request = _named_request(subject)
     if not isinstance(repeats, int) or repeats < 0:
         raise UsageError(f"tradeoff: repeats = {repeats!r}; give a whole number, 0 or more")
     began, progress = perf_counter(), progress or (lambda _: None)
+    if isinstance(subject, System):
+        steps = selection.steps if selection else ()
+        if selection not in (None, Selection(steps=steps)):
+            raise UsageError(f"{subject.name}: of co-simulations, only steps can be selected")
+        return coupled_tradeoff(subject, steps, repeats, began + seconds, progress)
+    if isinstance(subject, str) and every_formulation is None:
+        every_formulation = "/" not in subject and ".py:" not in subject
+    name, request = _named_request(subject)
     selection = _possible(selection or Selection(), progress)
     if not request.dae.states:
         raise UsageError(f"{name} has no states: there is nothing to integrate")

@@ -1,0 +1,106 @@
+"""`tradeoff` of a coupled system: methods and macro steps."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.cli.main import main
+from cosim.coupling.files import read_system
+from cosim.errors import UsageError
+from cosim.present.study_figures import draw_methods
+from cosim.study.tradeoff.configuration import Selection
+
+FOLDER = "examples/coupled"
+
+
+@pytest.fixture(scope="module")
+def table():
+    system = read_system(f"{FOLDER}/dual_mass.toml")
+    return cosim.tradeoff(system, selection=Selection(steps=(0.05, 0.025, 0.0125)), repeats=0)
+
+
+def test_orders_of_the_methods_are_those_of_theory(table):
+    expected = {"jacobi": 1, "gauss_seidel": 1, "extrapolated": 4, "iterated": 4}
+    last = {row["method"]: row for row in table if row["step"] == 0.0125}
+    assert last.keys() == expected.keys()
+    for method, row in last.items():
+        if row["order"] is not None:  # of held inputs, the error is too large for an order
+            assert row["order"] == pytest.approx(expected[method], abs=0.2)
+    assert last["iterated"]["order"] is not None
+
+
+def test_errors_are_those_against_the_one_model(table):
+    (row,) = (r for r in table if r["method"] == "iterated" and r["step"] == 0.025)
+    system = read_system(f"{FOLDER}/dual_mass.toml")
+    run = system.simulate(macro_step=0.025, output_interval=0.025)
+    exact = cosim.simulate(
+        system.dae, solver="dop853", relative_tolerance=1e-12, output_interval=0.025
+    )
+    sizes = {column.name: column.nominal for column in exact.columns}
+    shared = [name for name in run.names if name in sizes]
+    apart = max(np.abs(run[name] - exact[name]).max() / sizes[name] for name in shared)
+    assert row["error"] == pytest.approx(apart, rel=1e-6)
+    assert row["macro_steps"] == run.stats["macro_steps"]
+    assert row["part_steps"] == max(run.stats["part_steps"].values())
+
+
+def test_pareto_front_is_not_beaten(table):
+    front = [row for row in table if row["pareto"]]
+    assert front
+    for on in front:
+        assert not any(r["ms"] < on["ms"] and r["error"] < on["error"] for r in table)
+
+
+def test_command_line_writes_table_and_figure(tmp_path, capsys):
+    words = ["tradeoff", f"{FOLDER}/cut_pendulum.toml", "--steps", "20ms,2.5ms", "--repeats", "0"]
+    target, figure = tmp_path / "t.csv", tmp_path / "t.png"
+    assert main([*words, "-o", str(target), "--figure", str(figure)]) == 0
+    rows = list(csv.DictReader(io.StringIO(target.read_text())))
+    assert len(rows) == 8
+    by = {(row["method"], float(row["step"])): row for row in rows}
+    assert float(by["jacobi", 0.0025]["error"] or np.inf) > 10  # a stiff hinge diverges
+    assert float(by["iterated", 0.0025]["error"]) < 1e-3
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "iterated" in capsys.readouterr().out
+    assert main([*words, "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)) == 8
+
+
+def test_figure_names_methods_and_orders(table):
+    figure = draw_methods(table)
+    (axis,) = figure.axes
+    assert {text.get_text() for text in axis.texts} == {f"order {k}" for k in (1, 2, 3, 4)}
+    labels = [line.get_label() for line in axis.lines]
+    assert {"jacobi", "gauss-seidel", "extrapolated", "iterated", "diverged"} <= set(labels)
+
+
+def test_solvers_are_measured_with_the_one_model(capsys):
+    words = ["tradeoff", f"{FOLDER}/loop.toml", "--solvers", "dop853", "--tolerances", "1e-6"]
+    assert main([*words, "--backends", "native", "--repeats", "0"]) == 0
+    assert "dop853" in capsys.readouterr().out
+    system = read_system(f"{FOLDER}/loop.toml")
+    with pytest.raises(UsageError, match="only steps can be selected"):
+        cosim.tradeoff(system, selection=Selection(solvers=("erk",)))
+
+
+def test_parts_that_are_files_have_a_tight_co_simulation_as_reference(tmp_path):
+    model = read_system(f"{FOLDER}/dual_mass.toml")
+    system = cosim.read_ssp(model.write_ssp(tmp_path / "dual_mass.ssp"))
+    chosen = Selection(steps=(0.05, 0.025))
+    found, own = (
+        [r for r in cosim.tradeoff(s, selection=chosen, repeats=0) if r["method"] == "iterated"]
+        for s in (system, model)
+    )
+    for a, b in zip(found, own, strict=True):
+        assert a["error"] == pytest.approx(b["error"], rel=0.1)
+
+
+def test_what_the_time_limit_leaves_out_is_listed():
+    system = read_system(f"{FOLDER}/loop.toml")
+    table = cosim.tradeoff(system, seconds=0.0)
+    assert {row["status"] for row in table} == {"left out: the time limit was reached"}
+    draw_methods(table)
