@@ -5,6 +5,7 @@ import gc
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.random_models import random_model
 
 import cosim
 
@@ -120,3 +121,36 @@ def test_other_steps_of_an_input_compile_nothing(solver):
         run = cosim.simulate(dae, inputs=steps, solver=solver, relative_tolerance=1e-9)
         assert run.final["v"] == pytest.approx(height * (1 - np.exp(-1)), rel=1e-7)
         assert not k or "compile_time" not in run.stats
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 40, 10))
+def test_jacobians_of_random_models_with_relations_are_differences(first):
+    """Every one is right, or the run is rejected."""
+    right = [is_difference(random_model(seed)) for seed in range(first, first + 10)]
+    assert sum(right) >= 7  # of seeds 0 to 25, 22
+
+
+def is_difference(dae):
+    """Return whether the derivatives by x0 and p are known; they are differences of runs then."""
+    stop = dae.experiment.stop_time
+    run = cosim.integrator(dae, [0.0, stop / 2, stop], solver="dop853", relative_tolerance=1e-10)
+    given = {name: ca.DM(value) for name, value in cosim.start_vectors(dae).items()}
+    given["u"] = ca.repmat(given["u"], 1, 3)
+    try:
+        found = run(**given)
+        slopes = run.jacobian()(*(given[k] for k in ("x0", "z0", "p", "u")), *found.values())
+    except RuntimeError:  # of CasADi, with the message of ours
+        return False
+
+    def moved(name, k, step):
+        shift = ca.DM.zeros(given[name].shape)
+        shift[k] = step
+        return ca.vec(run(**given | {name: given[name] + shift})["xf"])
+
+    for name, slope in (("x0", slopes[0]), ("p", slopes[2])):
+        for k in range(given[name].numel()):
+            step = 2.5e-6 * max(1.0, abs(float(given[name][k])))
+            apart = (moved(name, k, step) - moved(name, k, -step)) / (2 * step)
+            np.testing.assert_allclose(np.array(slope[:, k]), np.array(apart), rtol=1e-3, atol=1e-3)
+    return True
