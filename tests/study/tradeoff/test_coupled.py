@@ -104,3 +104,10 @@ def test_what_the_time_limit_leaves_out_is_listed():
     table = cosim.tradeoff(system, seconds=0.0)
     assert {row["status"] for row in table} == {"left out: the time limit was reached"}
     draw_methods(table)
+
+
+def test_files_of_others_do_not_run_in_this_process(tmp_path, monkeypatch, capsys):
+    path = read_system(f"{FOLDER}/loop.toml").write_ssp(tmp_path / "loop.ssp")
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))  # which knows no file
+    assert main(["tradeoff", str(path), "--repeats", "0"]) == 2
+    assert "was not exported here; use simulate --method" in capsys.readouterr().err

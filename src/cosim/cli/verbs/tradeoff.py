@@ -9,7 +9,9 @@ from typing import Any
 from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import show_table, write_text
 from cosim.coupling.files import is_system, read_system
+from cosim.coupling.system import System
 from cosim.errors import UnknownName, UsageError
+from cosim.fmi.trust import is_made_here
 from cosim.model.quantities import quantity
 from cosim.study.tradeoff.configuration import Selection
 from cosim.study.tradeoff.measurement import COSTS
@@ -33,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
     study = tradeoff(
-        read_system(args.model) if co_simulated else scene_from(args),
+        _own_system(args.model) if co_simulated else scene_from(args),
         selection=selection,
         every_formulation=not named,
         repeats=args.repeats,
@@ -58,6 +60,16 @@ def run(args: argparse.Namespace) -> int:
     else:
         show_table(study.rows)
     return 0
+
+
+def _own_system(path: str) -> System:
+    """Read a coupled system whose FMUs may run in this process."""
+    system = read_system(path)
+    if foreign := [file.name for file in system.fmus if not is_made_here(file)]:
+        raise UsageError(
+            f"{path}: {foreign[0]} was not exported here; use simulate --method instead"
+        )
+    return system
 
 
 def _selection(args: argparse.Namespace) -> Selection:

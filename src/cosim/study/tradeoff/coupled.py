@@ -19,7 +19,7 @@ from cosim.text import Table
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
-_EXACT = 1e-12  # relative tolerance of the one model
+_EXACT: dict[str, Any] = {"solver": "dop853", "relative_tolerance": 1e-12}  # of the one model
 _TIGHT = 1e-9  # accuracy of the co-simulation that stands for it where parts are FMUs
 _ASYMPTOTIC = 0.1  # error in nominal values; larger ones show no order
 _FACTS = ("error", "worst", "order", "macro_steps", "part_steps", "iterations", "ms", "pareto")
@@ -43,8 +43,10 @@ def coupled_tradeoff(
             rows.append(row | {"status": f"{LEFT_OUT}: the time limit was reached"})
             continue
         try:
-            if apart not in truths:
-                truths[apart] = _truth(system, ways)
+            if apart not in truths and system.is_model:
+                truths[apart] = execute(requested(system.dae, **ways, **_EXACT))
+            elif apart not in truths:
+                truths[apart] = system.simulate(accuracy=_TIGHT, **ways)
             runs = [
                 system.simulate(macro_step=step, method=method, **ways) for _ in range(repeats + 1)
             ]
@@ -67,9 +69,3 @@ def coupled_tradeoff(
     for row in pareto_front(rows, lambda row: row["ms"], lambda row: row["error"]):
         row["pareto"] = "yes"
     return Table(tuple(rows), f"{system.name}: co-simulation by method and macro step [s]")
-
-
-def _truth(system: System, ways: dict[str, Any]) -> Trajectory:
-    if not system.is_model:
-        return system.simulate(accuracy=_TIGHT, **ways)
-    return execute(requested(system.dae, solver="dop853", relative_tolerance=_EXACT, **ways))
