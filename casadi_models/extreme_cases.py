@@ -153,11 +153,12 @@ def _bicycle_cases() -> Iterator[Case]:
     speeds = (0.0, 0.01, 2.0, 3.5, 4.292, 6.024, 8.0, 30.0, 100.0)
     for speed, (model, solver) in product(speeds, runs):
         values = {"thetaR_dot": -speed / 0.3, "phi_dot": 0.01}
-        case = Case("bicycle: speed", f"{speed:g} m/s, {solver}", model, values, 2.0, solver=solver)
-        yield replace(case, references=(_other(BICYCLE[0], solver, "erk"),))
+        name, other = f"speed = {speed:g} m/s, {solver}", _other(BICYCLE[0], solver, "erk")
+        case = Case("bicycle: speed", name, model, values, 2.0, solver=solver)
+        yield replace(case, references=(other,))
     for speed, model in product(speeds, BICYCLE):
         values = {"thetaR_dot": -speed / 0.3, "phi_dot": 0.0}
-        name = f"{speed:g} m/s"
+        name = f"speed = {speed:g} m/s"
         yield Case("bicycle: exactly upright", name, model, values, 20.0, 1e-6, "upright")
     others = (
         Counterpart(BICYCLE[2], "rosenbrock"),
@@ -170,9 +171,8 @@ def _bicycle_cases() -> Iterator[Case]:
         yield replace(case, references=others)
     steered = {"phi_dot": 0.0, "delta": 85 * DEGREE, "delta_dot": 1.0, "thetaR_dot": -3.0}
     for (model, solver), stop in product(runs, (0.02, 0.1, 0.2)):
-        case = Case(
-            "bicycle: steered through 92 deg", f"{stop:g} s, {solver}", model, steered, stop
-        )
+        name = f"stop time = {stop:g} s, {solver}"
+        case = Case("bicycle: steered through 92 deg", name, model, steered, stop)
         other = Counterpart(BICYCLE[2], "idas" if solver == "rosenbrock" else "rosenbrock", 1e-10)
         yield replace(case, solver=solver, references=(other,))
     for model, rtol in product(BICYCLE, (1e-6, 1e-8, 1e-10)):
@@ -210,15 +210,15 @@ def _pendulum_cases() -> Iterator[Case]:
     for model, power in product(PENDULUM, range(5)):
         values = {"w1_z0": 10.0**power, "w2_z0": -(10.0**power)}
         span = 1.0 if power < 4 else 0.1
-        case = Case("pendulum: spin", f"1e{power} rad/s", model, values, span)
+        case = Case("pendulum: spin", f"spin = 1e{power} rad/s", model, values, span)
         yield replace(case, references=(replace(regular, solver="rosenbrock"),))
     for model, power in product(PENDULUM, range(-6, 0)):
         values = {"diameter": 10.0**power}
-        case = Case("pendulum: diameter", f"1e{power} m", model, values, 2.0)
+        case = Case("pendulum: diameter", f"diameter = 1e{power} m", model, values, 2.0)
         yield replace(case, references=(regular,))
     for model, rate in product(PENDULUM, (5.0, 10.0, 20.0, 50.0, 200.0)):
         values = {"w1_x0": rate, "w2_x0": rate}
-        case = Case("pendulum: thrown over the top", f"{rate:g} rad/s", model, values, 1.0)
+        case = Case("pendulum: thrown over the top", f"rate = {rate:g} rad/s", model, values, 1.0)
         yield replace(case, references=(regular,))
 
 

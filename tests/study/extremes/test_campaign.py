@@ -224,7 +224,7 @@ def test_map_shows_each_outcome_in_its_own_color(tmp_path):
 @pytest.mark.parametrize(
     ("family", "name", "model"),
     [
-        ("bicycle: speed", "0 m/s, idas", "bicycle/multipliers"),
+        ("bicycle: speed", "speed = 0 m/s, idas", "bicycle/multipliers"),
         ("mass ratios", "m x 1e-09", "bar_on_frame/two_body"),
         ("mass ratios", "bar_mass x 1e-06", "disk_two_bars/multipliers"),
     ],
