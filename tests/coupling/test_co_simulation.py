@@ -1,5 +1,9 @@
 """Co-simulation of coupled FMUs: orders, the accuracy that was asked for, loops, failures."""
 
+import re
+import signal
+from threading import Timer
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -8,7 +12,7 @@ from helpers.samples import sampled
 import cosim
 from casadi_models.dae import Model
 from cosim.coupling.files import read_system
-from cosim.errors import ParameterError, SolverError, UnknownName, UsageError
+from cosim.errors import Interrupted, ParameterError, SolverError, UnknownName, UsageError
 
 FOLDER = "examples/coupled"
 SYSTEMS = [
@@ -229,3 +233,15 @@ def test_pulse_between_communication_points_is_not_stepped_over():
     assert given.stats["interface_error"] > 0.1
     constant = system.simulate(stop_time=1, macro_step=0.5, method="jacobi")
     assert "interface_error" not in constant.stats  # there are no cubics
+
+
+@pytest.mark.parametrize("threads", [False, True])
+def test_interrupted_run_says_so(threads):
+    system = read_system(f"{FOLDER}/dual_mass.toml")
+    system.simulate(stop_time=0.1, macro_step=0.01, threads=threads)
+    alarm = Timer(0.5, signal.raise_signal, [signal.SIGINT])
+    alarm.start()
+    with pytest.raises(Interrupted) as caught:
+        system.simulate(stop_time=5000, output_interval=1, macro_step=1e-4, threads=threads)
+    alarm.join()
+    assert re.fullmatch(r"stopped after \S+ s: interrupted", caught.value.partial.status)

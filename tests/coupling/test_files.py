@@ -57,6 +57,37 @@ def test_start_values_in_another_unit_are_converted(text, value, tmp_path):
         cosim.read_ssp(wrong)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"<ssv:Real value", b"<ssv:String value", "is no number; only numbers"),
+        (b'name="phi_dot"', b'name="phi_dto"', "no variable 'phi_dto'"),
+    ],
+)
+def test_values_that_cannot_be_set_are_rejected(old, new, words, tmp_path):
+    system = cosim.couple({"bicycle": "bicycle"}, {}, start_values={"bicycle.phi_dot": 0.5})
+    path = changed(system.write_ssp(tmp_path / "own.ssp"), tmp_path / "other.ssp", old, new)
+    with pytest.raises(CosimError, match=words):
+        cosim.read_ssp(path)
+
+
+def test_numbers_of_ssp_2_are_read_and_values_for_no_part_rejected(tmp_path):
+    system = cosim.couple({"bicycle": "bicycle"}, {}, start_values={"bicycle.phi_dot": 0.5})
+    path = system.write_ssp(tmp_path / "own.ssp")
+    old = b'<ssv:Real value="0.5" unit="rad/s" />'
+    other = changed(path, tmp_path / "other.ssp", old, b'<ssv:UInt8 value="1" />')
+    assert cosim.read_ssp(other).start_values["bicycle", "phi_dot"] == 1
+    values = (
+        b"<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues><ssv:ParameterSet "
+        b'version="1.0" name="s"><ssv:Parameters><ssv:Parameter name="bicylce.phi_dot">'
+        b'<ssv:Real value="1" /></ssv:Parameter></ssv:Parameters></ssv:ParameterSet>'
+        b"</ssd:ParameterValues></ssd:ParameterBinding></ssd:ParameterBindings><ssd:Elements>"
+    )
+    wrong = changed(path, tmp_path / "wrong.ssp", b"<ssd:Elements>", values)
+    with pytest.raises(UsageError, match=r"no part has the parameter bicylce\.phi_dot"):
+        cosim.read_ssp(wrong)
+
+
 def test_fmpy_reads_the_same_connections(ssp):
     description = read_ssd(str(ssp))
     assert len(description.system.connections) == len(cosim.read_ssp(ssp).connections) == 6

@@ -123,6 +123,74 @@ def test_other_steps_of_an_input_compile_nothing(solver):
         assert not k or "compile_time" not in run.stats
 
 
+@pytest.mark.parametrize("solver", ["dop853", "idas"])
+def test_each_column_moves_what_rests_on_a_belt_that_the_input_drives(solver):
+    """The place is the sum of speed times length of the intervals, equal speeds or not."""
+    model = cosim.Model("belt", stop_time=4.0, output_interval=0.05)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.5, "speed")
+    belt = model.input("belt", "m/s", 0.5, "speed of the belt")
+    model.derivative(x, v)
+    model.derivative(v, -3 * ca.sign(v - belt))
+    dae = model.freeze()
+    run = cosim.integrator(dae, np.arange(5.0), solver=solver, relative_tolerance=1e-9)
+    u = ca.MX.sym("u", 1, 5)
+    end = run(x0=[0.0, 0.5], u=u)["xf"][:, -1]
+    by = ca.Function("by", [u], [ca.jacobian(end, u)])
+    for apart in (0.0, 1e-9):
+        found = np.array(by(0.5 + apart * np.array([[0, 0, 0, 1, 0]])))
+        np.testing.assert_allclose(found, [[0, 1, 1, 1, 1], [0, 0, 0, 0, 1]], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
+@pytest.mark.parametrize("size", [1e-14, 1e-6])
+def test_derivatives_by_tiny_numbers_are_as_accurate_as_others(size, solver):
+    model = cosim.Model("driven", stop_time=2.0, output_interval=0.1)
+    x, y = model.state("x", "1", 0.0, "what is driven"), model.state("y", "1", 0.0, "clock")
+    count = model.discrete("count", "1", 0.0, "number")
+    p = model.parameter("p", "1", 0.0, "amplitude")
+    model.derivative(x, p * ca.sin(25 * model.t) * ca.exp(model.t) - 0.3 * x)
+    model.derivative(y, 1.0)
+    model.when(y > 0.77, {count: count + 1})
+    run = cosim.integrator(model.freeze(), [0.0, 2.0], solver=solver, relative_tolerance=1e-8)
+    number = ca.MX.sym("p")
+    end = run(x0=[0.0, 0.0, 0.0], p=number)["xf"][0, -1]
+    by = ca.Function("by", [number], [ca.jacobian(end, number)])
+    # of scipy's DOP853 at 1e-12
+    assert float(by(size)) == pytest.approx(-0.2665667639767548, abs=1e-6)
+
+
+@pytest.mark.parametrize("has_events", [False, True])
+@pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])
+def test_unknowns_belong_to_the_interval_that_ends(solver, has_events):
+    """0 = a - w + x, x' = a with w = 1, 2, 3: a is exp(-t) and jumps with w; w at the start: 1."""
+    model = cosim.Model("follower", stop_time=3.0)
+    x = model.state("x", "1", 0.0, "what follows")
+    a, w = model.algebraic("a", "1", 0.0, "rate"), model.input("w", "1", 0.0, "what leads")
+    model.derivative(x, a)
+    model.equation(a - w + x)
+    if has_events:
+        count = model.discrete("count", "1", 0.0, "number")
+        model.when(x > 50, {count: count + 1})
+    run = cosim.integrator(model.freeze(), np.arange(4.0), solver=solver, relative_tolerance=1e-9)
+    u = ca.MX.sym("u", 1, 4)
+    unknown = run(x0=0.0 if not has_events else [0.0, 0.0], u=u)["zf"]
+    both = ca.Function("both", [u], [unknown, ca.jacobian(unknown[1], u)])
+    found, slope = both(np.array([[7.0, 1.0, 2.0, 3.0]]))
+    e = np.exp(-np.arange(4.0))
+    exact = [1, e[1], e[2] + e[1], e[3] + e[2] + e[1]]
+    np.testing.assert_allclose(np.array(found).ravel(), exact, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(np.array(slope).ravel(), [0, e[1], 0, 0], rtol=0, atol=1e-7)
+
+
+def test_stop_at_the_last_time_is_no_failure():
+    model = cosim.Model("riser", stop_time=2.0)
+    h = model.state("h", "m", 0.0, "height")
+    model.derivative(h, 1.0)
+    model.stop(model.t >= 1, "at the top")
+    run = cosim.integrator(model.freeze(), [0.0, 1.0])
+    assert float(run(x0=0.0)["xf"][0, -1]) == pytest.approx(1.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 40, 10))
 def test_jacobians_of_random_models_with_relations_are_differences(first):

@@ -314,6 +314,7 @@ class CoSimulation:
             events=self._events(),
         )
         if interrupted or system.how == Ending.INTERRUPTED:
+            run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
             failure = self._failure(system)

@@ -236,6 +236,8 @@ class _Description:
                 if (*place, *owner[:n]) in parts:
                     yield (*place, *owner[:n]), ".".join((*owner[n:], variable)), value
                     break
+            else:
+                raise UsageError(f"{self._path}: no part has the parameter {name}; name its part")
 
     def _bound(self, element: ET.Element) -> Iterator[tuple[str, float | str]]:
         for binding in _children(_child(element, "ParameterBindings"), "ParameterBinding"):
@@ -251,9 +253,10 @@ class _Description:
             own = binding.get("prefix", "")
             for chosen in sets:
                 for parameter in _children(_child(chosen, "Parameters"), "Parameter"):
-                    for number in parameter:
-                        if _local(number) in ("Real", "Float64", "Integer", "Int32", "Boolean"):
-                            yield own + parameter.get("name", ""), self._number(parameter, number)
+                    yield from (
+                        (own + parameter.get("name", ""), self._number(parameter, number))
+                        for number in parameter
+                    )
 
     def _number(self, parameter: ET.Element, number: ET.Element) -> float | str:
         """Return a value in the variable's own unit; as a text if it has another one."""
@@ -263,8 +266,12 @@ class _Description:
             value = float(text) if value is None else value
         except ValueError:
             value = float("nan")
-        if not isfinite(value):
-            raise UsageError(f"{self._path}: {parameter.get('name')} = {text!r} is no number")
+        kind = _local(number)
+        if not isfinite(value) or not kind.startswith(("Real", "Float", "Int", "UInt", "Boolean")):
+            raise UsageError(
+                f"{self._path}: {parameter.get('name')} = {text!r} ({kind}) is no number; only "
+                "numbers can be set here"
+            )
         return value if unit is None else f"{value!r} {unit}"
 
     def _xml(self, source: str) -> ET.Element:

@@ -325,11 +325,11 @@ class System:
         return found
 
     def times(
-        self, start: float = 0.0, stop: float | None = None, interval: float | None = None
+        self, start: float | None, stop: float | None, interval: float | None
     ) -> tuple[float, float, float]:
         """Return start, stop and output interval of a run, s, with those of the system for None."""
         daes = [p.subject.experiment for p in self.parts.values() if isinstance(p.subject, Dae)]
-        start = number(self.name, "start_time", start)
+        start = number(self.name, "start_time", start or 0.0)
         if stop is None:
             stop = self.stop_time or max((e.stop_time for e in daes), default=1.0)
         stop = number(self.name, "stop_time", stop)

@@ -287,7 +287,7 @@ class _Course:
         if dt:
             rates = self.at.watched(self.system, self.values.p).ode[0]
             self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
-        self._project(last.sliding)
+        self._project(last.sliding if (at.u == last.u).all() else frozenset())
         self.instants.append((begin, self.at))
         self._reject_zeno(last.t, 1 if len(self.events) > n else _IDLE)
         self._write(self.at.t)

@@ -200,6 +200,7 @@ def _results(dae: Dae, last: MX, before: MX, after: MX) -> list[MX]:
 _BY_JACOBIAN: dict[str, Any] = {"enable_forward": False, "enable_reverse": False}
 _BY_JACOBIAN |= {"never_inline": True, "jac_penalty": 0.0, "ad_weight_sp": -1.0}
 _ALIVE = list[ca.Callback]()  # CasADi's expressions do not keep the Python part of a function
+_Shapes = Sequence[tuple[int, int]]
 _Compute = Callable[[Vector, Vector, Vector], Sequence[Vector]]
 _variational = cached_per_thread(8)(variational)
 
@@ -207,11 +208,9 @@ _variational = cached_per_thread(8)(variational)
 class _Called(ca.Callback):
     """A CasADi function of x0, z0, p, u and more, whose results Python computes from x0, p, u."""
 
-    def __init__(
-        self, name: str, given: Sequence[MX], results: Sequence[tuple[int, int]], compute: _Compute
-    ) -> None:
+    def __init__(self, name: str, given: _Shapes, results: _Shapes, compute: _Compute) -> None:
         super().__init__()
-        self.given, self.results, self.compute = [g.shape for g in given], results, compute
+        self.given, self.results, self.compute = given, results, compute
         _ALIVE.append(self)
         self.construct(name, {})
 
@@ -241,7 +240,8 @@ def _hybrid_function(
 
     def run(x: Vector, p: Vector, u: Vector, model: Dae = dae) -> list[Vector]:
         held, inputs = u[:, 1:], None
-        if len(changes := 1 + np.flatnonzero((np.diff(held) != 0).any(axis=0))):
+        changes = 1 + np.flatnonzero((np.diff(held) != 0).any(axis=0))
+        if len(changes):
             begins = np.append(0, changes)
             time = np.append(np.repeat(times[begins], 2)[1:], times[-1])
             names = tuple(variable.name for variable in model.inputs)
@@ -250,16 +250,21 @@ def _hybrid_function(
         start = InitialState(x, algebraic_values(model, grid[0], x, values), values)
         problem = Problem(model, grid.tobytes(), inputs, compiled, sensitivities=False)
         found = integrate(problem, solver, start)
-        if found.reason or found.stop:
+        if found.reason or (found.stop and found.time[-1] < grid[-1]):
             reason = found.reason or f"'{found.stop}' ends it at {found.time[-1]:g} s"
             raise SolverError(f"{dae.full_name}: a run to {grid[-1]:g} s fails: {reason}")
-        return [rows[:, np.searchsorted(grid, times)] for rows in (found.states, found.algebraics)]
+        rows = np.searchsorted(grid, times)
+        for k, i in zip(changes, rows[changes], strict=True):  # at the end of the interval before
+            values = Values(x, p, np.append(held[:, k - 1], found.u[len(held) :, i]))
+            z = algebraic_values(found.dae, float(times[k]), found.states[:, i], values)
+            found.algebraics[:, i] = z
+        return [found.states[:, rows], found.algebraics[:, rows]]
 
     def slopes(x: Vector, p: Vector, u: Vector) -> list[Vector]:
         own = np.concatenate((x, p, u.T.ravel()))
         nominal = [v.nominal for v in (*dae.states, *dae.parameters, *dae.inputs * n)]
         columns = list[Vector]()
-        for along in np.diag(np.where(own == 0, nominal, np.abs(own))):
+        for along in np.diag(np.maximum(np.abs(own), nominal)):  # far above absolute tolerances
             by_x, by_p, by_u = np.split(along, np.cumsum([len(x), len(p)]))
             moved = np.concatenate((u, by_u.reshape(n, -1).T))
             found = run(np.append(x, by_x), np.append(p, by_p), moved, _variational(dae))
@@ -272,14 +277,14 @@ def _hybrid_function(
         return blocks
 
     names, results = ["x0", "z0", "p", "u"], ["xf", "zf"]
-    given = [MX.sym(m, k, n if m == "u" else 1) for m, k in zip(names, sizes, strict=True)]
-    shapes, options = [(k, n) for k in sizes[:2]], dict[str, Any]()
+    inner = [(k, n if name == "u" else 1) for name, k in zip(names, sizes, strict=True)]
+    outer, options = [(k, n) for k in sizes[:2]], dict[str, Any]()
+    given = [MX.sym(name, *shape) for name, shape in zip(names, inner, strict=True)]
     if derivatives:
-        known = [*given, *(MX.sym(m, *shape) for m, shape in zip(results, shapes, strict=True))]
-        blocks = [(k * n, g.numel()) for k in sizes[:2] for g in given]
-        options = {"custom_jacobian": _Called("jac_integrator", known, blocks, slopes)}
-        options |= _BY_JACOBIAN
-    found = _Called("run", given, shapes, run).call(given)
+        blocks = [(k * n, rows * columns) for k in sizes[:2] for rows, columns in inner]
+        jacobian = _Called("jac_integrator", [*inner, *outer], blocks, slopes)
+        options = {"custom_jacobian": jacobian, **_BY_JACOBIAN}
+    found = _Called("run", inner, outer, run).call(given)
     return ca.Function("integrator", given, found, names, results, options)
 
 
@@ -378,7 +383,8 @@ def _bare_function(
     p, u = MX.sym("p", dae.p.numel()), MX.sym("u", dae.u.numel(), n)
     run, extended = built.functions
     parameters = p if extended is None else extended(p)
-    inputs = {"u": u} if dae.inputs else {}  # CasADi cannot map over empty columns
+    held = ca.horzcat(u[:, min(1, n - 1)], u[:, 1:])  # the first column has no effect
+    inputs = {"u": held} if dae.inputs else {}  # CasADi cannot map over empty columns
     x, z = ca.DM(nominal.x), ca.DM(nominal.z)
     result = run(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
     names = ["x0", "z0", "p", "u"]

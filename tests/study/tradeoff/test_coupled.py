@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -111,3 +112,53 @@ def test_files_of_others_do_not_run_in_this_process(tmp_path, monkeypatch, capsy
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))  # which knows no file
     assert main(["tradeoff", str(path), "--repeats", "0"]) == 2
     assert "was not exported here; use simulate --method" in capsys.readouterr().err
+
+
+def test_times_values_and_outputs_of_a_command_line_count(capsys):
+    words = ["tradeoff", f"{FOLDER}/dual_mass.toml", "--steps", "50ms", "--repeats", "0", "--json"]
+    assert main(words) == 0
+    usual = json.loads(capsys.readouterr().out)
+    changes = ["--stop-time", "0.5", "-p", "a.x=2", "--outputs", "b.x"]
+    assert main([*words, *changes]) == 0
+    changed = json.loads(capsys.readouterr().out)
+    assert {row["macro_steps"] for row in changed} == {10} != {row["macro_steps"] for row in usual}
+    assert {row["worst"] for row in changed} == {"b.x"}
+    run, exact = (
+        simulate(
+            start_values={"a.x": 2}, stop_time=0.5, output_interval=0.05, outputs=["b.x"], **ways
+        )
+        for simulate, ways in (
+            (read_system(words[1]).simulate, {"macro_step": 0.05, "method": "jacobi"}),
+            (partial(cosim.simulate, read_system(words[1]).dae), {"relative_tolerance": 1e-11}),
+        )
+    )
+    error = np.abs(run["b.x"] - exact["b.x"]).max()
+    assert changed[0]["error"] == pytest.approx(error, rel=1e-4)
+    assert main([*words, "-p", "a.nonsense=3"]) == 3
+
+
+def test_run_that_a_stop_ends_too_early_is_not_complete():
+    stopper = cosim.Model("stopper", stop_time=2.0, output_interval=0.01)
+    u = stopper.input("u", "m", 0.0, "place of the mass")
+    x = stopper.state("x", "m", 0.0, "distance")
+    stopper.derivative(x, 1.0)
+    stopper.stop(u < -0.999, "far out")  # the motion turns before, a wrong one does not
+    mass = cosim.Model("mass", stop_time=2.0, output_interval=0.01)
+    pull = mass.input("pull", "N", 0.0, "spring")
+    y, v = mass.state("y", "m", 0.99, "place"), mass.state("v", "m/s", 0.0, "speed")
+    mass.derivative(y, v)
+    mass.derivative(v, pull)
+    mass.output("place", "m", y, "place")
+    spring = cosim.Model("spring", stop_time=2.0, output_interval=0.01)
+    place = spring.input("place", "m", 0.0, "place")
+    idle = spring.state("idle", "1", 0.0, "nothing")
+    spring.derivative(idle, -idle)
+    spring.output("pull", "N", -10 * place, "pull")
+    parts = {"mass": mass.freeze(), "spring": spring.freeze(), "stopper": stopper.freeze()}
+    wires = {"mass.pull": "spring.pull", "spring.place": "mass.place", "stopper.u": "mass.place"}
+    table = cosim.tradeoff(cosim.couple(parts, wires), selection=Selection(steps=(0.1,)), repeats=0)
+    rows = {row["method"]: row for row in table}
+    assert rows["jacobi"]["status"].startswith("stopped at 0.8 s: far out")
+    assert rows["jacobi"]["error"] is None
+    assert not rows["jacobi"]["pareto"]
+    assert rows["iterated"]["status"] == "complete"

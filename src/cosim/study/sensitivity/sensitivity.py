@@ -72,13 +72,11 @@ def start_slopes(
 ) -> Vector:
     """Return the derivatives of the initial values of all states at time t, s, (nx, k).
 
-    Calculated initial values are included. The derivatives are multiplied by the size of their
-    target.
+    Calculated initial values are included.
     """
     blocks = _start_jacobians(dae)(t, values.x, values.u, values.p)
     columns = dict(zip(("state", "input", "parameter"), map(np.array, blocks), strict=True))
-    chosen = [target.size * columns[target.kind][:, target.row] for target in targets]
-    return np.column_stack(chosen)
+    return np.column_stack([columns[target.kind][:, target.row] for target in targets])
 
 
 @cached_per_thread(8)
@@ -272,14 +270,15 @@ class _Task:
             return found, np.zeros((len(found), len(names), 0))
         begin, values = self.request.times.start, self.request.numbers
         u = input_values(dae, np.array([begin]), values, self.request.inputs)[:, 0]
-        slopes = start_slopes(dae, begin, replace(values, u=u), targets)
+        sizes = np.array([max(t.size, t.variable.nominal) for t in targets])  # above tolerances
+        slopes = start_slopes(dae, begin, replace(values, u=u), targets) * sizes
         rows: dict[str, Any] = dict(self.request.values)
         for state, row in zip(dae.states, slopes, strict=True):
             rows[derivative(state.name)] = row
         for j, target in enumerate(targets):
             if target.kind != "state":
                 row = np.zeros(len(targets))
-                row[j] = target.size
+                row[j] = sizes[j]
                 rows[direction(target.variable.name)] = row
         outputs = (*names, *map(derivative, names))
         with_slopes = replace(self.at(tolerance), dae=_variational(dae), outputs=outputs, values={})
@@ -287,7 +286,7 @@ class _Task:
         n, plain = int(many.reached.min()), many.run(0).select(names)  # a stop may have ended it
         plain = replace(plain, time=plain.time[:n], values=plain.values[:n])
         calls = {"steps": int(many.steps.sum()), "rhs_calls": int(many.rhs_calls.sum())}
-        values_of = many.values[:, :n, len(names) :] / np.array([[[t.size]] for t in targets])
+        values_of = many.values[:, :n, len(names) :] / sizes[:, None, None]
         return replace(plain, stats={**many.stats, **calls}), np.moveaxis(values_of, 0, -1)
 
     def between_events(self, times: Vector) -> NDArray[np.bool_]:

@@ -31,13 +31,15 @@ def coupled_tradeoff(
     repeats: int,
     deadline: float,
     progress: Callable[[str], None],
+    **given: Any,
 ) -> Table:
-    """Measure error and cost of co-simulation; see `tradeoff` and `measure`."""
-    _, stop, interval = system.times()
+    """Measure error and cost of co-simulation; see `tradeoff`, `measure`, and `System.simulate`."""
+    times = (given.get(name) for name in ("start_time", "stop_time", "output_interval"))
+    start, stop, interval = system.times(*times)
     rows, truths = list[dict[str, Any]](), dict[float, Trajectory]()
     for method, step in product(Method, steps or [interval * factor for factor in STEPS]):
         apart = max(step, interval)
-        ways: dict[str, Any] = {"stop_time": stop, "output_interval": apart}
+        ways = {**given, "start_time": start, "stop_time": stop, "output_interval": apart}
         row: dict[str, Any] = {"method": str(method), "step": step} | dict.fromkeys(_FACTS)
         if perf_counter() > deadline:
             rows.append(row | {"status": f"{LEFT_OUT}: the time limit was reached"})
@@ -55,6 +57,9 @@ def coupled_tradeoff(
             progress(f"{method} at {step:g} s: {error}")
             continue
         stats, truth = runs[-1].stats, truths[apart]
+        if abs(runs[-1].time[-1] - truth.time[-1]) > step:
+            rows.append(row | {"status": f"stopped at {runs[-1].time[-1]:g} s: {stats['stop']}"})
+            continue
         shared = [name for name in runs[-1].names if name in truth.names]
         worst = compare(truth.select(shared), runs[-1]).worst
         row |= {key: stats[key] for key in ("macro_steps", "iterations")}
