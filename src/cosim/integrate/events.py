@@ -26,15 +26,17 @@ from cosim.integrate.location import Piece, located, next_of_time, with_input_ra
 from cosim.integrate.modes import (
     MOST_ROUNDS,
     Instant,
+    along,
     begun,
     blended,
     hybrid,
+    moved,
     settled,
+    shift,
     sliding,
 )
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.integrate.tangent import along, moved, shift
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
