@@ -62,9 +62,8 @@ static inline int look_afresh(Problem *self, double t, const double *x, double *
     return equations_at(self, t, x, dx, z) || look(self, t, x, z, dx, found);
 }
 
-static inline void look_within(void *accepted, double t, Place *found) {
-    const Step *self = accepted;
-    double x[NX], dx[NX], slopes[NX], z[NZ + 1];
+static inline void look_at(const Step *self, double t, double *x, Place *found) {
+    double dx[NX], slopes[NX], z[NZ + 1];
     const int lost = self->within(self->motion, t, x, dx) ||
                      (NZ > 0 && equations_at(self->problem, t, x, slopes, z)) ||
                      look(self->problem, t, x, z, dx, found);
@@ -75,17 +74,26 @@ static inline void look_within(void *accepted, double t, Place *found) {
     found->t = t;
 }
 
+static inline void look_within(void *accepted, double t, Place *found) {
+    double x[NX];
+    look_at(accepted, t, x, found);
+}
+
 /* The first crossing in an accepted step that ends at a place, from the place where it begins: at
- * the output times in it, and between all these places. */
-static inline Crossing crossing_of(Step *self, const double *times, const Place *begin,
-                                   const Place *end) {
+ * the output times in it, and between all these places. `columns` takes the states at these times,
+ * and `looked` is set to where those end that are known. */
+static inline Crossing crossing_of(Step *self, const double *times, double *columns,
+                                   const Place *begin, const Place *end, const double **looked) {
     Place before = *begin, place;
+    *looked = times;
     for (const double *time = times; before.t < end->t; before = place) {
         while (*time <= before.t && *time < end->t) ++time;
-        if (*time < end->t)
-            look_within(self, *time, &place);
-        else
+        if (*time < end->t) {
+            look_at(self, *time, columns + (time - times) * NX, &place);
+            *looked = time + 1;
+        } else {
             place = *end;
+        }
         if (!is_suspect(&before, &place)) continue;
         const Crossing found = crossing_between(look_within, self, before, place.t);
         if (found.relation >= 0) return found;
