@@ -84,8 +84,12 @@ def test_solvers_are_measured_with_the_one_model(capsys):
     assert main([*words, "--backends", "native", "--repeats", "0"]) == 0
     assert "dop853" in capsys.readouterr().out
     system = read_system(f"{FOLDER}/loop.toml")
-    with pytest.raises(UsageError, match="only steps can be selected"):
-        cosim.tradeoff(system, selection=Selection(solvers=("erk",)))
+    assert main(["tradeoff", f"{FOLDER}/loop.toml", "--repeats", "-1"]) == 2
+    with pytest.raises(UsageError, match="stop_time is for coupled systems"):
+        cosim.tradeoff("crank_shaft", stop_time=1.0)
+    for others in ({"selection": Selection(solvers=("erk",))}, {"solver": "erk"}):
+        with pytest.raises(UsageError, match=r"give steps, start_time, .* and no others"):
+            cosim.tradeoff(system, **others)
 
 
 def test_parts_that_are_files_have_a_tight_co_simulation_as_reference(tmp_path):
@@ -158,7 +162,7 @@ def test_run_that_a_stop_ends_too_early_is_not_complete():
     wires = {"mass.pull": "spring.pull", "spring.place": "mass.place", "stopper.u": "mass.place"}
     table = cosim.tradeoff(cosim.couple(parts, wires), selection=Selection(steps=(0.1,)), repeats=0)
     rows = {row["method"]: row for row in table}
-    assert rows["jacobi"]["status"].startswith("stopped at 0.8 s: far out")
+    assert rows["jacobi"]["status"].startswith("it ends at 0.8 s, the reference at 2 s")
     assert rows["jacobi"]["error"] is None
     assert not rows["jacobi"]["pareto"]
     assert rows["iterated"]["status"] == "complete"

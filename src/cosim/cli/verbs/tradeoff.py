@@ -4,7 +4,6 @@ import argparse
 import sys
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from cosim.cli.arguments import names_in, options_in, scene_from, start_texts
@@ -15,11 +14,9 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.trust import is_made_here
 from cosim.model.quantities import quantity
 from cosim.study.tradeoff.configuration import Selection
-from cosim.study.tradeoff.coupled import coupled_tradeoff
 from cosim.study.tradeoff.measurement import COSTS
 from cosim.study.tradeoff.result import Tradeoff
-from cosim.study.tradeoff.study import SECONDS, tradeoff
-from cosim.text import Table
+from cosim.study.tradeoff.study import tradeoff
 
 _RUN_COLUMNS = (
     *("model", "reduced", "backend", "solver", "tolerance", "step", "error", "worst", "rhs_calls"),
@@ -37,22 +34,19 @@ def run(args: argparse.Namespace) -> int:
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
-    progress = partial(print, file=sys.stderr, flush=True) if shown else lambda _: None
-    study: Tradeoff | Table
+    given = dict[str, Any]()
     if co_simulated:
         given = options_in(args, "start_time", "stop_time", "output_interval")
         given["outputs"] = None if args.outputs is None else names_in(args.outputs)
         given["start_values"] = dict(start_texts(args))
-        limits = selection.steps, args.repeats, perf_counter() + SECONDS
-        study = coupled_tradeoff(_own_system(args.model), *limits, progress, **given)
-    else:
-        study = tradeoff(
-            scene_from(args),
-            selection=selection,
-            every_formulation=not named,
-            repeats=args.repeats,
-            progress=progress,
-        )
+    study = tradeoff(
+        _own_system(args.model) if co_simulated else scene_from(args),
+        selection=selection,
+        every_formulation=not named,
+        repeats=args.repeats,
+        progress=partial(print, file=sys.stderr, flush=True) if shown else None,
+        **given,
+    )
     if args.output_file:
         text = study.to_csv() if args.output_file.endswith(".csv") else study.to_json()
         write_text(args.output_file, text)

@@ -22,6 +22,7 @@ from cosim.verify.comparison import compare
 _EXACT: dict[str, Any] = {"solver": "dop853", "relative_tolerance": 1e-12}  # of the one model
 _TIGHT = 1e-9  # accuracy of the co-simulation that stands for it where parts are FMUs
 _ASYMPTOTIC = 0.1  # error in nominal values; larger ones show no order
+COUPLED = ("start_time", "stop_time", "output_interval", "start_values", "outputs")
 _FACTS = ("error", "worst", "order", "macro_steps", "part_steps", "iterations", "ms", "pareto")
 
 
@@ -34,8 +35,7 @@ def coupled_tradeoff(
     **given: Any,
 ) -> Table:
     """Measure error and cost of co-simulation; see `tradeoff`, `measure`, and `System.simulate`."""
-    times = (given.get(name) for name in ("start_time", "stop_time", "output_interval"))
-    start, stop, interval = system.times(*times)
+    start, stop, interval = system.times(*map(given.get, COUPLED[:3]))
     rows, truths = list[dict[str, Any]](), dict[float, Trajectory]()
     for method, step in product(Method, steps or [interval * factor for factor in STEPS]):
         apart = max(step, interval)
@@ -58,7 +58,8 @@ def coupled_tradeoff(
             continue
         stats, truth = runs[-1].stats, truths[apart]
         if abs(runs[-1].time[-1] - truth.time[-1]) > step:
-            rows.append(row | {"status": f"stopped at {runs[-1].time[-1]:g} s: {stats['stop']}"})
+            ends = f"{runs[-1].time[-1]:g} s, the reference at {truth.time[-1]:g} s"
+            rows.append(row | {"status": f"it ends at {ends}"})
             continue
         shared = [name for name in runs[-1].names if name in truth.names]
         worst = compare(truth.select(shared), runs[-1]).worst

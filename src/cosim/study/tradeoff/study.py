@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from typing import Unpack
 
 from cosim import backend as backends
 from cosim.backend import Backend
@@ -13,6 +14,7 @@ from cosim.errors import CosimError, UsageError
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.exported import run_file
 from cosim.host.temporary import temporary_folder
+from cosim.integrate.keywords import Keywords
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, observable
 from cosim.model.reduction import size
@@ -20,7 +22,7 @@ from cosim.model.request import Policy, RunRequest
 from cosim.scene.scene import Scene
 from cosim.scene.variants import fitting_formulations
 from cosim.study.tradeoff.configuration import Configuration, Selection
-from cosim.study.tradeoff.coupled import coupled_tradeoff
+from cosim.study.tradeoff.coupled import COUPLED, coupled_tradeoff
 from cosim.study.tradeoff.fixed_steps import observed_order, stability_limit
 from cosim.study.tradeoff.measurement import (
     LEFT_OUT,
@@ -116,6 +118,7 @@ def tradeoff(
     repeats: int = REPEATS,
     seconds: float = SECONDS,
     progress: Progress | None = None,
+    **ways: Unpack[Keywords],
 ) -> Tradeoff | Table:
     """Measure error against cost.
 
@@ -133,6 +136,7 @@ def tradeoff(
         seconds: Time after which no run begins, s. A configuration that has not run by then is
             listed as left out; one that has run once has the time of that run.
         progress: Called with a line of progress before and after each run.
+        ways: Of a coupled system: times, start_values and outputs; see `System.simulate`.
 
     Raises:
         CosimError: The model cannot be run at all, or there is no reference for it.
@@ -149,9 +153,11 @@ def tradeoff(
     began, progress = perf_counter(), progress or (lambda _: None)
     if isinstance(subject, System):
         steps = selection.steps if selection else ()
-        if selection not in (None, Selection(steps=steps)):
-            raise UsageError(f"{subject.name}: of co-simulations, only steps can be selected")
-        return coupled_tradeoff(subject, steps, repeats, began + seconds, progress)
+        if selection not in (None, Selection(steps=steps)) or not ways.keys() <= {*COUPLED}:
+            raise UsageError(f"{subject.name}: give steps, {', '.join(COUPLED)}, and no others")
+        return coupled_tradeoff(subject, steps, repeats, began + seconds, progress, **ways)
+    if ways:
+        raise UsageError(f"tradeoff: {min(ways)} is for coupled systems; put it into a scene")
     if isinstance(subject, str) and every_formulation is None:
         every_formulation = "/" not in subject and ".py:" not in subject
     name, request = _named_request(subject)
