@@ -36,7 +36,8 @@ def test_examples_of_a_public_name_hold(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("module", ["cosim", "cosim.model.quantities"])
-def test_examples_of_a_module_hold(module):
+def test_examples_of_a_module_hold(module, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # those of names that are loaded already write files
     assert doctest.testmod(import_module(module)).failed == 0
 
 
