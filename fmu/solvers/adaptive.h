@@ -57,9 +57,8 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
     Slopes k;
     double x[NX], end[NX], found[NX], t = grid->times[0];
     Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
-    Step step = {self, t, 0, &accepted, within_accepted, step_afresh};
+    Step step = {self, t, 0, &accepted, within_accepted, step_afresh, grid->times};
     Place here, ahead;
-    const double *looked = grid->times; /* columns for times before it are known */
     const double stop = grid->times[grid->points - 1];
     long long next = 1, trials = 0;
     int rejected = 0;
@@ -104,8 +103,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             if ((NZ > 0 && equations_at(self, after, end, k[END], z_end)) ||
                 look(self, after, end, z_end, k[END], &ahead))
                 return NOT_FINITE;
-            crossing =
-                crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead, &looked);
+            crossing = crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead);
             if (crossing.relation >= 0) {
                 if (end_at(&step, &crossing, found)) return NOT_FINITE;
                 if (!(accepted.error <= 1)) { /* what happens just before it was stepped over */
@@ -124,7 +122,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             if (crossed && grid->times[next] == after) break;
             double *column = out + next * NX;
             if (grid->times[next] < after) {
-                if (grid->times + next >= looked)
+                if (grid->times + next >= step.looked)
                     evaluate(&accepted.piece, grid->times[next], column);
                 if (restore(self, grid->times[next], column) || !is_finite(column))
                     return NOT_FINITE;

@@ -90,10 +90,9 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             made.t = t;
             made.h = end - t;
             if (look_afresh(self, end, x, slope_ahead, &ahead)) return NOT_FINITE;
-            Step step = {self, t, made.h, &made, within_made, step_shorter};
-            const double *looked; /* no output time is within a step */
+            Step step = {self, t, made.h, &made, within_made, step_shorter, NULL};
             Crossing crossing =
-                crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead, &looked);
+                crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead);
             if (crossing.relation >= 0) {
                 if (end_at(&step, &crossing, found)) return NOT_FINITE;
                 course->reached = crossing.time;

@@ -17,6 +17,7 @@ typedef struct {
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
+    const double *looked; /* the output times before it have been looked at */
 } Step;
 
 /* Margins at a state; what is 0 at the start of a run by definition counts from there. */
@@ -80,17 +81,16 @@ static inline void look_within(void *accepted, double t, Place *found) {
 }
 
 /* The first crossing in an accepted step that ends at a place, from the place where it begins: at
- * the output times in it, and between all these places. `columns` takes the states at these times,
- * and `looked` is set to where those end that are known. */
+ * the output times in it, whose columns take the states, and between all these places. */
 static inline Crossing crossing_of(Step *self, const double *times, double *columns,
-                                   const Place *begin, const Place *end, const double **looked) {
+                                   const Place *begin, const Place *end) {
     Place before = *begin, place;
-    *looked = times;
+    self->looked = times;
     for (const double *time = times; before.t < end->t; before = place) {
         while (*time <= before.t && *time < end->t) ++time;
         if (*time < end->t) {
             look_at(self, *time, columns + (time - times) * NX, &place);
-            *looked = time + 1;
+            self->looked = time + 1;
         } else {
             place = *end;
         }
