@@ -14,9 +14,10 @@ from casadi import SX
 from cosim.errors import ParameterError, UnknownName
 from cosim.model.quantities import parse_unit
 
+_POWER = r"[A-Za-z\u00b0\u03a9]+(?:\d+|(?:\^|\*\*)-?\d+)?"
 _NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)"
-    r"([A-Za-z\u00b0\u03a9]+\d*(?:[./*^][A-Za-z\u00b0]+\d*)*)"
+    rf"({_POWER}(?:[./*]{_POWER})*)"
 )
 _CONSTANTS = {"pi": pi, "e": e}
 _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
@@ -46,7 +47,8 @@ _COMPARISONS: Mapping[type, Callable[[Any, Any], Any]] = {
 def expression(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
     """Read a formula.
 
-    Numbers may carry a unit without a blank, `45deg`; `^` is a power; `where(t > 1, 2, 0)` chooses.
+    Numbers may carry a unit without a blank, `45deg` or `9.81m/s^2`, whose powers belong to it;
+    `^` is a power; `where(t > 1, 2, 0)` chooses.
 
     Raises:
         ParameterError: It is no formula of numbers, names and known functions.
@@ -68,8 +70,9 @@ def condition(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
 def _parsed(owner: str, text: str) -> ast.expr:
     if not isinstance(text, str):
         raise ParameterError(f"{owner}: {text!r} is no formula; give a text, e.g. '10*sin(t)'")
+    plain = _NUMBER_WITH_UNIT.sub(_in_si, text).replace("^", "**")  # ^ would bind less than +
     try:
-        return ast.parse(_NUMBER_WITH_UNIT.sub(_in_si, text).strip(), mode="eval").body
+        return ast.parse(plain.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         raise ParameterError(
             f"{owner}: '{text}' is no formula ({getattr(error, 'msg', error)}); write it as in "
@@ -105,8 +108,6 @@ class _Reader:
                 return -self.value(operand)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.value(operand)
-            case ast.BinOp(left=left, op=ast.BitXor(), right=right):
-                return self.value(left) ** self.value(right)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
                 return _OPERATORS[type(op)](SX(self.value(left)), SX(self.value(right)))
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
