@@ -2,6 +2,7 @@
 
 import re
 import signal
+from contextlib import closing
 from threading import Timer
 
 import casadi as ca
@@ -12,6 +13,7 @@ from helpers.samples import sampled
 import cosim
 from casadi_models.dae import Model
 from cosim.coupling.files import read_system
+from cosim.coupling.opened_part import OpenedPart
 from cosim.errors import Interrupted, ParameterError, SolverError, UnknownName, UsageError
 
 FOLDER = "examples/coupled"
@@ -150,6 +152,18 @@ def test_files_of_fmi_3_take_the_same_cubics_as_those_of_fmi_2(name, tmp_path):
     second_run, third_run = (system.simulate(**ways) for system in (second, third))
     assert third_run.stats["part_steps"] == second_run.stats["part_steps"]
     assert error_of(third_run, second_run) < 1e-9
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("derivatives", [True, False])
+def test_parts_have_the_directional_derivatives_that_their_files_declare(
+    fmi, derivatives, tmp_path
+):
+    path = cosim.export_fmu(
+        cosim.load("bar_on_frame"), tmp_path / "a.fmu", fmi=fmi, derivatives=derivatives
+    )
+    with closing(OpenedPart("a", path, ["T2"], ["tk_G_F"], 0)) as part:
+        assert part.directional is derivatives
 
 
 def test_output_times_within_macro_steps_are_recorded_in_order_4():

@@ -50,15 +50,8 @@ class OpenedPart:
         self.outputs = [known[name] for name in outputs]
         derivatives = int(abilities.maxOutputDerivativeOrder or 0) >= 1
         self.rates = derivatives and all(v.causality == "output" for v in self.outputs)
-        self.rolls_back = bool(
-            abilities.canGetAndSetFMUState
-            if hasattr(abilities, "canGetAndSetFMUState")
-            else abilities.canGetAndSetFMUstate
-        )
-        self.directional = bool(
-            getattr(abilities, "providesDirectionalDerivatives", False)
-            or getattr(abilities, "providesDirectionalDerivative", False)
-        )
+        self.rolls_back = bool(abilities.canGetAndSetFMUstate)  # fmpy's name in FMI 3, too
+        self.directional = bool(abilities.providesDirectionalDerivative)
         self.order = InputOrder.CONSTANT
         if is_second(fmu.description) and abilities.canInterpolateInputs:
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR

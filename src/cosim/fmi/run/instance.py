@@ -127,28 +127,27 @@ def read_description(folder: Path, name: object) -> Any:
     Raises:
         FmuError: The description cannot be read, or is of another version than FMI 2 and 3.
     """
-    from fmpy import read_model_description
+    from fmpy.model_description import VariableAlias, read_model_description
 
     try:
         description = read_model_description(str(folder), validate=False)
-        names = flat_names(ET.parse(folder / DESCRIPTION).getroot())
+        root = ET.parse(folder / DESCRIPTION).getroot()
+        names = flat_names(root)
     except Exception as error:
         reason = f"{type(error).__name__}: {sentence(str(error))}"
         raise FmuError(f"{name}: modelDescription.xml cannot be read: {reason}") from error
     if str(description.fmiVersion).startswith("1"):
         raise FmuError(f"{name} is of FMI 1.0, which cannot be run; export it as FMI 2.0 or 3.0")
-    if names:
-        _flatten(description, names)
-    return description
-
-
-def _flatten(description: Any, names: Mapping[str, str]) -> None:
-    from fmpy.model_description import VariableAlias
-
     for variable in description.modelVariables:
         if variable.name in names:
             variable.aliases = [VariableAlias(name=variable.name)]
             variable.name = names[variable.name]
+    if not is_second(description):  # fmpy does not read the flag of FMI 3
+        for kind in (description.modelExchange, description.coSimulation):
+            for element in root.iterfind(type(kind).__name__):
+                flag = element.get("providesDirectionalDerivatives")
+                kind.providesDirectionalDerivative = flag in ("true", "1")
+    return description
 
 
 def choose_interface(

@@ -22,7 +22,6 @@ from cosim.fmi.run.instance import (
     initialize,
     instantiated,
     is_number,
-    is_second,
     read_description,
 )
 from cosim.fmi.run.request import checked_values, output_names
@@ -30,6 +29,7 @@ from cosim.integrate.initial_values import algebraic_values
 from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.keywords import requested
 from cosim.integrate.modes import Instant, begun, blended, hybrid, sliding
+from cosim.integrate.outputs import recorded_columns
 from cosim.integrate.run import run
 from cosim.memo import cached_per_thread
 from cosim.model.catalogue import load
@@ -179,14 +179,8 @@ def _at_point(
 def _jacobians(dae: Dae, names: tuple[str, ...]) -> ca.Function:
     """Return the function of rates, outputs, and the partial derivatives of both and of alg."""
     dae = dae.watching(names)
-    expressions = dict(
-        zip(
-            (v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables)),
-            ca.vertsplit(ca.vertcat(dae.x, dae.z, dae.outputs)),
-            strict=True,
-        )
-    )
-    chosen = ca.densify(ca.vertcat(SX(0, 1), *(expressions[name] for name in names)))
+    _, places = recorded_columns(dae, names)
+    chosen = ca.densify(ca.vertcat(dae.x, dae.z, dae.outputs)[list(places)])
     xu = ca.vertcat(dae.x, dae.u)
     both = ca.vertcat(dae.ode, chosen)
     blocks = [ca.jacobian(rows, by) for rows in (both, dae.alg) for by in (xu, dae.z)]
@@ -280,8 +274,7 @@ def linearized_fmu(
     with unpacked(path) as folder:
         description = read_description(folder, path)
         choose_interface(folder, description, "ModelExchange", path)
-        abilities = description.modelExchange  # fmpy does not read the flag of FMI 3
-        if is_second(description) and not abilities.providesDirectionalDerivative:
+        if not description.modelExchange.providesDirectionalDerivative:
             raise FmuError(f"{path} has no directional derivatives; linearize the model itself")
         variables = by_name(description)
         values = checked_values(path, variables, start_values or {})
