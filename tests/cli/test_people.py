@@ -190,6 +190,13 @@ def test_shipped_scene_is_copied_to_a_new_file(tmp_path, monkeypatch, capsys):
     assert "mine.toml exists" in capsys.readouterr().err
 
 
+def test_plot_of_a_result_draws_the_outputs_that_are_named(tmp_path, capsys):
+    result, picture = tmp_path / "bicycle.csv", tmp_path / "phi.png"
+    assert main(["simulate", "bicycle", "--stop-time", "0.1", "-q", "-o", str(result)]) == 0
+    assert main(["plot", str(result), "--outputs", "phi", "-o", str(picture), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == [str(picture)]  # all take two pages
+
+
 def test_export_and_plot_report_written_files_as_json(tmp_path, capsys):
     picture = tmp_path / "a.png"
     assert main(["plot", "crank_torque.toml", "-o", str(picture), "--json"]) == 0

@@ -5,6 +5,7 @@ import json
 
 from matplotlib.figure import Figure
 
+from cosim.cli.arguments import names_in
 from cosim.cli.runs import runs_of, size_of
 from cosim.cli.tables import note
 from cosim.plotting import picture_format, require_screen, save, show
@@ -22,6 +23,8 @@ def run(args: argparse.Namespace) -> int:
         picture_format(args.output_file)  # rejects it before anything is computed
     size = size_of(args) if args.size else None
     runs, scenes, code = runs_of(args)
+    if args.outputs:  # of results, too
+        runs = [run.select(names_in(args.outputs)) for run in runs]
     specified = next((scene.figures for scene in scenes if scene and scene.figures), ())
     if len(runs) > 1:
         specs, notes = shared_specs(specified, runs)
