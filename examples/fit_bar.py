@@ -11,40 +11,37 @@ import cosim
 DAE = cosim.load("bar_on_frame/reduced")
 
 
-def slopes(measured, values):
-    """Return the derivatives of the measured variables by the values, (samples, values)."""
+def residuals(x, names, measured):
+    """Return run minus measurement, (samples,)."""
+    settings = {"outputs": measured.names, "output_times": measured.time}
+    run = cosim.simulate(DAE, start_values=dict(zip(names, x, strict=True)), **settings)
+    return (run.values - measured.values)[np.isfinite(measured.values)]  # without gaps
+
+
+def slopes(x, names, measured):
+    """Return the derivatives of the residuals by the values, (samples, values)."""
     settings = {"outputs": measured.names, "output_times": measured.time, "check": False}
-    found = cosim.sensitivity(DAE, with_respect_to=[*values], start_values=values, **settings)
-    return found.values[np.isfinite(measured.values)]  # without gaps
+    values = dict(zip(names, x, strict=True))
+    found = cosim.sensitivity(DAE, with_respect_to=names, start_values=values, **settings)
+    return found.values[np.isfinite(measured.values)]
 
 
 def fit(measured, initial):
     """Return the values with the least squares of all residuals, and their covariance."""
-
-    def named(x):
-        return dict(zip(initial, map(float, x), strict=True))
-
-    def residuals(x):
-        settings = {"outputs": measured.names, "output_times": measured.time}
-        run = cosim.simulate(DAE, start_values=named(x), **settings)
-        return (run.values - measured.values)[np.isfinite(measured.values)]
-
-    variables = [DAE.variable(name) for name in initial]
-    found = least_squares(
-        residuals,
-        [*initial.values()],
-        lambda x: slopes(measured, named(x)),
-        bounds=([v.minimum for v in variables], [v.maximum for v in variables]),
-        x_scale="jac",
-    )
-    variance = found.fun @ found.fun / (len(found.fun) - len(initial))  # of the noise
-    return named(found.x), variance * np.linalg.inv(found.jac.T @ found.jac)
+    names, x = [*initial], [*initial.values()]
+    bounds = np.transpose([(v.minimum, v.maximum) for v in map(DAE.variable, names)])
+    options = {"bounds": bounds, "x_scale": "jac", "args": (names, measured)}
+    found = least_squares(residuals, x, slopes, **options)
+    variance = found.fun @ found.fun / (len(found.fun) - len(x))  # of the noise
+    covariance = variance * np.linalg.inv(found.jac.T @ found.jac)
+    return dict(zip(names, found.x.tolist(), strict=True)), covariance
 
 
 def identifiable(measured, values):
     """Return how many combinations of relative changes of the values the samples identify."""
-    scaled = slopes(measured, values) * np.array([*values.values()])
-    return int(np.linalg.matrix_rank(scaled, tol=1e-6 * np.linalg.norm(scaled)))
+    x = np.array([*values.values()])
+    scaled = slopes(x, [*values], measured) * x
+    return int(np.linalg.matrix_rank(scaled, rtol=1e-6))
 
 
 if __name__ == "__main__":
@@ -60,7 +57,9 @@ if __name__ == "__main__":
     compared = cosim.compare(run, swing, bound=0.05)  # five percent of the nominal value
     print(repr(compared))
     compared.plot("fit.png")
-    lines = ["[start]", *(f"{name} = {values[name]!r}" for name in ("theta", "theta_dot"))]
-    lines = [f'model = "{DAE.full_name}"', "[parameters]", f"b = {values['b']!r}", *lines]
-    Path("fitted.toml").write_text("\n".join(lines) + "\n")
+    scene = (
+        'model = "bar_on_frame/reduced"\n[parameters]\nb = {b!r}\n'
+        "[start]\ntheta = {theta!r}\ntheta_dot = {theta_dot!r}\n"
+    )
+    Path("fitted.toml").write_text(scene.format(**values))
     cosim.export_fmu(cosim.read_scene("fitted.toml").request.configured(), "fitted.fmu")

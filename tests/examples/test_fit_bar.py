@@ -34,7 +34,7 @@ def exact(example):
 
 @pytest.mark.slow
 def test_errors_of_a_hundred_records_are_as_the_cramer_rao_bound_says(example, exact):
-    jacobian = example["slopes"](exact, TRUE)
+    jacobian = example["slopes"]([*TRUE.values()], [*TRUE], exact)
     assert jacobian.shape == (60, 3)
     bound = NOISE**2 * np.linalg.inv(jacobian.T @ jacobian)
     initial = {name: 1.1 * value for name, value in TRUE.items()}
