@@ -11,6 +11,7 @@ RELATIONS = {
     *(ca.OP_LT, ca.OP_LE, ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMIN, ca.OP_FMAX),
     *(ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN),
 }  # operations at whose switches there are events
+_GOLDEN = (5**0.5 - 1) / 2  # whose multiples spread evenly
 
 
 def operations(expression: SX) -> set[int]:
@@ -73,6 +74,23 @@ def operation_count(function: ca.Function) -> int:
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
     codes = (function.instruction_id(i) for i in range(function.n_instructions()))
     return sum(code not in moves for code in codes)
+
+
+def are_equal(one: SX, other: SX) -> bool:
+    """Return whether two columns are the same function, by their values at an irregular place."""
+    both = ca.horzcat(one, other)
+    known = ca.veccat(*ca.symvar(both))
+    place = [0.2 + 0.6 * (k * _GOLDEN % 1) for k in range(1, known.numel() + 1)]
+    first, second = ca.horzsplit(ca.densify(ca.Function("both", [known], [both])(place)))
+    rounding = 1e-9 * ca.fabs(second) + 1e-12 * ca.norm_fro(second)
+    return all((ca.fabs(first - second) <= rounding).elements())  # NaN is not
+
+
+def is_cheaper(one: SX, other: SX) -> bool:
+    """Return whether a column has fewer operations than an equal one, and needs nothing else."""
+    graphs = [ca.Function("f", ca.symvar(e), [e], {"cse": True}) for e in (one, other)]
+    fewer = operation_count(graphs[0]) < operation_count(graphs[1])
+    return fewer and symbols(one).keys() <= symbols(other).keys() and are_equal(one, other)
 
 
 def is_structurally_regular(residual: SX, unknowns: SX) -> bool:

@@ -165,6 +165,69 @@ def gyrostat(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A body whose mass center is fixed in a frame, in which it may turn.
+
+    Attributes:
+        mass: kg.
+        place: Mass center from the base point of the frame, (3, 1), m.
+        inertia: About the mass center, (3, 3), kg.m2; the same whichever way the body has turned.
+        spin: Angular velocity relative to the frame, (3, 1), rad/s.
+    """
+
+    mass: SX
+    place: SX
+    inertia: SX
+    spin: SX
+
+
+@dataclass(eq=False)
+class Carrier:
+    """A frame that carries bodies and loads, with all vectors in its axes.
+
+    Attributes:
+        velocity: Of its base point, (3, 1), m/s.
+        omega: Its angular velocity, (3, 1), rad/s.
+        parts: The bodies.
+        force, moment: Resultants of the loads about the base point, (3, 1), N, N.m.
+    """
+
+    velocity: SX
+    omega: SX
+    parts: list[Part] = field(default_factory=list)
+    force: SX = field(default_factory=lambda: SX(3, 1))
+    moment: SX = field(default_factory=lambda: SX(3, 1))
+
+    def loads(self) -> tuple[Load, Load]:
+        """Return the resultants of the loads."""
+        return Load(self.velocity, self.force), Load(self.omega, self.moment)
+
+    def inertias(self) -> tuple[InertialTerm, ...]:
+        """Return the inertial terms of the bodies, welded but for their spins."""
+        mass, center = self.parts[0].mass, self.parts[0].place
+        if len(self.parts) > 1:
+            mass = sum((part.mass for part in self.parts), SX(0))
+            center = sum((part.mass * part.place for part in self.parts), SX(3, 1)) / mass
+        inertia = SX(3, 3)
+        for part in self.parts:  # parallel axes theorem
+            arm = part.place - center
+            inertia += part.inertia + part.mass * (ca.dot(arm, arm) * SX.eye(3) - arm @ arm.T)
+        velocity = self.velocity + ca.cross(self.omega, center)
+        turning = [part for part in self.parts if not part.spin.is_zero()]
+        momentum = inertia @ self.omega
+        for part in turning:
+            momentum += part.inertia @ part.spin
+        return (
+            InertialTerm(velocity, mass * velocity, self.omega),
+            InertialTerm(self.omega, momentum, self.omega),
+            *(
+                InertialTerm(part.spin, part.inertia @ (self.omega + part.spin), self.omega)
+                for part in turning
+            ),
+        )
+
+
 def speed_relation(system: System) -> SX:
     """Return J of u_D = J u_I from the constraints, (n_D, n_I)."""
     independent = ca.jacobian(system.constraints, system.free)

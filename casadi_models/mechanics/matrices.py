@@ -4,7 +4,8 @@
 
 Laws are columns and matrices by name: `kinematics` N, `rates` r, `mass` M, `forcing` f, `closure`,
 `slip`, and residuals `auxiliary`, which are linear in forces that do no work. Where speeds depend
-on others, and with multipliers, the last rows of M and f are d(slip)/dt = 0.
+on others, and with multipliers, the last rows of M and f are d(slip)/dt = 0. Without multipliers, a
+`kane.System` may stand for M, f and `auxiliary`.
 
 Source  Kane & Levinson, Dynamics, 1985; Baumgarte, Comput. Methods Appl. Mech. Eng. 1, 1972.
 """
@@ -15,14 +16,16 @@ import casadi as ca
 from casadi import DM, SX
 
 from casadi_models.dae import Model
-from casadi_models.mechanics import conditions
+from casadi_models.mechanics import conditions, kane
 from casadi_models.mechanics.mechanism import CLOSING_RATE
 from casadi_models.mechanics.slopes import determined
 
 CLOSED, ROLLING = "the configuration constraints hold", "the velocity constraints hold"
 
 
-def solved(laws: Mapping[str, SX], of: Mapping[str, SX]) -> dict[str, SX]:
+def solved(
+    laws: Mapping[str, SX], of: Mapping[str, SX], system: kane.System | None = None
+) -> dict[str, SX]:
     """Return the laws with `ode` of q and the independent speeds, and what belongs to it.
 
     With multipliers, `residual` determines the unknowns. Without, everything is a function of q and
@@ -31,12 +34,15 @@ def solved(laws: Mapping[str, SX], of: Mapping[str, SX]) -> dict[str, SX]:
     Args:
         laws: See the module; others may use the same symbols.
         of: Symbols, columns: `q`, `u` (the last ones `dependent`), `rates` (q'), `unknown` (u',
-            `multipliers`) and `forces`.
+            `multipliers`), `forces`, and the auxiliary speeds `held` at zero.
+        system: In the same symbols; its constrained speeds are `held`.
 
     Raises:
-        ValueError: `auxiliary` has more rows or fewer than there are forces.
+        ValueError: There are more auxiliary equations or fewer than forces.
     """
-    return _with_multipliers(laws, of) if of["multipliers"].numel() else _eliminated(laws, of)
+    if of["multipliers"].numel():
+        return _with_multipliers(laws, of)
+    return _eliminated(laws, of) if system is None else _projected(laws, of, system)
 
 
 def _with_multipliers(laws: Mapping[str, SX], of: Mapping[str, SX]) -> dict[str, SX]:
@@ -48,23 +54,43 @@ def _with_multipliers(laws: Mapping[str, SX], of: Mapping[str, SX]) -> dict[str,
 
 
 def _eliminated(laws: Mapping[str, SX], of: Mapping[str, SX]) -> dict[str, SX]:
-    dependent, n = of["dependent"], of["u"].numel() - of["dependent"].numel()
+    n = of["u"].numel() - of["dependent"].numel()
     mass, forcing = laws["mass"], laws["forcing"]
     relation = -ca.solve(mass[n:, n:], mass[n:, :n])
     offset = ca.solve(mass[n:, n:], forcing[n:, :])
     reduced = ca.triu2symm(ca.triu(mass[:n, :n] + mass[:n, n:] @ relation))
     free = ca.ldl_solve(forcing[:n, :] - mass[:n, n:] @ offset, *ca.ldl(reduced))
+    solution = kane.Accelerations(free, relation @ free + offset, relation, reduced)
+    return _in_states(laws, of, solution, laws["auxiliary"])
+
+
+def _projected(laws: Mapping[str, SX], of: Mapping[str, SX], system: kane.System) -> dict[str, SX]:
+    solution, residual = kane.accelerations(system), SX(0, 1)
+    if system.held.numel():
+        multipliers = kane.constraint_loads(system, solution.unknown)
+        residual = kane.reactions(system, solution.unknown, multipliers)
+    return _in_states(laws, of, solution, residual)
+
+
+def _in_states(
+    laws: Mapping[str, SX], of: Mapping[str, SX], solution: kane.Accelerations, auxiliary: SX
+) -> dict[str, SX]:
+    """Eliminate all that depends on q and the independent speeds."""
+    dependent, held, forces = of["dependent"], of["held"], of["forces"]
+    free = of["u"][: solution.free.numel(), :]
     rates = ca.solve(laws["kinematics"], laws["rates"])
+    at_rest = _root(ca.substitute(laws["slip"], free, SX.zeros(free.numel())), dependent)
     found = dict(laws) | {
-        "ode": ca.vertcat(rates, free),
-        "mass": reduced,
+        "ode": ca.vertcat(rates, solution.free),
+        "mass": solution.mass,
         "slope": ca.jacobian(laws["slip"], dependent),
-        "more": ca.vertcat(dependent, of["forces"]),
+        "more": ca.vertcat(dependent, forces),
     }
     for symbols, values in (
-        (of["forces"], _root(laws["auxiliary"], of["forces"])),
-        (ca.vertcat(of["rates"], of["unknown"]), ca.vertcat(rates, free, relation @ free + offset)),
-        (dependent, _root(laws["slip"], dependent)),
+        (forces, _root(auxiliary, forces)),
+        (ca.vertcat(of["rates"], of["unknown"]), ca.vertcat(rates, solution.unknown)),
+        (dependent, solution.relation @ free + at_rest),
+        (held, SX.zeros(held.numel())),
     ):
         rows = ca.substitute([*found.values()], [symbols], [values])
         found = dict(zip(found, rows, strict=True))

@@ -1,92 +1,30 @@
 """`from_sympy`: import of equations of motion that `sympy.physics.mechanics` has formed."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from functools import reduce
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae, Model
-from casadi_models.mechanics import matrices
+from casadi_models.dae.expressions import is_cheaper
+from casadi_models.mechanics import kane, matrices
 from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.model.foreign.casadi_system import System
 from cosim.model.foreign.from_casadi import Facts, declare_system
 from cosim.model.foreign.named_symbols import Symbol, identifier
+from cosim.model.foreign.sympy_bodies import inertias_and_loads
+from cosim.model.foreign.sympy_printer import printed
 
-_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sign"
-_FUNCTIONS = {name: name for name in _NAMES.split()} | {"Abs": "fabs", "Min": "fmin", "Max": "fmax"}
 _LAWS = "kinematics", "rates", "mass", "forcing", "closure", "slip", "auxiliary"
-_LISTS = "q", "u", "multipliers", "dependent", "guessed", "zero", "forces"
+_DYNAMICS = {"mass", "forcing", "auxiliary"}
+_LISTS = "q", "u", "multipliers", "dependent", "guessed", "held", "held_dot", "forces"
 
 
-class _CasadiPrinter:
-    """Methods of a SymPy printer that returns SX instead of text."""
-
-    who: str
-    values: dict[Any, SX]  # of symbols
-    _print: Callable[[Any], SX]
-
-    def _print_Symbol(self, node: Any) -> SX:
-        return self.values[node]
-
-    def _print_Number(self, node: Any) -> SX:
-        return SX(float(node))
-
-    _print_NumberSymbol = _print_Number  # pi
-
-    def _print_Add(self, node: Any) -> SX:
-        factors = [term.args if term.is_Mul else (term,) for term in node.args]
-        counts = Counter(f for own in factors for f in own if not f.is_Number)
-        common, times = max(counts.items(), key=lambda item: item[1], default=(0, 1))
-        if times == 1:
-            return reduce(SX.__add__, map(self._print, node.args))
-        inside = [x / common for x, own in zip(node.args, factors, strict=True) if common in own]
-        outside = [x for x, own in zip(node.args, factors, strict=True) if common not in own]
-        rest = self._print(node.func(*outside))
-        return self._print(common) * self._print(node.func(*inside)) + rest
-
-    def _print_Mul(self, node: Any) -> SX:
-        return reduce(SX.__mul__, map(self._print, node.args))
-
-    def _print_Pow(self, node: Any) -> SX:
-        base, exponent = self._print(node.base), node.exp
-        if exponent.is_Rational and exponent.q == 2:
-            base, exponent = ca.sqrt(base), 2 * exponent
-        return base ** self._print(exponent)
-
-    def _print_Application(self, node: Any) -> SX:
-        if type(node).__name__ not in _FUNCTIONS:
-            return self.emptyPrinter(node)
-        function = getattr(ca, _FUNCTIONS[type(node).__name__])
-        arguments = [*map(self._print, node.args)]
-        return reduce(function, arguments) if len(arguments) > 1 else function(*arguments)
-
-    def emptyPrinter(self, node: Any) -> SX:
-        name = type(node).__name__
-        raise UsageError(f"{self.who}: SymPy's {name} has no CasADi form here; replace it")
-
-
-def _printed(who: str, laws: Mapping[str, Any], values: Mapping[Any, SX]) -> dict[str, SX]:
-    """Return matrices of SymPy as SX; common subexpressions are computed once."""
-    sympy = optional_module("sympy", "sympy")
-    printer: Any = type("Printer", (_CasadiPrinter, sympy.printing.printer.Printer), {})()
-    plain = {leaf: sympy.Dummy() for leaf in values}  # cse would look into q(t)
-    printer.who, printer.values = who, {plain[leaf]: value for leaf, value in values.items()}
-    rows = [matrix.xreplace(plain) for matrix in laws.values()]
-    common, rows = sympy.cse(rows, sympy.numbered_symbols(cls=sympy.Dummy), order="none")
-    for symbol, expression in common:
-        printer.values[symbol] = printer._print(expression)
-    columns = [ca.vertcat(SX(0, 1), *map(printer._print, matrix)) for matrix in rows]
-    shapes = [(max(matrix.cols, 1), matrix.rows) for matrix in rows]
-    shaped = [ca.reshape(*both).T for both in zip(columns, shapes, strict=True)]
-    return dict(zip(laws, shaped, strict=True))
-
-
-def _formed(who: str, method: Any) -> tuple[dict[str, list[Any]], dict[str, Any]]:
-    """Return what a method formed: lists of symbols, and the laws of `matrices` in SymPy."""
+def _formed(who: str, method: Any) -> tuple[Any, dict[str, list[Any]], dict[str, Any]]:
+    """Return a method, its lists of symbols, and the laws of `matrices` that it formed in SymPy."""
     sympy = optional_module("sympy", "sympy")
     mechanics = optional_module("sympy.physics.mechanics", "sympy")
     call = "kanes_equations or form_lagranges_equations"
@@ -102,15 +40,15 @@ def _formed(who: str, method: Any) -> tuple[dict[str, list[Any]], dict[str, Any]
         mass = method.mass_matrix_full[n:, n:]  # its multipliers have the other sign than `eom`
         motion = mass[:, :n].row_join(-mass[:, n:]), method.forcing_full[n:, :]
         found = sympy.eye(n), method.u, *motion, method._hol_coneqs, method.coneqs, none
-        lists = method.q, method.u, method.lam_vec, none, none, none, none
+        lists = method.q, method.u, method.lam_vec, *5 * (none,)
     else:
         slip = method._k_nh * method.u + method._f_nh if method._udep else none
         auxiliary = method.auxiliary_eqs if method._uaux else none
         found = method.mass_matrix_kin, method.forcing_kin, *motion, method._f_h, slip, auxiliary
-        zero = [*method._uaux, *method._uaux.diff(mechanics.dynamicsymbols._t)]
-        lists = method.q, method.u, none, method._udep, method._qdep, zero, none
+        held = method._uaux, method._uaux.diff(mechanics.dynamicsymbols._t)
+        lists = method.q, method.u, none, method._udep, method._qdep, *held, none
     columns = {key: list(column) for key, column in zip(_LISTS, lists, strict=True)}
-    return columns, dict(zip(_LAWS, found, strict=True))
+    return method, columns, dict(zip(_LAWS, found, strict=True))
 
 
 def _label(key: Any) -> str:
@@ -137,6 +75,34 @@ def _others(who: str, laws: Iterable[Any], own: set[Any], t: Any) -> dict[Any, i
             raise UsageError(f"{who}: {leaf} is unknown to the method; replace it in the equations")
         found[base] = max(order, found.get(base, 0))
     return found
+
+
+def _from_bodies(
+    who: str,
+    method: Any,
+    laws: Mapping[str, Any],
+    of: Mapping[str, SX],
+    symbols: Mapping[Any, SX],
+    moves: Mapping[Any, SX],
+) -> dict[str, SX]:
+    """Return the equations of a `KanesMethod` formed anew; `moves` are rates of others than q."""
+    found = printed(who, {key: law for key, law in laws.items() if key not in _DYNAMICS}, symbols)
+    rates = ca.solve(found["kinematics"], found["rates"])
+    known = dict(zip((x.diff() for x in method.q), ca.vertsplit(rates), strict=True))
+    q = ca.vertcat(of["q"], *(symbols[x] for x in moves))
+    inertias, loads = inertias_and_loads(who, method, {**symbols, **known}, q)
+    u, dependent = of["u"], of["dependent"]
+    system = kane.System(
+        q=q,
+        q_dot=ca.vertcat(rates, *moves.values()),
+        free=u[: u.numel() - dependent.numel(), :],
+        dependent=dependent,
+        held=of["held"],
+        constraints=found["slip"],
+        inertias=inertias,
+        loads=loads,
+    )
+    return matrices.solved(found, of, system)
 
 
 def from_sympy(
@@ -175,11 +141,12 @@ def from_sympy(
         UnknownName: A value is given for what does not exist.
     """
     who = f"from_sympy({name})"
-    lists, laws = _formed(who, system)
+    method, lists, laws = _formed(who, system)
     mappings = (parameters, start_values, units, meanings, nominals, outputs)
     given, starts, *facts, shown = (_by_name(who, mapping) for mapping in mappings)
     values = given | starts
-    t = optional_module("sympy.physics.mechanics", "sympy").dynamicsymbols._t
+    mechanics = optional_module("sympy.physics.mechanics", "sympy")
+    t = mechanics.dynamicsymbols._t
     q, u, dependent, forces = (lists[key] for key in ("q", "u", "dependent", "forces"))
     for x in dependent:
         if _label(x) in values:
@@ -188,8 +155,8 @@ def from_sympy(
     lists["unknown"] = [*(x.diff(t) for x in u), *lists["multipliers"]]
     own = {t}.union(*lists.values())
     acting = _others(who, [law for key, law in laws.items() if key != "auxiliary"], own, t)
-    loads = _others(who, [laws["auxiliary"]], {*own, *acting}, t)
-    forces += [x for x in loads if _label(x) not in values]
+    loads = _others(who, [laws["auxiliary"]], own, t)
+    forces += [x for x in loads if x not in acting and _label(x) not in values]
     sympy = optional_module("sympy", "sympy")
     for output in shown.values():
         if not isinstance(output, sympy.Expr):
@@ -212,9 +179,15 @@ def from_sympy(
     for key in given:
         if key not in (known := [symbol.name for some in named.values() for symbol in some]):
             raise UnknownName.among(who, "parameter", key, known)
-    found = _printed(who, laws, symbols | dict.fromkeys(lists["zero"], SX(0)))
+    printable = symbols | dict.fromkeys(lists["held_dot"], SX(0))
     try:
-        found = matrices.solved(found, of)
+        found = matrices.solved(printed(who, laws, printable), of)
+        if isinstance(method, mechanics.KanesMethod):
+            moves = {x: symbols[x.diff(t)] for x in chain} | {t: SX(1)}
+            with suppress(ValueError, UsageError):  # SymPy's equations need less than the bodies
+                anew = _from_bodies(who, method, laws, of, printable, moves)
+                columns = [ca.vertcat(laws["ode"], laws["more"]) for laws in (anew, found)]
+                found = anew if is_cheaper(*columns) else found
         found["ode"] = ca.vertcat(found["ode"], *(symbols[x.diff(t)] for x in chain))
         names = [*map(_label, [*dependent, *forces]), *shown]
         rows = ca.vertsplit(ca.vertcat(found.pop("more"), found.pop("outputs")))
