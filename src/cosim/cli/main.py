@@ -58,7 +58,7 @@ def command_line() -> CommandLine:
     )
     add = parser.output.add_argument
     add("-h", "--help", action="help", help="print this help, or that of a verb, and exit")
-    add("--version", action=PrintVersion, help="print the version and exit")
+    add("--version", action=PrintVersion, nargs=0, help="print the version and exit")
     add(
         "--print-completion",
         action=PrintCompletion,
@@ -97,9 +97,6 @@ def _verb_table() -> str:
 
 class PrintVersion(argparse.Action):
     """An option that prints the version; it is looked up only then."""
-
-    def __init__(self, option_strings: list[str], dest: str, help: str) -> None:
-        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         """Print the version and exit."""

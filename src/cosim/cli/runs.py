@@ -43,26 +43,22 @@ _OF_SYSTEMS = ("method", "macro_step")
 
 def scene_or_none(args: argparse.Namespace) -> Scene | None:
     """Return the scene of a command line; None for an FMU file and for a co-simulation."""
-    if args.model.endswith(".fmu") or _is_co_simulation(args):
+    if args.model.endswith(".fmu"):
         return None
-    if any(options_in(args, *_OF_SYSTEMS).values()):
+    has_method = any(options_in(args, *_OF_SYSTEMS).values())
+    if is_system(args.model):  # co-simulation, or all parts as one model
+        return None if has_method or not read_system(args.model).is_model else scene_from(args)
+    if has_method:
         raise UsageError("--method and --macro-step are for coupled systems")
     return scene_from(args)
-
-
-def _is_co_simulation(args: argparse.Namespace) -> bool:
-    """Return whether FMUs of a coupled system are to be simulated, not its parts as one model."""
-    if not is_system(args.model):
-        return False
-    asked = any(options_in(args, *_OF_SYSTEMS).values())
-    return asked or not read_system(args.model).is_model
 
 
 def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
     """Return a run and its exit code; if the run failed, what was computed."""
     try:
         if scene is not None:
-            run = _scene_run(args, scene)
+            _reject(args, _OF_FMUS, "FMU files; a model has --backend and --solver")
+            run = run_scene(scene, args.backend or Backend.NATIVE)
         else:
             run = _co_simulation(args) if is_system(args.model) else _fmu_run(args)
     except (SolverError, Interrupted) as error:
@@ -89,12 +85,6 @@ def _reject(args: argparse.Namespace, options: Iterable[str], what: str) -> None
     for option in options:
         if getattr(args, option, None) is not None:
             raise UsageError(f"--{option.replace('_', '-')} is for {what}")
-
-
-def _scene_run(args: argparse.Namespace, scene: Scene) -> Trajectory:
-    """Run a model or a scene."""
-    _reject(args, _OF_FMUS, "FMU files; a model has --backend and --solver")
-    return run_scene(scene, args.backend or Backend.NATIVE)
 
 
 def _fmu_run(args: argparse.Namespace) -> Trajectory:

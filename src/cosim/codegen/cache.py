@@ -95,7 +95,7 @@ def content_of(name: str) -> bytes | None:
 
 
 def store(name: str, content: bytes) -> None:
-    """Store an entry, completely or not at all.
+    """Store an entry, completely or not at all; a link of the same name is not followed.
 
     Raises:
         CacheError: See `private_folder`.
@@ -104,7 +104,13 @@ def store(name: str, content: bytes) -> None:
     place = private_folder() / name
     place.parent.mkdir(mode=0o700, exist_ok=True)
     head = _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode() + b"\n"
-    _write_whole(place, head + content)
+    handle, new = tempfile.mkstemp(dir=place.parent, prefix=".new-")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(head + content)
+        Path(new).replace(place)
+    finally:
+        Path(new).unlink(missing_ok=True)
     if len(content) > _LITTLE * most_bytes():  # a cleanup takes longer than writing
         prune()
 
@@ -113,17 +119,6 @@ def store_if_possible(name: str, content: bytes) -> None:
     """Store an entry; without a cache, nothing happens."""
     with suppress(OSError, CacheError):
         store(name, content)
-
-
-def _write_whole(place: Path, content: bytes) -> None:
-    """Write a file, completely or not at all; a link of the same name is not followed."""
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=".new-")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        Path(name).replace(place)
-    finally:
-        Path(name).unlink(missing_ok=True)
 
 
 def plain_file(place: Path) -> bytes | None:

@@ -152,15 +152,17 @@ def external(functions: Sequence[ca.Function], key: str, names: Sequence[str]) -
         MissingTool: There is no compiler, or it fails.
         UsageError: The functions call a library whose C code is missing.
     """
-
-    def generate() -> str:
-        generator = ca.CodeGenerator("code", {"with_header": False})
-        for function in functions:
-            generator.add(function)
-        return str(generator.dump())
-
-    path = str(cached_library(key, generate, sources_beside(*functions)))
+    sources = sources_beside(*functions)
+    path = str(cached_library(key, lambda: generated("code", *functions), sources))
     return [ca.external(name, path) for name in names]
+
+
+def generated(name: str, *functions: ca.Function) -> str:
+    """Return the C code that CasADi generates for functions, under the name of a file."""
+    generator = ca.CodeGenerator(name, {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    return str(generator.dump())
 
 
 def cache_key(kind: str, function: ca.Function, *more: bytes) -> str:

@@ -130,13 +130,7 @@ def compile_library(
     elif sys.platform == "win32" and "ziglang" not in compiler:  # Clang rejects both there
         flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
     arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
-    _run_compiler(
-        [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries], target
-    )
-    return target
-
-
-def _run_compiler(call: Sequence[str], target: Path) -> None:
+    call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     try:
         failed, output = _output_of(call, target.parent)
     except subprocess.TimeoutExpired as error:
@@ -150,6 +144,7 @@ def _run_compiler(call: Sequence[str], target: Path) -> None:
         raise MissingTool(
             f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
         )
+    return target
 
 
 def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:

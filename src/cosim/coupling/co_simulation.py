@@ -230,9 +230,8 @@ class CoSimulation:
             with explained(self.name, part):
                 part.start(values[name], **experiment)
         times = time_grid(settings.start, settings.stop, settings.interval)
-        recorded = {name: self._recorded(name, wanted) for name, wanted in columns.items()}
         tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
-        parts, held = self._structures(recorded, tables)
+        parts, held = self._structures(columns, tables)
         scale, grows = self._scales()
         guess = np.array([float(v.start or 0) for p in self.parts.values() for v in p.inputs] + [0])
         system = _System(
@@ -394,13 +393,8 @@ class CoSimulation:
             found[name] = [*known, *(v for v in inputs if v not in known)]
         return found
 
-    def _recorded(self, name: str, wanted: Sequence[str]) -> Recorded:
-        part = self.parts[name]
-        known = by_name(part.description)
-        return Recorded(part.instance, part.description, [known[v] for v in wanted])
-
     def _structures(
-        self, recorded: Mapping[str, Recorded], tables: Mapping[str, Vector]
+        self, columns: Mapping[str, list[str]], tables: Mapping[str, Vector]
     ) -> tuple[Any, list[Any]]:
         """Return the parts for the C code, and what must live as long as they."""
         parts, held = (_Part * len(self.parts))(), list[Any]()
@@ -409,8 +403,10 @@ class CoSimulation:
                 np.array([v.valueReference for v in variables] + [0], dtype=np.uint32)
                 for variables in (part.inputs, part.outputs)
             ]
-            held += [*references, recorded[name]]
-            structure = recorded[name].structure
+            known = by_name(part.description)
+            recorded = Recorded(part.instance, part.description, [known[v] for v in columns[name]])
+            held += [*references, recorded]
+            structure = recorded.structure
             structure.rows = tables[name].ctypes.data
             place.call = ctypes.pointer(part.functions)
             place.recording = ctypes.pointer(structure)
@@ -425,9 +421,8 @@ class CoSimulation:
     def _scales(self) -> tuple[Vector, NDArray[np.int64]]:
         """Return the sizes of the inputs, and whether they grow as their FMU declares none."""
         variables = [v for part in self.parts.values() for v in part.inputs]
-        declared = [v.nominal is not None for v in variables]
         scale = np.array([float(v.nominal or 1.0) for v in variables] + [1.0])
-        return scale, np.array([not known for known in declared] + [False], dtype=np.int64)
+        return scale, np.array([v.nominal is None for v in variables] + [False], dtype=np.int64)
 
 
 @cached_per_thread(1)

@@ -4,13 +4,14 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 from casadi_models.dae.variables import is_name
-from cosim.coupling.system import System, couple, transformed
+from cosim.coupling.system import System, couple
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.archive import SYSTEM_DESCRIPTION, reject_dangerous_xml, unpacked
 from cosim.toml_file import read_toml, typed
@@ -111,14 +112,10 @@ def read_ssp(path: str | os.PathLike[str]) -> System:
         >>> list(read_ssp(path).parts)
         ['shaft']
     """
-    held = ExitStack()
-    try:
+    with ExitStack() as held:
         folder = held.enter_context(unpacked(path, description=SYSTEM_DESCRIPTION))
         system = _Description(Path(path), folder).system()
-    except BaseException:
-        held.close()
-        raise
-    system.holds(held)
+        system.holds(held.pop_all())
     return system
 
 
@@ -132,7 +129,7 @@ class _Description:
     def __init__(self, path: Path, folder: Path) -> None:
         self._path, self._folder = path, folder
         self._root = self._xml(SYSTEM_DESCRIPTION)
-        found = _child(self._root, "System")
+        found = self._root.find("{*}System")
         if found is None:
             raise FmuError(f"{path}: {SYSTEM_DESCRIPTION} describes no system")
         self._system = found
@@ -144,7 +141,7 @@ class _Description:
             CosimError: See `read_ssp`.
         """
         parts = dict(self._parts(self._system, ()))
-        experiment = _child(self._root, "DefaultExperiment")
+        experiment = self._root.find("{*}DefaultExperiment")
         stop = None if experiment is None else experiment.get("stopTime")
         names = {place: _identifier("_".join(place)) for place in parts}
         if len(set(names.values())) < len(names):
@@ -174,11 +171,16 @@ class _Description:
             title=self._system.get("description", ""),
             stop_time=None if stop is None else float(stop),
         )
-        return transformed(found, changes)
+        connections = []
+        for wire in found.connections:  # which convert units; what the file declares comes on top
+            factor, offset = changes[".".join(wire.input)]
+            factor, offset = factor * wire.factor, factor * wire.offset + offset
+            connections.append(wire._replace(factor=factor, offset=offset))
+        return replace(found, connections=tuple(connections))
 
     def _parts(self, system: ET.Element, place: _Place) -> Iterator[tuple[_Place, ET.Element]]:
         """Yield the FMUs in a system and in the systems within it, by their places."""
-        for element in _elements(system):
+        for element in system.iterfind("{*}Elements/*"):
             kind, inner = _local(element), (*place, element.get("name", ""))
             if kind == "System":
                 yield from self._parts(element, inner)
@@ -195,7 +197,7 @@ class _Description:
     ) -> Iterator[tuple[_Connector, tuple[_Connector, float, float]]]:
         """Yield what drives a connector, with factor and offset."""
         driven = set[_Connector]()
-        for connection in _children(_child(system, "Connections"), "Connection"):
+        for connection in system.iterfind("{*}Connections/{*}Connection"):
             source, sink = (
                 ((*place, *filter(None, [connection.get(f"{end}Element")])),
                  connection.get(f"{end}Connector", ""))
@@ -207,12 +209,11 @@ class _Description:
                     "once"
                 )
             driven.add(sink)
-            linear = _child(connection, "LinearTransformation")
+            linear = connection.find("{*}LinearTransformation")
             change = {} if linear is None else linear.attrib
             yield sink, (source, float(change.get("factor", 1)), float(change.get("offset", 0)))
-        for inner in _elements(system):
-            if _local(inner) == "System":
-                yield from self._drives(inner, (*place, inner.get("name", "")))
+        for inner in system.iterfind("{*}Elements/{*}System"):
+            yield from self._drives(inner, (*place, inner.get("name", "")))
 
     def _inside(self, source: str) -> Path:
         file = (self._folder / source).resolve()
@@ -224,7 +225,7 @@ class _Description:
         self, system: ET.Element, place: _Place, parts: Mapping[_Place, ET.Element]
     ) -> Iterator[tuple[_Place, str, float | str]]:
         """Yield values of parts: those of the parts first, then those of the systems around."""
-        for element in _elements(system):
+        for element in system.iterfind("{*}Elements/*"):
             inner = (*place, element.get("name", ""))
             if inner in parts:
                 yield from ((inner, *pair) for pair in self._bound(element))
@@ -240,23 +241,18 @@ class _Description:
                 raise UsageError(f"{self._path}: no part has the parameter {name}; name its part")
 
     def _bound(self, element: ET.Element) -> Iterator[tuple[str, float | str]]:
-        for binding in _children(_child(element, "ParameterBindings"), "ParameterBinding"):
-            if _child(binding, "ParameterMapping") is not None:
+        for binding in element.iterfind("{*}ParameterBindings/{*}ParameterBinding"):
+            if binding.find("{*}ParameterMapping") is not None:
                 raise UsageError(
                     f"{self._path}: the parameters of '{element.get('name')}' are renamed by a "
                     "mapping, which cannot be read here; write their own names"
                 )
-            source, values = binding.get("source"), _child(binding, "ParameterValues")
-            sets = list(values) if values is not None else []
-            if source is not None:
-                sets = [self._xml(source)]
-            own = binding.get("prefix", "")
-            for chosen in sets:
-                for parameter in _children(_child(chosen, "Parameters"), "Parameter"):
-                    yield from (
-                        (own + parameter.get("name", ""), self._number(parameter, number))
-                        for number in parameter
-                    )
+            source, own = binding.get("source"), binding.get("prefix", "")
+            inside = binding.findall("{*}ParameterValues/*")
+            for chosen in inside if source is None else [self._xml(source)]:
+                for parameter in chosen.iterfind("{*}Parameters/{*}Parameter"):
+                    for number in parameter:
+                        yield own + parameter.get("name", ""), self._number(parameter, number)
 
     def _number(self, parameter: ET.Element, number: ET.Element) -> float | str:
         """Return a value in the variable's own unit; as a text if it has another one."""
@@ -285,16 +281,3 @@ class _Description:
 
 def _local(element: ET.Element) -> str:
     return element.tag.rpartition("}")[2]
-
-
-def _children(element: ET.Element | None, kind: str) -> list[ET.Element]:
-    return [] if element is None else [child for child in element if _local(child) == kind]
-
-
-def _elements(system: ET.Element) -> list[ET.Element]:
-    found = _child(system, "Elements")
-    return [] if found is None else list(found)
-
-
-def _child(element: ET.Element, kind: str) -> ET.Element | None:
-    return next(iter(_children(element, kind)), None)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -181,12 +181,14 @@ class System:
         """
         models = dict[str, Dae]()
         for name, part in self.parts.items():
-            if not isinstance(part.subject, Dae):
+            subject = part.subject
+            if not isinstance(subject, Dae):
                 raise UsageError(
                     f"{self.name}: part '{name}' is an FMU, whose equations are not known; "
                     "simulate the system by co-simulation (--method, or System.simulate)"
                 )
-            models[name] = self._configured(name, part.subject)
+            own = {v: value for (p, v), value in self.start_values.items() if p == name}
+            models[name] = requested(subject, start_values=own).configured() if own else subject
         try:
             dae = joined(self.name, self.title, models, self.connections)
         except ValueError as error:
@@ -277,7 +279,7 @@ class System:
             name=self.name,
         )
 
-    def holds(self, resource: ExitStack) -> None:
+    def holds(self, resource: AbstractContextManager[Any]) -> None:
         """Keep what the parts need, such as unpacked files, as long as the system lives."""
         self._open.push(resource)
         finalize(self, self._open.close)
@@ -306,14 +308,8 @@ class System:
             for n, p in self.parts.items()
         }
         found = CoSimulation(self.name, self._exported(versions), self.connections)
-        held = ExitStack()
-        held.callback(found.close)
-        self.holds(held)
+        self.holds(closing(found))
         return found
-
-    def _configured(self, name: str, dae: Dae) -> Dae:
-        own = {v: value for (part, v), value in self.start_values.items() if part == name}
-        return requested(dae, start_values=own).configured() if own else dae
 
     def _of_parts(self, values: Mapping[tuple[str, str], float]) -> dict[str, dict[str, float]]:
         """Return values by part, with the states whose starts outputs of models determine."""
@@ -404,22 +400,6 @@ def couple(
             driving = tuple(wire.output[1] for wire in wires if wire.output[0] == n)
             found[n] = replace(part, subject=replace(part.subject, driving=driving))
     return System(name, found, wires, values, stop_time, output_interval, title)
-
-
-def transformed(system: System, changes: Mapping[str, tuple[float, float]]) -> System:
-    """Return a system some of whose inputs get factor * output + offset, in their units.
-
-    Args:
-        system: As its units demand.
-        changes: Factor and offset by "part.input".
-    """
-    wires = []
-    for wire in system.connections:
-        factor, offset = changes.get(".".join(wire.input), (1.0, 0.0))
-        wires.append(
-            wire._replace(factor=factor * wire.factor, offset=factor * wire.offset + offset)
-        )
-    return replace(system, connections=tuple(wires))
 
 
 def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:

@@ -43,14 +43,6 @@ class Camera:
     axes: Vector
     up: Vector
 
-    @classmethod
-    def at(cls, eye: Vector, center: Vector, up: Vector) -> "Camera":
-        """Return the camera that looks from a point at another one."""
-        back = (eye - center) / np.linalg.norm(eye - center)
-        right = np.cross(up, back)
-        right = right / np.linalg.norm(right)
-        return cls(eye, np.array([right, np.cross(back, right), back]), up)
-
     def seen(self, points: Vector) -> Vector:
         """Return places in the picture and distances, (..., 3); the picture is -1 ... 1 high."""
         local = (points - self.eye) @ self.axes.T
@@ -160,4 +152,8 @@ def camera_for(world: World, view: View, scale: Scale, distance: float = _NEAR) 
         View.TOP: up + 1e-3 * right,
     }[view]
     direction = direction / np.linalg.norm(direction)
-    return Camera.at(scale.center + distance * scale.size * direction, scale.center, up)
+    eye = scale.center + distance * scale.size * direction
+    back = (eye - scale.center) / np.linalg.norm(eye - scale.center)
+    right = np.cross(up, back)
+    right = right / np.linalg.norm(right)
+    return Camera(eye, np.array([right, np.cross(back, right), back]), up)

@@ -61,15 +61,13 @@ def distinct_frames(pose: StartPose) -> Iterator[Frame]:
     left = list(pose.frames)
     while left:
         _, origin, rotation = left[0]
-        here = [_coincide(frame, left[0]) for frame in left]
+        here = [
+            np.allclose(at, origin, atol=1e-6) and np.allclose(turned, rotation, atol=1e-3)
+            for _, at, turned in left
+        ]
         names = [name for (name, _, _), same in zip(left, here, strict=True) if same]
         yield ", ".join(names), origin, rotation
         left = [frame for frame, same in zip(left, here, strict=True) if not same]
-
-
-def _coincide(one: Frame, other: Frame) -> bool:
-    near = np.allclose(one[1], other[1], atol=1e-6)
-    return near and np.allclose(one[2], other[2], atol=1e-3)
 
 
 def diagram(pose: StartPose) -> bytes:

@@ -45,10 +45,6 @@ class Stage:
         self.start = self._filling(camera_for(runs[0].world, view, self.scale))
         self.parts = [_parts(run) for run in runs]
 
-    def camera(self, frame: int) -> Camera:
-        """Return the camera of a frame."""
-        return replace(self.start, eye=self.start.eye + self.shift[frame])
-
     def _filling(self, camera: Camera) -> Camera:
         """Return the camera moved so that everything fills the picture."""
         distance = float(np.linalg.norm(camera.eye - self.scale.center))
@@ -66,7 +62,7 @@ class Stage:
 
     def draw(self, axis: Axes, frames: Sequence[int]) -> None:
         """Draw the poses of some frames into one picture, seen by the camera of the first one."""
-        camera = self.camera(frames[0])
+        camera = replace(self.start, eye=self.start.eye + self.shift[frames[0]])
         axis.clear()
         axis.set_axis_off()
         axis.set_xlim(-self.width, self.width)

@@ -191,8 +191,7 @@ class Values:
         rows = self.at([symbol.name() for symbol in symbols], times)
         function = ca.Function("drawn", [ca.vertcat(SX(0, 1), *symbols)], [ca.vec(expression)])
         columns: Vector = np.array(function(rows), dtype=float)
-        result: Vector = columns.reshape(expression.numel(), len(times)).T
-        return result
+        return columns.reshape(expression.numel(), len(times)).T
 
     def first(self, expression: SX) -> Vector:
         """Return an expression at the first time, in its own shape."""

@@ -5,7 +5,7 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import BinaryIO
 from xml.etree import ElementTree as ET
@@ -67,17 +67,14 @@ def opened(
     name = source if isinstance(source, str | os.PathLike) else "this file"
     if not (name is source or hasattr(source, "seek")):
         raise UsageError.of_type("an FMU's reader", source, "a file name")
-    stream = None
-    try:
-        if isinstance(source, str | os.PathLike):
-            stream = opened_plain(source)
-        archive = zipfile.ZipFile(stream or source)
-    except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-        if stream is not None:
-            stream.close()
-        reason = getattr(error, "strerror", None) or "it is not a zip archive"
-        raise FmuError(f"cannot read {name}: {reason}; give an FMU") from error
-    with stream or nullcontext(), archive:
+    with ExitStack() as held:
+        try:
+            if isinstance(source, str | os.PathLike):
+                source = held.enter_context(opened_plain(source))
+            archive = held.enter_context(zipfile.ZipFile(source))
+        except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+            reason = getattr(error, "strerror", None) or "it is not a zip archive"
+            raise FmuError(f"cannot read {name}: {reason}; give an FMU") from error
         try:
             _reject_dangerous_entries(archive, most_bytes)
             for entry in _READ_BY_TOOLS:

@@ -116,10 +116,14 @@ def write_ssp(
         element = _component(component, description, units)
         if own:
             chosen = parameter_set("initialValues", own, units)
-            file = f"resources/{component}.ssv"
+            bindings = ET.SubElement(element, f"{{{SSD}}}ParameterBindings")
+            binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
             if parameter_files:
+                file = f"resources/{component}.ssv"
                 files[file] = to_file(chosen)
-            element.append(_binding(file if parameter_files else None, chosen))
+                binding.attrib.update(type=TYPE, source=file)
+            else:
+                ET.SubElement(binding, f"{{{SSD}}}ParameterValues").append(chosen)
         elements.append(element)
     for key in values or {}:
         _side(described, key, None)
@@ -158,17 +162,6 @@ def _component(name: str, description: Any, units: Mapping[str, str | None]) -> 
             unit, kind = units[variable.name], "Boolean" if variable.type == "Boolean" else "Real"
             ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
     return component
-
-
-def _binding(file: str | None, chosen: ET.Element) -> ET.Element:
-    """Return the parameter binding of a component: a file, or the set itself."""
-    bindings = ET.Element(f"{{{SSD}}}ParameterBindings")
-    if file is not None:
-        ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding", type=TYPE, source=file)
-        return bindings
-    binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
-    ET.SubElement(binding, f"{{{SSD}}}ParameterValues").append(chosen)
-    return bindings
 
 
 def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:

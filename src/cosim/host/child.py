@@ -25,30 +25,6 @@ MARK = "COSIM_RUN"  # of the environment: `/OURS/ITS/...`; children inherit it
 _DIE_WITH_PARENT, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG and PR_SET_CHILD_SUBREAPER of Linux
 
 
-def end_all(process: int, mark: str) -> None:
-    """End a process, its group, and on Linux all that carry a mark in their environment.
-
-    Args:
-        process: Leader of its group.
-        mark: How the value of the variable `MARK` begins.
-    """
-    with suppress(OSError):
-        if hasattr(os, "killpg"):
-            os.killpg(process, signal.SIGKILL)
-        else:
-            os.kill(process, signal.SIGTERM)  # Windows knows no other
-    known = f"{MARK}={mark}".encode()
-    for _ in range(10):  # they may start others meanwhile
-        found = False
-        for entry in Path("/proc").glob("[0-9]*/environ"):
-            with suppress(OSError):
-                if any(line.startswith(known) for line in entry.read_bytes().split(b"\0")):
-                    os.kill(int(entry.parent.name), signal.SIGKILL)
-                    found = True
-        if not found:
-            return
-
-
 @contextmanager
 def ending_orphans() -> Iterator[None]:
     """End every child of this process afterwards, and on Linux their orphans.
@@ -158,8 +134,22 @@ class Child:
         return answer.decode()
 
     def kill(self) -> None:
-        """End it and all that it has started."""
-        end_all(self._process.pid, self._mark)
+        """End it with its group, and on Linux all processes that carry its mark."""
+        with suppress(OSError):
+            if hasattr(os, "killpg"):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            else:
+                os.kill(self._process.pid, signal.SIGTERM)  # Windows knows no other
+        known = f"{MARK}={self._mark}".encode()
+        for _ in range(10):  # they may start others meanwhile
+            found = False
+            for entry in Path("/proc").glob("[0-9]*/environ"):
+                with suppress(OSError):
+                    if any(line.startswith(known) for line in entry.read_bytes().split(b"\0")):
+                        os.kill(int(entry.parent.name), signal.SIGKILL)
+                        found = True
+            if not found:
+                return
 
     def end(self) -> int:
         """End it and all that it has started, and remove what it left; return its exit code."""

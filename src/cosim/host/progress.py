@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from shutil import get_terminal_size
 from time import time
@@ -24,7 +24,8 @@ What = str | Callable[[], str]
 _TERMINAL: ContextVar[TextIO | None] = ContextVar("terminal", default=None)
 
 
-def doing(what: What, fraction: Fraction | None = None) -> AbstractContextManager[None]:
+@contextmanager
+def doing(what: What, fraction: Fraction | None = None) -> Iterator[None]:
     """Show what is being done inside this context, which may be a part of what is shown already.
 
     Args:
@@ -32,11 +33,9 @@ def doing(what: What, fraction: Fraction | None = None) -> AbstractContextManage
         fraction: Returns how much of it is done, 0 to 1. Both are called from another thread.
     """
     terminal = _TERMINAL.get()
-    return nullcontext() if terminal is None else _showing(terminal, what, fraction)
-
-
-@contextmanager
-def _showing(terminal: TextIO, what: What, fraction: Fraction | None) -> Iterator[None]:
+    if terminal is None:
+        yield
+        return
     over = threading.Event()
     thread = threading.Thread(target=_show, args=(terminal, what, fraction, over), daemon=True)
     thread.start()

@@ -100,8 +100,9 @@ def ended_by_signals() -> Iterator[None]:
     try:
         yield
     except _Ended as ended:
-        signal.signal(ended.number, signal.SIG_DFL)
-        os.kill(os.getpid(), ended.number)
+        (number,) = ended.args
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
         raise
     finally:
         for kind in kinds:
@@ -109,8 +110,4 @@ def ended_by_signals() -> Iterator[None]:
 
 
 class _Ended(BaseException):
-    """A signal that ends the process."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    """A signal, by its number, that ends the process."""

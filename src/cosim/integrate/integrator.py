@@ -95,17 +95,13 @@ def jacobian_of_run(problem: Problem, solver: Solver) -> ca.Function:
     np_, nu = dae.p.numel(), dae.u.numel()
     x0, z0, p = MX.sym("x0", nx), MX.sym("z0", nz), MX.sym("p", np_)
     u = MX.sym("u", nu, n)
-    by_x0, by_p, by_u = MX.eye(nx), MX(nx, np_), MX(nx, nu * n)
-    state: list[tuple[MX, MX, MX]] = [(by_x0, by_p, by_u)]
-    unknown: list[tuple[MX, MX, MX]] = []
+    state = [(MX.eye(nx), MX(nx, np_), MX(nx, nu * n))]
+    unknown = list[tuple[MX, MX, MX]]()
     x = x0
     for k in range(1, n):
         x, first, slopes, dz = interval(x, z0, p, u[:, k], grid[k - 1], grid[k])
-        before, column = state[-1], (MX(nx, nu * k), MX(nx, nu * (n - 1 - k)))
-        if k == 1:
-            unknown.append(_chained(first, before, (MX(nz, nu * k), MX(nz, nu * (n - 2))), nx, np_))
-        unknown.append(_chained(dz, before, (MX(nz, nu * k), MX(nz, nu * (n - 1 - k))), nx, np_))
-        state.append(_chained(slopes, before, column, nx, np_))
+        unknown += [_chained(part, state[-1], k) for part in ((first, dz) if k == 1 else (dz,))]
+        state.append(_chained(slopes, state[-1], k))
     blocks = []
     for rows, size in ((state, nx), (unknown, nz)):
         to_x0, to_p, to_u = (ca.vertcat(*block) for block in zip(*rows, strict=True))
@@ -121,12 +117,12 @@ def jacobian_of_run(problem: Problem, solver: Solver) -> ca.Function:
     )
 
 
-def _chained(
-    slopes: MX, before: tuple[MX, MX, MX], around: tuple[MX, MX], nx: int, np_: int
-) -> tuple[MX, MX, MX]:
-    """Return derivatives with respect to x0, p and all inputs from those over one interval."""
+def _chained(slopes: MX, before: tuple[MX, MX, MX], k: int) -> tuple[MX, MX, MX]:
+    """Return derivatives with respect to x0, p and all inputs from those over the k-th interval."""
+    nx, np_, every = (block.size2() for block in before)
     by_x, by_p, by_u = ca.horzsplit(slopes, [0, nx, nx + np_, slopes.size2()])
-    inputs = ca.horzcat(around[0], by_u, around[1])
+    rows, nu = by_u.shape
+    inputs = ca.horzcat(MX(rows, nu * k), by_u, MX(rows, every - nu * (k + 1)))
     return by_x @ before[0], by_x @ before[1] + by_p, by_x @ before[2] + inputs
 
 

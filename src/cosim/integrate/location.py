@@ -143,18 +143,15 @@ class Piece:
     def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:
         u, _ = self._inputs(times[:1])
         values = Values(x, self.p, u[0])
-        if not len(x):
-            unknowns = np.repeat(z[:, None], len(times), axis=1)
-            return Reached(np.empty((0, len(times))), unknowns, Counts(0, 0, 0), "", 0.0)
         # no solver begins with an output time so near, and the state is the same there
         apart = times > times[0] + _SAME_INSTANT * np.spacing(abs(times[0]))
         apart[0] = True
-        if not apart.all():
-            same = len(times) - int(apart.sum())
+        same = len(times) - int(apart.sum())
+        if not len(x) or same + 1 == len(times):
+            states, unknowns = (np.repeat(row[:, None], len(times), axis=1) for row in (x, z))
+            return Reached(states, unknowns, Counts(0, 0, 0), "", 0.0)
+        if same:
             ahead = [np.repeat(row[:, None], same, axis=1) for row in (x, z)]
-            if same + 1 == len(times):
-                states, unknowns = (np.hstack((a, a[:, :1])) for a in ahead)
-                return Reached(states, unknowns, Counts(0, 0, 0), "", 0.0)
             found = self._run(problem, times[apart], x, z)
             states = np.hstack((ahead[0], found.states))
             return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))

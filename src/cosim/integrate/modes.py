@@ -23,7 +23,7 @@ from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.hybrid import hybrid as frozen
 from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
-from cosim.codegen.functions import CALL
+from cosim.codegen.functions import symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.errors import SolverError
 from cosim.integrate.call import Evaluator, call_on_arrays
@@ -85,9 +85,7 @@ class Watched(NamedTuple):
 def _watch_function(system: Hybrid, closely: bool) -> ca.Function:
     """Return `watch(t, x, z, u, p, du/dt)` with the fields of `Watched`; z is a guess."""
     dae = system.dae
-    t, x, z, u, p = symbols = [
-        MX.sym(n, s.numel()) for n, s in zip(CALL, dae.arguments, strict=True)
-    ]
+    t, x, z, u, p = symbols = symbols_like(dae)
     du = MX.sym("du", u.numel())
     if dae.algebraics:
         z = algebraic_function(dae)(t, x, z, u, p)

@@ -207,8 +207,9 @@ def scaled_call(problem: Problem, solver: Solver, start: InitialState) -> Reache
     reached = call(engine, *numbers)
     started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
     if engine.restart is not None and not started:
-        rates = _rates(problem, start) / x.ravel()
-        again = call(engine.restart(rates), *numbers)
+        t, values = problem.grid[0], start.values
+        ode, _ = equations(problem.dae)(t, start.x, start.z, values.u, values.p)
+        again = call(engine.restart(np.array(ode).ravel() / x.ravel()), *numbers)
         reached = replace(again, solve_time=reached.solve_time + again.solve_time)
     if sizes.in_si:
         return reached
@@ -222,10 +223,3 @@ def _scaled_engine(
     """Return an engine in scaled unknowns, their nominal values, and its further parameters."""
     scaled_problem, sizes, parameters = in_nominal_values_of_run(problem, solver, nominal)
     return engine_of(scaled_problem, solver), sizes, parameters
-
-
-def _rates(problem: Problem, start: InitialState) -> Vector:
-    """Return dx/dt at consistent initial values, (nx,)."""
-    t, values = problem.grid[0], start.values
-    ode, _ = equations(problem.dae)(t, start.x, start.z, values.u, values.p)
-    return np.array(ode).ravel()

@@ -146,10 +146,9 @@ def stopping(dae: Dae, condition: str) -> Dae:
         UnknownName: A name in it does not exist.
     """
     symbols = names_of(dae)
-    for column, variables in ((dae.z, dae.algebraics), (dae.u, dae.inputs)):
+    groups = (dae.z, dae.algebraics), (dae.u, dae.inputs), (dae.outputs, dae.output_variables)
+    for column, variables in groups:
         symbols |= {v.name: s for v, s in zip(variables, ca.vertsplit(column), strict=True)}
-    rows = ca.vertsplit(dae.outputs)
-    symbols |= {v.name: s for v, s in zip(dae.output_variables, rows, strict=True)}
     holds = formula.condition(f"{dae.full_name}: stop_when", condition, symbols)
     event = Event(STOP_WHEN, holds, (), ca.SX(0, 1), message=condition)
     return replace(dae, events=(*dae.events, event))

@@ -1,7 +1,7 @@
 """`run`: execute a request natively: integrate a DAE and return a `Trajectory`."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import isfinite
 from time import perf_counter
@@ -46,66 +46,20 @@ from cosim.trajectory import Event, Trajectory
 _NEARLY_SINGULAR = 0.5
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Recorded values up to the last valid output time, and why the run stopped early.
-
-    Attributes:
-        time: Output times up to that one, s, (n,).
-        table: Recorded values, SI, one row per time.
-        counts: Steps and calls of the solver.
-        solve_time: Time of the solver, s; None if there was nothing to integrate.
-        reason: Why the run stopped early; empty if it did not.
-        invalid: Violated validity conditions of the model or of the fixed step, with their times.
-        invalid_from: Time from which one is violated, s; None if none is.
-        reached: The last good time, s, which may lie after the last output; None without one.
-        events: Events in their order, with all that is recorded and the states on both sides.
-        stop: Message of the event that ended the run; empty if it ran to its end.
-    """
-
-    time: Vector
-    table: Vector
-    counts: Counts
-    solve_time: float | None
-    reason: str
-    invalid: tuple[str, ...]
-    invalid_from: float | None
-    reached: float | None
-    events: tuple[Event, ...] = ()
-    stop: str = ""
-
-
-def solve(prepared: Prepared, numbers: Values) -> Solution:
-    """Compute the initial values, integrate, and evaluate the recorded variables.
-
-    Raises:
-        InitialConditionError: The initial values contradict the constraints.
-        UsageError, ParameterError, MissingTool: See `engine_of`.
-    """
-    start = _initial_state(prepared.problem, numbers)
-    motion, invalid = _integrated(prepared, start)
-    return _recorded(prepared, motion, start.values.p, invalid)
-
-
-def _initial_state(problem: Problem, numbers: Values) -> InitialState:
-    dae, begin = problem.dae, float(problem.grid[0])
-    u = input_values(dae, problem.grid[:1], numbers, problem.inputs)
-    first = replace(numbers, u=u[:, 0])
-    return InitialState(*consistent_values(dae, begin, first), first)
-
-
-def _integrated(prepared: Prepared, start: InitialState) -> tuple[Motion, list[Breach]]:
-    """Integrate; without states, or with a single time, repeat the initial values instead.
+def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breach]]:
+    """Compute the initial values and integrate; without states, or with a single time, repeat them.
 
     Returns:
         The motion, and where fixed steps are too long for it.
     """
     problem, solver = prepared.problem, prepared.inner
-    n = len(problem.grid)
-    if n == 1 or not (problem.dae.states or hybrid(problem.dae)):
+    dae, grid, n = problem.dae, problem.grid, len(problem.grid)
+    first = replace(numbers, u=input_values(dae, grid[:1], numbers, problem.inputs)[:, 0])
+    start = InitialState(*consistent_values(dae, float(grid[0]), first), first)
+    if n == 1 or not (dae.states or hybrid(dae)):
         states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
-        u = input_values(problem.dae, problem.grid, start.values, problem.inputs)
-        return Motion(problem.dae, problem.grid, states, guesses, u, Counts()), []
+        u = input_values(dae, grid, first, problem.inputs)
+        return Motion(dae, grid, states, guesses, u, Counts()), []
     found = integrate(problem, solver, start)
     invalid = list[Breach]()
     if prepared.checks_validity and isinstance(solver, FixedStep) and not found.reason:
@@ -113,8 +67,16 @@ def _integrated(prepared: Prepared, start: InitialState) -> tuple[Motion, list[B
     return found, invalid
 
 
-def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[Breach]) -> Solution:
-    """Evaluate the recorded variables while they are finite and, if requested, valid."""
+def _evaluated(
+    prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach]
+) -> tuple[Vector, int, str, list[Breach]]:
+    """Evaluate the recorded variables while they are finite and, if requested, valid.
+
+    Returns:
+        Their values, SI, one row per time of the motion; the number of valid times; why the run
+        stopped early, empty if it did not; and where validity conditions or fixed steps, which
+        `coarse` holds, are violated.
+    """
     problem, reason = prepared.problem, motion.reason
     dae, grid, n = motion.dae, motion.time, motion.states.shape[1]
     checked = prepared.checks_validity
@@ -133,7 +95,7 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
     if seen.first_not_finite < n:
         n, name = seen.first_not_finite, _not_finite(dae, solved, seen, prepared.places)
         reason = reason or f"{name} is not finite at {grid[n]:g} s"
-    found = list(invalid)
+    found = list(coarse)
     if watches_singularity:
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
@@ -150,27 +112,7 @@ def _recorded(prepared: Prepared, motion: Motion, p: Vector, invalid: Sequence[B
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
         near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
         reason = f"{reason}; {near}: {PROJECTION}"
-    events, stop = motion.events, motion.stop
-    if n < motion.states.shape[1]:  # what happened after the last good row is not a result
-        events, stop = [e for e in events if n and e.time <= grid[n - 1]], ""
-    rows: slice | NDArray[np.intp] = slice(0, n)
-    if prepared.rows is not None:
-        recorded = prepared.rows[prepared.rows < n]
-        rows = np.union1d(recorded, [n - 1]) if stop else recorded
-    table = seen.table[rows]
-    table.setflags(write=False)  # a Trajectory need not copy it
-    return Solution(
-        grid[rows],
-        table,
-        motion.counts,
-        motion.solve_time,
-        reason,
-        tuple(breach.text for breach in found),
-        float(grid[found[0].position]) if found else None,
-        float(grid[n - 1]) if n else None,
-        tuple(_both_sides(prepared, motion, p, events)) if events else (),
-        stop,
-    )
+    return seen.table, n, reason, found
 
 
 def _both_sides(
@@ -289,49 +231,83 @@ def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Tra
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     """Run once, without a fallback."""
     began, compiling = perf_counter(), time_compiling()
-    dae, values, status = prepared.problem.dae, request.numbers, "complete"
+    problem, values, status = prepared.problem, request.numbers, "complete"
+    dae = problem.dae
     with doing(dae.full_name):
-        solution = solve(prepared, values)
-    compile_time = time_compiling() - compiling
-    stats = _stats(prepared, solution, perf_counter() - began, compile_time)
-    if solution.reason:
-        last = "the start" if solution.reached is None else f"{solution.reached:g} s"
-        status = f"stopped after {last}: {solution.reason}"
+        motion, coarse = _integrated(prepared, values)
+        table, n, reason, invalid = _evaluated(prepared, motion, values.p, coarse)
+        events, stop = motion.events, motion.stop
+        if n < motion.states.shape[1]:  # what happened after the last good row is not a result
+            events, stop = [e for e in events if n and e.time <= motion.time[n - 1]], ""
+        sides = tuple(_both_sides(prepared, motion, values.p, events)) if events else ()
+    rows: slice | NDArray[np.intp] = slice(0, n)
+    if prepared.rows is not None:
+        recorded = prepared.rows[prepared.rows < n]
+        rows = np.union1d(recorded, [n - 1]) if stop else recorded
+    time, table = motion.time[rows], table[rows]
+    table.setflags(write=False)  # a Trajectory need not copy it
+    stats = RunStats(
+        solver=prepared.solver.name,
+        relative_tolerance=getattr(prepared.solver, "relative_tolerance", None),
+        step_size=getattr(prepared.solver, "step_size", None),
+        solve_time=motion.solve_time,
+        steps=motion.counts.steps,
+        rhs_calls=motion.counts.rhs_calls,
+        jacobian_calls=motion.counts.jacobian_calls,
+        compiled=problem.compiled,
+        wall_time=perf_counter() - began,
+        compile_time=time_compiling() - compiling or None,
+        invalid=tuple(breach.text for breach in invalid),
+        note=_note(prepared),
+        invalid_from=float(motion.time[invalid[0].position]) if invalid else None,
+        stop=f"{stop} from {time[-1]:.12g} s on" if stop else None,
+        stop_time=float(time[-1]) if stop else None,
+    )
+    if reason:
+        last = f"{motion.time[n - 1]:g} s" if n else "the start"
+        status = f"stopped after {last}: {reason}"
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
     found = Trajectory(
         dae.full_name,
-        solution.time,
+        time,
         prepared.columns,
-        solution.table,
+        table,
         stats,
         status,
         drawing=drawing,
         numbers=dict(numbers),
-        events=solution.events,
+        events=sides,
     )
-    if solution.reason == INTERRUPTED:
-        raise Interrupted(f"{dae.full_name}: {found.status}", found)
-    if solution.reason:
-        raise _failure(prepared, values, solution, found)
+    if reason == INTERRUPTED:
+        raise Interrupted(f"{dae.full_name}: {status}", found)
+    if reason:
+        raise _failure(prepared, reason, found)
     return found
 
 
-def _failure(
-    prepared: Prepared, values: Values, solution: Solution, found: Trajectory
-) -> SolverError:
+def _note(prepared: Prepared) -> str | None:
+    """Return what differs from the request, for the report; None if nothing does."""
+    inner, problem = prepared.inner, prepared.problem
+    tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
+    gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""
+    notes = tight if inner != prepared.solver else "", gaps, prepared.note
+    return "; ".join(filter(None, notes)) or None
+
+
+def _failure(prepared: Prepared, reason: str, found: Trajectory) -> SolverError:
     """Return the error of a run that stopped early, with the time, the cause and the remedies."""
     dae, solver = prepared.problem.dae, prepared.solver
     what = f"{dae.full_name}: {solver.name} {found.status}"
-    if solution.reason in solution.invalid:
+    if reason in found.stats.get("invalid", ()):
         return SolverError(f"{what}; on_invalid='warn' goes on from there", found)
-    if "; " in solution.reason:  # it names the remedy
+    if "; " in reason:  # it names the remedy
         return SolverError(what, found)
     others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
     which = f" ({', '.join(others)})" if dae.algebraics else ""
     if dae.algebraics and dae.invariants and not prepared.problem.project:
         which += f'; {Dop853.name} with drift_control="projection" passes singular configurations'
     closer = ""
-    if any(words in solution.reason for words in _TOO_MANY_STEPS):
+    if any(words in reason for words in _TOO_MANY_STEPS):
         closer = f", or closer output times (for {MOST_STEPS:,} steps from one to the next)"
     return SolverError(
         f"{what} ({solver.settings}); look for a "
@@ -346,30 +322,3 @@ def _numbers(dae: Dae, p: bytes, u: bytes) -> tuple[dict[str, float], Drawing]:
     """Return parameters and inputs by name, and the model's drawing with these values."""
     numbers = numbers_of(dae, Values(np.empty(0), np.frombuffer(p), np.frombuffer(u)))
     return numbers, dae.drawing.with_numbers(numbers)
-
-
-def _stats(
-    prepared: Prepared, solution: Solution, wall_time: float, compile_time: float
-) -> RunStats:
-    solver, inner = prepared.solver, prepared.inner
-    tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
-    problem = prepared.problem
-    gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""
-    return RunStats(
-        solver=solver.name,
-        relative_tolerance=getattr(solver, "relative_tolerance", None),
-        step_size=getattr(solver, "step_size", None),
-        solve_time=solution.solve_time,
-        steps=solution.counts.steps,
-        rhs_calls=solution.counts.rhs_calls,
-        jacobian_calls=solution.counts.jacobian_calls,
-        compiled=problem.compiled,
-        wall_time=wall_time,
-        compile_time=compile_time or None,
-        invalid=solution.invalid,
-        note="; ".join(filter(None, (tight if inner != solver else "", gaps, prepared.note)))
-        or None,
-        invalid_from=solution.invalid_from,
-        stop=(solution.stop and f"{solution.stop} from {solution.time[-1]:.12g} s on") or None,
-        stop_time=float(solution.time[-1]) if solution.stop else None,
-    )

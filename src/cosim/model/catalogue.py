@@ -8,7 +8,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,12 +40,8 @@ def load_user_model(path: str, function: str) -> Dae:
     from cosim.model.foreign.named_symbols import identifier
 
     builder = _builder(path, function)
-    try:
+    with _explained(f"{path}:{function} failed"):
         built = builder()
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise UsageError(f"{path}:{function} failed: {_described(error)}") from error
     if isinstance(built, ca.DaeBuilder):
         built = from_dae_builder(built)
     elif is_system(built):
@@ -67,12 +64,8 @@ def _builder(path: str, function: str) -> Callable[[], Any]:
         raise UsageError(f"{path} is not a Python file; name one as PATH.py:FUNCTION")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # where dataclasses look their annotations up
-    try:
+    with _explained(f"{path} cannot be loaded"):
         spec.loader.exec_module(module)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise UsageError(f"{path} cannot be loaded: {_described(error)}") from error
     builder = getattr(module, function, None)
     if not callable(builder):
         own = (n for n, v in vars(module).items() if getattr(v, "__module__", "") == spec.name)
@@ -81,9 +74,16 @@ def _builder(path: str, function: str) -> Callable[[], Any]:
     return found
 
 
-def _described(error: BaseException) -> str:
-    """Return an exception of a user's code in one line."""
-    return sentence(f"{type(error).__name__}: {error}").removesuffix(":")
+@contextmanager
+def _explained(what: str) -> Iterator[None]:
+    """Explain an exception of a user's code in one line."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        reason = sentence(f"{type(error).__name__}: {error}").removesuffix(":")
+        raise UsageError(f"{what}: {reason}") from error
 
 
 _OTHER_FILES = {
@@ -172,23 +172,18 @@ def _unknown_model(name: str) -> UnknownName | UsageError:
 FILE = Path(__file__).with_name("catalogue.json")
 
 
-def summary() -> list[dict[str, Any]]:
-    """Return a row for each model and formulation: its size and its description.
-
-    The rows are recorded; a formulation that is not is built.
-    """
-    recorded = json.loads(FILE.read_text(encoding="utf-8"))
-    return [{"model": name, **(recorded.get(name) or facts_of(name))} for name in CATALOG]
-
-
 def models() -> Table:
     """Return every model and formulation, the first formulation of a model being its default.
+
+    The rows are recorded; a formulation that is not is built.
 
     Example:
         >>> models()[0]["model"], len(models())
         ('crank_shaft/driven', 13)
     """
-    return Table(tuple(summary()))
+    recorded = json.loads(FILE.read_text(encoding="utf-8"))
+    rows = ({"model": name, **(recorded.get(name) or facts_of(name))} for name in CATALOG)
+    return Table(tuple(rows))
 
 
 def facts_of(name: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import CosimError, ParameterError, UsageError
 from cosim.model.start_outputs import reject_twice, solved_starts
-from cosim.model.values import assign, inertias, settable, unphysical
+from cosim.model.values import assign, inertias, unphysical, usual_numbers
 
 
 @dataclass(frozen=True)
@@ -78,27 +78,24 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
         InitialConditionError: A start value is given that follows from others.
         UsageError: This is no model, or these are no values by name.
     """
-    base = assign(dae)
+    assign(dae)  # rejects what is no model
+    usual, places = usual_numbers(dae)
     given = as_arrays(dae.full_name, overrides)
     runs = len(next(iter(given.values()))) if given else 1
-    table = {id(rows): np.tile(rows, (runs, 1)) for rows in (base.x, base.p, base.u)}
-    bad = np.zeros(runs, dtype=bool)
-    known = settable(dae)
-    kinds = ((dae.states, base.x), (dae.parameters, base.p), (dae.inputs, base.u))
-    places = {v.name: (rows, i) for group, rows in kinds for i, v in enumerate(group)}
+    table, bad = np.tile(usual, (runs, 1)), np.zeros(runs, dtype=bool)
     through = {way.variable.name for way in dae.start_outputs}
     reject_twice(dae, given)
     for name, column in given.items():
-        calculated = name in known and known[name].start_kind is Start.CALCULATED
-        if name not in known or (calculated and name not in through):
+        calculated = name in places and places[name][1].start_kind is Start.CALCULATED
+        if name not in places or (calculated and name not in through):
             assign(dae, {name: 0.0})  # says what is wrong
-        variable = known[name]
+        row, variable = places[name]
         bad |= ~((column >= variable.minimum) & (column <= variable.maximum))
         bad |= ~np.isfinite(column)
-        if name in places:
-            rows, place = places[name]
-            table[id(rows)][:, place] = column
-    x, p, u = (table[id(rows)] for rows in (base.x, base.p, base.u))
+        if row is not None:
+            table[:, row] = column
+    ends = np.cumsum([len(dae.states), len(dae.parameters)])
+    x, p, u = map(np.ascontiguousarray, np.split(table, ends, axis=1))
     x, solved = solved_starts(dae, given, x, p)
     bad |= ~solved
     if dae.inertias and any(v.name in given for v in dae.parameters):

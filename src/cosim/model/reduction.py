@@ -222,7 +222,6 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
             replace(rule, states=tuple(map(states.index, rule.states))) for rule in rules
         ),
         start_outputs=(),
-        inertias=_remaining_inertias(frozen, parameters),
         observed=outputs,
         x_start=tuple(frozen.x_start[i] for i in states),
         drawing=frozen.drawing.with_numbers({v.name: v.start or 0.0 for v in frozen.parameters}),
@@ -236,9 +235,13 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         for rule in frozen.start_outputs
         if rule.state in states and _computable(small, rule.expression)
     )
-    limits = tuple(limit for limit in small.limits if _computable(small, limit[0]))
-    monitors = tuple(monitor for monitor in small.monitors if _computable(small, monitor[1]))
-    small = replace(small, limits=limits, start_outputs=start_outputs, monitors=monitors)
+    small = replace(
+        small,
+        start_outputs=start_outputs,
+        inertias=tuple(pair for pair in small.inertias if _computable(small, pair[1])),
+        limits=tuple(pair for pair in small.limits if _computable(small, pair[0])),
+        monitors=tuple(pair for pair in small.monitors if _computable(small, pair[1])),
+    )
     return replace(small, report=tuple(reduction_report(dae, small, freeze)))
 
 
@@ -247,16 +250,6 @@ def _remaining_event(event: Event, states: Sequence[int]) -> Event:
     rows = [row for row, state in enumerate(event.states) if state in states]
     places = tuple(states.index(event.states[row]) for row in rows)
     return replace(event, states=places, values=_chosen_rows(event.values, rows))
-
-
-def _remaining_inertias(dae: Dae, parameters: Sequence[int]) -> tuple[tuple[str, SX], ...]:
-    remaining = _chosen_rows(dae.p, parameters)
-    names = {symbol.name() for symbol in ca.vertsplit(remaining)}
-    return tuple(
-        (body, matrix)
-        for body, matrix in dae.inertias
-        if all(symbol.name() in names for symbol in ca.symvar(matrix))
-    )
 
 
 def _computable(small: Dae, expression: SX) -> bool:

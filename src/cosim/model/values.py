@@ -84,7 +84,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
         raise UsageError.of_type("a run", dae, A_DAE)
     if not isinstance(overrides, Mapping | None):
         raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
-    usual, place = _usual(dae)
+    usual, place = usual_numbers(dae)
     numbers, given = usual.copy(), dict(overrides or {})
     for name, value in given.items():
         if name not in place:
@@ -95,11 +95,8 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
             numbers[row] = given[name]
     nx, np_ = len(dae.states), len(dae.parameters)
     x, p, u = numbers[:nx], numbers[nx : nx + np_], numbers[nx + np_ :]
-    if given:
-        reject_twice(dae, given)
+    reject_twice(dae, given)
     _check_inertias(dae, p.tobytes())
-    if not given:
-        return Values(x, p, u)
     columns = {name: np.array([value]) for name, value in given.items()}
     starts, solved = solved_starts(dae, columns, x[None], p[None])
     if not solved.all():
@@ -108,7 +105,7 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
 
 
 @cached_per_thread(64)
-def _usual(dae: Dae) -> tuple[Vector, dict[str, tuple[int | None, Variable]]]:
+def usual_numbers(dae: Dae) -> tuple[Vector, dict[str, tuple[int | None, Variable]]]:
     """Return the model's own numbers of states, parameters and inputs, and where each one is.
 
     Outputs by which starts may be given are nowhere.
@@ -260,10 +257,8 @@ def _check_inertias(dae: Dae, numbers: bytes) -> None:
     """Reject impossible inertias: negative moments, or one above the sum of the others."""
     if not dae.inertias:
         return
-    blocks = inertias(dae, np.frombuffer(numbers)[None])
-    if not unphysical(blocks).any():
-        return
-    for (body, _), matrix in zip(dae.inertias, blocks[0], strict=True):
+    (matrices,) = inertias(dae, np.frombuffer(numbers)[None])
+    for (body, _), matrix in zip(dae.inertias, matrices, strict=True):
         if not unphysical(matrix[None, None]).any():
             continue
         if not np.isfinite(matrix).all():

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -122,7 +123,9 @@ def _of_scene(scene: Scene) -> Info:
 
 
 def _of_model(dae: Dae) -> Info:
-    x, z = _consistent_start(dae)
+    x = z = None
+    with suppress(InitialConditionError):  # `simulate` reports the reason
+        x, z = consistent_values(dae, 0.0, assign(dae))
     groups = {
         "states": _variable_rows(dae.states, x),
         "algebraic unknowns": _variable_rows(dae.algebraics, z),
@@ -148,14 +151,6 @@ def _of_model(dae: Dae) -> Info:
     ]
     meanings = (meaning for _, meaning in dae.limits)
     return Info(facts, groups, tuple(zip(start.margins, meanings, strict=True)))
-
-
-def _consistent_start(dae: Dae) -> tuple[Vector | None, Vector | None]:
-    """Return consistent states and algebraic unknowns at the start; None if there are none."""
-    try:
-        return consistent_values(dae, 0.0, assign(dae))
-    except InitialConditionError:  # `simulate` reports the reason
-        return None, None
 
 
 def _variable_rows(
@@ -210,7 +205,7 @@ def _number_or_text(text: str | None) -> Any:
 
 def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row as a table shows it."""
-    if "bounds" in row or "minimum" not in row:
+    if "minimum" not in row:
         return dict(row)
     start, kind = row["start"], row["start kind"]
     text = "" if start is None else f"{start:.10g}" if isinstance(start, float) else str(start)

@@ -41,8 +41,7 @@ class Column:
         """Convert SI values of this variable to `shown_unit`."""
         if self.display_unit is None or self.unit not in UNITS:
             return values
-        shown: Vector = values * UNITS[self.unit].factor / UNITS[self.display_unit].factor
-        return shown
+        return values * UNITS[self.unit].factor / UNITS[self.display_unit].factor
 
 
 def summary_rows(
@@ -146,5 +145,4 @@ def _neville(t: Vector, y: Vector, at: Vector) -> Vector:
             left, right = t[:, i], t[:, i + width]
             share = ((at - left) / (right - left))[:, None]
             table[:, i] += share * (table[:, i + 1] - table[:, i])
-    result: Vector = table[:, 0]
-    return result
+    return table[:, 0]

@@ -154,7 +154,8 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
                 raise FmuError(f"{path} carries no reference result: {why}")
             table = entry_content(fmu, REFERENCE).decode()
             description = ET.fromstring(entry_content(fmu, DESCRIPTION))
-            against = _reference_name(path, description)
+            tool = sentence(description.get("generationTool") or "an unnamed tool")[:60]
+            against = OWN if is_made_here(path) else f"{OWN} by {tool}"
             run = _from_csv(table, facts, flat_names(description))
             tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
             doubt = float(facts.get("estimated error in nominal values", 0.0))
@@ -165,14 +166,6 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
     apart = partial(simulate_apart, timeout=timeout)
     for check in _result_checks(path, run, tolerance, bound, apart, doubt):
         yield replace(check, against=against)
-
-
-def _reference_name(path: str | os.PathLike[str], description: ET.Element) -> str:
-    """Return the name of the reference inside an FMU, with its tool where not exported here."""
-    if is_made_here(path):
-        return OWN
-    tool = sentence(description.get("generationTool") or "an unnamed tool")[:60]
-    return f"{OWN} by {tool}"
 
 
 def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.fmi.export.package import FmuOptions, formulas, source_files
+from cosim.fmi.export.documentation import formulas
+from cosim.fmi.export.package import FmuOptions, source_files
 
 BAR = "bar_on_frame/reduced"
 

@@ -9,7 +9,8 @@ from helpers.small_models import decay
 import cosim
 from cosim.api import simulate
 from cosim.codegen.c_sources import cache_folder
-from cosim.study.accuracy.choice import TOLERANCES, measured_candidates, report
+from cosim.study.accuracy.candidates import TOLERANCES, measured_candidates
+from cosim.study.accuracy.choice import report
 
 
 def test_predicted_errors_hold_for_the_candidates(dae):
@@ -56,7 +57,7 @@ def test_reference_of_one_output_serves_the_accuracy_of_another():
 
 
 def test_solver_with_too_many_calls_is_not_run_at_tighter_tolerances(monkeypatch):
-    monkeypatch.setattr("cosim.study.accuracy.choice.MOST_CALLS", 300)
+    monkeypatch.setattr("cosim.study.accuracy.candidates.MOST_CALLS", 300)
     every = measured_candidates(decay("calls"), compiled=True).every
     calls = [c.rhs_calls for c in every if c.solver == "erk"]
     assert len(calls) < len(TOLERANCES)

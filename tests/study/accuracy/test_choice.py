@@ -22,7 +22,8 @@ from cosim.integrate import events
 from cosim.integrate.call import RunStats
 from cosim.solvers import Goal
 from cosim.study.accuracy import choice
-from cosim.study.accuracy.choice import measured_candidates, report
+from cosim.study.accuracy.candidates import measured_candidates
+from cosim.study.accuracy.choice import report
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
 

@@ -30,7 +30,7 @@ from cosim.study.tradeoff.measurement import (
     invariants,
     measurement_of,
 )
-from cosim.study.tradeoff.study import Runner, tradeoff
+from cosim.study.tradeoff.study import run_configuration, tradeoff
 from cosim.verify.reference import reference
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
@@ -152,14 +152,12 @@ def test_what_the_equations_conserve_is_found():
 
 
 def test_failed_configuration_says_why_and_stops_nothing(monkeypatch):
-    original = Runner.run
-
-    def failing(self, configuration):
+    def failing(configuration, folder):
         if configuration.tolerance == 1e-5:
             raise SolverError("it gave up")
-        return original(self, configuration)
+        return run_configuration(configuration, folder)
 
-    monkeypatch.setattr(Runner, "run", failing)
+    monkeypatch.setattr("cosim.study.tradeoff.study.run_configuration", failing)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
     failed = [m for m in study.measurements if m.outcome.reason]
     assert [(m.configuration.tolerance, str(m.outcome)) for m in failed] == [
@@ -183,13 +181,11 @@ def test_tighter_tolerances_are_left_out_if_a_looser_one_was_slow(monkeypatch):
 
 
 def test_time_to_compile_does_not_make_a_run_slow(monkeypatch):
-    original = Runner.run
-
-    def compiling(self, configuration):
-        run = original(self, configuration)
+    def compiling(configuration, folder):
+        run = run_configuration(configuration, folder)
         return replace(run, stats=replace(run.stats, wall_time=1000.0))
 
-    monkeypatch.setattr(Runner, "run", compiling)
+    monkeypatch.setattr("cosim.study.tradeoff.study.run_configuration", compiling)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=1)
     assert {m.outcome for m in study.measurements} == {Outcome()}
     assert {m.total_time.repeats for m in study.measurements} == {1}
@@ -211,11 +207,11 @@ def test_study_without_time_lists_what_it_left_out():
 
 
 def test_slow_failure_prevents_runs_at_tighter_tolerances(monkeypatch):
-    def failing(self, configuration):
+    def failing(configuration, folder):
         run = reference(bar()).run
         raise SolverError("it gave up", replace(run, stats={"solve_time": 6.0}))
 
-    monkeypatch.setattr(Runner, "run", failing)
+    monkeypatch.setattr("cosim.study.tradeoff.study.run_configuration", failing)
     study = tradeoff(bar(), selection=SMALL, every_formulation=False, repeats=0)
     reasons = [m.outcome.kind for m in study.measurements]
     assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]

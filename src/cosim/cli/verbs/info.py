@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cosim.cli.tables import show_table, terminal_width
-from cosim.model.catalogue import summary
+from cosim.model.catalogue import models
 from cosim.scene import shipped_scenes
 from cosim.toml_file import read_toml
 
@@ -31,11 +31,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace) -> None:
-    models, scenes = summary(), list(_scenes())
+    rows, scenes = models().rows, list(_scenes())
     if args.json:
-        print(json.dumps({"models": models, "scenes": scenes}, indent=1))
+        print(json.dumps({"models": rows, "scenes": scenes}, indent=1))
         return
-    show_table(models)
+    show_table(rows)
     print("\nscenes, for simulate, export, crosscheck, tradeoff, plot and info")
     show_table(scenes)
 

@@ -14,7 +14,7 @@ def run(args: argparse.Namespace) -> int:
     """Differentiate a run."""
     solver, args.solver = args.solver, None
     request = scene_from(args).request
-    tolerance = request.tolerance.relative if request.tolerance else None
+    tolerance = request.relative_tolerance
     found = sensitivity(
         request.dae,
         outputs=request.outputs,

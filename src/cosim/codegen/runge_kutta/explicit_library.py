@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, sources_beside
+from cosim.codegen.casadi_library import cache_key, generated, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients, numbers, sums
@@ -77,11 +77,7 @@ def explicit_library(
     after = _solver_text(method, project, events)
 
     def generate() -> str:
-        generator = ca.CodeGenerator("equations", {"with_header": False})
-        generator.add(rhs)
-        for function in others:
-            generator.add(function)
-        return f"{before}{generator.dump()}\n{after}"
+        return f"{before}{generated('equations', rhs, *others)}\n{after}"
 
     details = before + after + "".join(function.serialize() for function in others)
     key = cache_key(f"explicit {name}", rhs, details.encode())

@@ -4,13 +4,13 @@ import ctypes
 import hashlib
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import casadi as ca
 
 from casadi_models.dae import Dae
 from cosim.codegen.c_sources import solver_source
+from cosim.codegen.casadi_library import generated
 from cosim.codegen.compiler import cached_library, processor_abilities
 from cosim.codegen.initialization import start_function
 from cosim.codegen.runge_kutta.lanes import vector_text
@@ -39,14 +39,6 @@ class Batch(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class LaneLibrary:
-    """A compiled solver: `lanes_run(Batch)` integrates, `lanes_start` solves initial values."""
-
-    lanes: int
-    library: ctypes.CDLL
-
-
 @cache
 def processor_lanes() -> int:
     """Return the number of doubles in a vector register: 8 or 4; 1 if it is unknown."""
@@ -55,8 +47,10 @@ def processor_lanes() -> int:
 
 
 @cached_per_thread(16)
-def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
+def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> ctypes.CDLL:
     """Return the compiled solver of a model for SIMD lanes, from the cache if possible.
+
+    Its `lanes_run(Batch)` integrates, and its `lanes_start` solves initial values.
 
     Raises:
         UsageError: The model has algebraic unknowns, or `lanes` is not in `SIZES`.
@@ -73,7 +67,7 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> LaneLibrary:
         library.lanes_use(*found)
     library.lanes_run.argtypes = [ctypes.POINTER(Batch)]
     library.lanes_start.argtypes = [_LONG, ctypes.c_double, *[_ARRAY] * 4]
-    return LaneLibrary(lanes, library)
+    return library
 
 
 class Watched(ctypes.Structure):
@@ -180,11 +174,9 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
 def _start_text(dae: Dae) -> str:
     """Return the C text of the initial values of a run, for lanes_start.h."""
     function = start_function(dae)
-    generator = ca.CodeGenerator("start", {"with_header": False})
-    generator.add(function)
     sizes = {size: getattr(function, f"sz_{size}")() + 1 for size in ("arg", "res", "iw", "w")}
     defined = (f"#define START_{name.upper()} {size}" for name, size in sizes.items())
-    return "\n".join((generator.dump(), *defined))
+    return "\n".join((generated("start", function), *defined))
 
 
 @cache

@@ -25,12 +25,11 @@ def model_header(
     solver: str,
     *,
     valid: bool,
-    step_size: float | None,
-    max_step: float | None = None,
-    derivatives: bool = True,
-    system: Hybrid | None = None,
+    max_step: float | None,
+    system: Hybrid | None,
 ) -> str:
-    """Return `model.h`: sizes and names for compiling the runtime; `step_size`: of fixed steps."""
+    """Return `model.h`: sizes and names for compiling the runtime."""
+    step_size, derivatives = identity.step_size, identity.derivatives
     longest = min(max_step or inf, dae.experiment.stop_time / LEAST_STEPS)
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H

@@ -113,16 +113,17 @@ def most_trials(dae: Dae, solver: str) -> int:
     """Return the largest number of steps of a call, each of up to 16 right-hand sides, or looks."""
     if solver in (ERK, ROSENBROCK) and dae.states:
         return max(500, 2 * FAILED_ATTEMPTS * most_steps(dae, solver) // LOOK_STEPS)
-    return _within(_OF_DOP853 / (16 * _right_hand_side(dae)), 500, 20_000)
+    return int(np.clip(_OF_DOP853 / (16 * _right_hand_side(dae)), 500, 20_000))
 
 
 def most_steps(dae: Dae, plugin: str) -> int:
     """Return the largest number of steps of CasADi's `erk` or `rosenbrock` in an attempt."""
     if plugin == "erk":
-        return _within(_OF_GENERATED / (FAILED_ATTEMPTS * 7 * _right_hand_side(dae)), 500, 10_000)
+        steps = _OF_GENERATED / (FAILED_ATTEMPTS * 7 * _right_hand_side(dae))
+        return int(np.clip(steps, 500, 10_000))
     unknowns = dae.x.numel() + dae.z.numel()
     cost = 12 * _operations(dae, dae.ode, dae.alg) + unknowns**3 / 3
-    return _within(_OF_GENERATED / (FAILED_ATTEMPTS * cost), 500, 4000)
+    return int(np.clip(_OF_GENERATED / (FAILED_ATTEMPTS * cost), 500, 4000))
 
 
 def _right_hand_side(dae: Dae) -> float:
@@ -135,7 +136,3 @@ def _operations(dae: Dae, *expressions: ca.SX) -> float:
     function = ca.Function("counted", dae.arguments, [*expressions], {"cse": True})
     kinds = (function.instruction_id(k) for k in range(function.n_instructions()))
     return float(sum(1 if kind in _CHEAP else _DEAR for kind in kinds))
-
-
-def _within(wanted: float, least: int, most: int) -> int:
-    return int(min(most, max(least, wanted)))

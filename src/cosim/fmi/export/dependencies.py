@@ -73,21 +73,11 @@ def _solved_for(dae: Dae) -> Pattern:
     unknowns in it, and so on.
     """
     count = len(dae.algebraics)
-    if not count:
-        return np.zeros((0, 0), dtype=bool)
     equation = matching(dae)
     reach = pattern(dae.alg, dae.z)[equation] | np.eye(count, dtype=bool)
     for _ in range(count.bit_length()):
         reach = reach @ reach
-    own = np.zeros((count, count), dtype=bool)
-    own[np.arange(count), equation] = True
-    return reach @ own
-
-
-def start_parameters(dae: Dae) -> tuple[str, ...]:
-    """Return the names of the parameters from which start values are calculated."""
-    pattern = _start_pattern(dae)[:, 1 + len(dae.states) + len(dae.inputs) :]
-    return tuple(p.name for p, uses in zip(dae.parameters, pattern.T, strict=True) if uses.any())
+    return reach[:, np.argsort(equation)]  # from unknowns to the equations of their own
 
 
 def _start_pattern(dae: Dae) -> Pattern:
@@ -113,15 +103,15 @@ WHY_IDLE = "nothing follows from it after the start"
 def fixed_parameters(dae: Dae) -> Mapping[str, str]:
     """Return the parameters that are fixed by default, with the reason."""
     reasons = {}
-    starting = start_parameters(dae)
+    starting = _start_pattern(dae)[:, 1 + len(dae.states) + len(dae.inputs) :]
     happening = (part for event in dae.events for part in (event.condition, event.values))
     equations = ca.vertcat(dae.ode, dae.alg, dae.outputs, *happening)
     used = ca.which_depends(equations, dae.p, 1, False) if dae.parameters else ()
-    for parameter, needed in zip(dae.parameters, used, strict=True):
+    for parameter, needed, starts in zip(dae.parameters, used, starting.T, strict=True):
         base = dict(UNITS[parameter.unit].base)
         if not needed:
             reasons[parameter.name] = WHY_IDLE
-        elif parameter.name in starting:
+        elif starts.any():
             reasons[parameter.name] = "start values follow from it"
         elif base.get("kg") and not base.get("s"):
             reasons[parameter.name] = "a change of inertia would add momentum from nowhere"

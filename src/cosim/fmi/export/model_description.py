@@ -163,10 +163,8 @@ def meant_bounds(variable: FmuVariable) -> tuple[float, float]:
     """
     guards = variable.role is Role.PARAMETER and 0 < variable.minimum <= variable.nominal / _FAR
     lowest = 0.0 if guards else variable.minimum
-    return (
-        lowest,
-        inf if guards and variable.maximum >= variable.nominal * _FAR else variable.maximum,
-    )
+    highest = inf if guards and variable.maximum >= variable.nominal * _FAR else variable.maximum
+    return lowest, highest
 
 
 def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:

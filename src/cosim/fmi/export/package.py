@@ -6,21 +6,15 @@ import os
 import re
 import uuid
 import zipfile
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
-from html import escape
 from importlib.metadata import version
-from pathlib import Path, PurePosixPath
-from string import Template
+from pathlib import Path
 from typing import TypedDict, Unpack
 
-import casadi as ca
-from casadi import SX
-
 from casadi_models.dae import Dae
-from casadi_models.dae.expressions import operation_count
 from cosim.codegen.c_sources import cache_folder, license_texts, runtime_sources, solver_sources
 from cosim.codegen.compiler import reject_unlinked
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
@@ -34,10 +28,11 @@ from cosim.fmi.export.c_files import equations_c, model_header, variable_table
 from cosim.fmi.export.co_simulation import FIXED_STEPS, solver_for, uses_dop853
 from cosim.fmi.export.dependencies import structural_dependencies, tunable_parameters, without_modes
 from cosim.fmi.export.dialect import DIALECTS
+from cosim.fmi.export.documentation import documentation_page
 from cosim.fmi.export.equations import embedded_sources, equations_code, has_rank
 from cosim.fmi.export.events import fmu_events
 from cosim.fmi.export.model_description import Identity, build_description, model_description
-from cosim.fmi.export.variables import FmuVariable, Role, fmu_variables, structured, with_margins
+from cosim.fmi.export.variables import fmu_variables, structured, with_margins
 from cosim.fmi.platforms import NATIVE, targets
 from cosim.fmi.trust import remember
 from cosim.memo import cached_per_thread
@@ -304,15 +299,12 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         fmi,
         solver,
         valid=options.valid,
-        step_size=step_size,
         max_step=options.max_step,
-        derivatives=options.derivatives,
         system=system,
     ).encode()
     code["buildDescription.xml"] = build_description(identity)
     drawn = pictures(dae, fmi)
-    diagram_path = DIAGRAM if DIAGRAM in drawn else None
-    page = documentation_page(dae, variables, solver, options.tolerance, diagram_path)
+    page = documentation_page(dae, variables, solver, options.tolerance, pictured=bool(drawn))
     return {
         **drawn,
         "modelDescription.xml": describe(identity=identity),
@@ -340,108 +332,3 @@ def zipped(files: dict[str, bytes]) -> bytes:
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, data, compresslevel=9)
     return content.getvalue()
-
-
-LONGEST_FORMULA = 120  # characters of an expression that the page shows
-
-
-@cached_per_thread(8)
-def formulas(dae: Dae) -> tuple[tuple[str, str], ...]:
-    """Return left and right sides of start rules, dx/dt, algebraic equations and outputs."""
-    return tuple(_formulas(dae))
-
-
-def _formulas(dae: Dae) -> Iterator[tuple[str, str]]:
-    parameters = frozenset(parameter.name for parameter in dae.parameters)
-    for rule in dae.start_rules:
-        names = ", ".join(dae.states[i].name for i in rule.states)
-        if rule.implicit:
-            yield f"{names} at the start", f"solution of 0 = {_text(rule.expression, parameters)}"
-        else:
-            yield f"{names} at the start", _text(rule.expression, parameters)
-    outputs = [output.name for output in dae.output_variables]
-    for left, column in (
-        ([f"der({state.name})" for state in dae.states], dae.ode),
-        (["0"] * len(dae.algebraics), dae.alg),
-        (outputs, dae.outputs),
-    ):
-        for name, expression in zip(left, ca.vertsplit(column) if left else [], strict=True):
-            yield name, _text(expression, parameters)
-
-
-def _text(expression: SX, parameters: Container[str]) -> str:
-    """Return an expression as text; a long one as its variables and number of operations."""
-    symbols = ca.symvar(expression)
-    count = operation_count(ca.Function("f", symbols, [expression]))
-    if expression.is_scalar() and count < LONGEST_FORMULA:
-        text = str(expression)
-        if len(text) <= LONGEST_FORMULA and "@" not in text:
-            return text
-    moving = ", ".join(s.name() for s in symbols if s.name() not in parameters)
-    return f"f({moving}{'; ' if moving else ''}parameters), {count} operations"
-
-
-_HEADINGS = {
-    Role.PARAMETER: "Parameters",
-    Role.INPUT: "Inputs",
-    Role.STATE: "States",
-    Role.ALGEBRAIC: "Algebraic unknowns",
-    Role.OUTPUT: "Outputs",
-}
-
-
-def documentation_page(
-    dae: Dae,
-    variables: Sequence[FmuVariable],
-    solver: str,
-    tolerance: float,
-    picture: str | None = None,
-) -> str:
-    """Return `documentation/index.html`: description, variables and equations of a model."""
-    page = Template(Path(__file__).with_name("documentation.html").read_text(encoding="utf-8"))
-    sections = (
-        _section(heading, [v for v in variables if v.role is role])
-        for role, heading in _HEADINGS.items()
-    )
-    equations = _items(f"{left} = {right}" for left, right in formulas(dae))
-    limits = _items(meaning for _, meaning in dae.limits)
-    drift = _items(invariant.meaning for invariant in dae.invariants)
-    return page.substitute(
-        name=escape(dae.full_name),
-        description=escape(dae.description),
-        source=escape(dae.source),
-        solver=escape(solver),
-        tolerance=f"{tolerance:g}",
-        limits=limits and f"<p>The model holds while</p>\n<ul>\n{limits}</ul>\n",
-        diagram=_diagram(picture),
-        sections="".join(sections),
-        equations=equations,
-        invariants=drift and f"<p>What exact solutions keep to:</p>\n<ul>\n{drift}</ul>\n",
-    )
-
-
-def _items(texts: Iterable[str]) -> str:
-    return "".join(f"<li>{escape(text)}</li>\n" for text in texts)
-
-
-def _diagram(picture: str | None) -> str:
-    if picture is None:
-        return ""
-    return f"""<figure><img src="{PurePosixPath(picture).name}" alt="the mechanism">
-<figcaption>At the start values. 1, 2, 3: axes of the bodies' frames. Brown: what counts as a
-positive force or torque. Purple, two heads: the axis of a positive turn, by the right
-hand.</figcaption></figure>
-"""
-
-
-def _section(heading: str, variables: Sequence[FmuVariable]) -> str:
-    if not variables:
-        return ""
-    rows = "".join(
-        f"<tr><td>{escape(v.name)}</td><td class='number'>"
-        f"{'' if v.start is None else format(v.start, '.10g')}</td>"
-        f"<td>{escape(v.unit)}</td><td>{escape(v.meaning)}</td></tr>\n"
-        for v in variables
-    )
-    head = "<tr><th>name</th><th>start</th><th>unit</th><th>meaning</th></tr>\n"
-    return f"<h2>{heading}</h2>\n<table>\n{head}{rows}</table>\n"

@@ -73,14 +73,12 @@ def fmu_variables(
 
     The last inputs may be modes of relations, which only events change.
     """
-    numbers = tuple(_variables(dae, tunable, modes))
-    if not valid:
-        return numbers
-    meaning = "whether every limit of the model holds"
-    return (*numbers, FmuVariable(VALID, meaning, "", Role.VALIDITY, observed=True))
+    return tuple(_variables(dae, tunable, valid, modes))
 
 
-def _variables(dae: Dae, tunable: Collection[str], modes: int) -> Iterator[FmuVariable]:
+def _variables(
+    dae: Dae, tunable: Collection[str], valid: bool, modes: int
+) -> Iterator[FmuVariable]:
     observed = frozenset(dae.observed)
     yield FmuVariable("time", "simulation time", "s", Role.TIME)
     sizes = own_sizes(dae, np.array(dae.x_start)).tolist()
@@ -111,6 +109,9 @@ def _variables(dae: Dae, tunable: Collection[str], modes: int) -> Iterator[FmuVa
         yield _fmu_variable(parameter, Role.PARAMETER, tunable=parameter.name in tunable)
     for output in dae.output_variables:
         yield _fmu_variable(output, Role.OUTPUT, observed, start=None)
+    if valid:
+        meaning = "whether every limit of the model holds"
+        yield FmuVariable(VALID, meaning, "", Role.VALIDITY, observed=True)
 
 
 def _settled(dae: Dae) -> list[float | None]:

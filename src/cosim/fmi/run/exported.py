@@ -25,7 +25,17 @@ def run(request: RunRequest, interface: str) -> Trajectory:
         UsageError: The request has a goal, a stop condition or output times of its own.
         CosimError: See `export_fmu` and `simulate_fmu`.
     """
-    reject_native_features(request)
+    name, policy = request.dae.full_name, request.policy
+    if isinstance(request.solver, Goal):
+        raise UsageError(
+            f"{name}: accuracy and budget are for native simulation; choose a relative tolerance "
+            "for an FMU"
+        )
+    if policy.stop_when is not None or policy.record_events or request.times.own:
+        raise UsageError(
+            f"{name}: stop_when, record_events and output_times are for native simulation; leave "
+            "them out, or use the backend native"
+        )
     with temporary_folder() as folder:
         path = Path(folder) / "model.fmu"
         export_fmu(request.configured(), path, max_step=request.max_step)
@@ -46,22 +56,3 @@ def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:
             outputs=request.outputs,
         )
         return fmu.run(replace(found, max_step=request.max_step))
-
-
-def reject_native_features(request: RunRequest) -> None:
-    """Reject what only native simulation can do.
-
-    Raises:
-        UsageError: The request has a goal, a stop condition or output times of its own.
-    """
-    name, policy = request.dae.full_name, request.policy
-    if isinstance(request.solver, Goal):
-        raise UsageError(
-            f"{name}: accuracy and budget are for native simulation; choose a relative tolerance "
-            "for an FMU"
-        )
-    if policy.stop_when is not None or policy.record_events or request.times.own:
-        raise UsageError(
-            f"{name}: stop_when, record_events and output_times are for native simulation; leave "
-            "them out, or use the backend native"
-        )

@@ -104,9 +104,8 @@ def _main(folder: Path) -> None:
         run = function(path, **options)
     except CosimError as error:
         partial = getattr(error, "partial", None)
-        if isinstance(partial, Trajectory):
+        if kept := isinstance(partial, Trajectory):
             partial.to_npz(folder / _VALUES)
-        kept = isinstance(partial, Trajectory)
         answer = {"error": type(error).__name__, "message": str(error), "partial": kept}
     except MemoryError:
         reason = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"

@@ -49,14 +49,11 @@ class OpenedFmu:
 
     def __init__(self, path: str | os.PathLike[str], interface: str | None = None) -> None:
         self.path = path
-        self._open = ExitStack()
-        try:
-            self._folder = self._open.enter_context(unpacked(path))
+        with ExitStack() as opening:
+            self._folder = opening.enter_context(unpacked(path))
             self.description = read_description(self._folder, path)
             self.interface = choose_interface(self._folder, self.description, interface, path)
-        except BaseException:
-            self._open.close()
-            raise
+            self._open = opening.pop_all()  # which stays open, as nothing has failed
         self.reset_is_enough = True  # before another run; otherwise a new instance is made
         self.callback: dict[str, Any] = {}  # of FMI 3; see `instantiated`
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -73,11 +73,8 @@ def simulate_fmu(
         raise UsageError(
             f"{path}: master '{master}' takes no series of inputs; use '{Master.FMPY}'"
         )
-    with ExitStack() as closed_afterwards:
-        if compiled:
-            fmu = still_open(path, interface)
-        else:
-            fmu = closed_afterwards.enter_context(closing(OpenedFmu(path, interface)))
+    fmu = still_open(path, interface) if compiled else OpenedFmu(path, interface)
+    with nullcontext() if compiled else closing(fmu):
         request = fmu.request(
             start_time=start_time,
             stop_time=stop_time,

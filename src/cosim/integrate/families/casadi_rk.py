@@ -1,6 +1,7 @@
 """CasADi's own Runge-Kutta methods; if compiled, an integration is one C function."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -26,6 +27,7 @@ _SETTINGS = 2  # of fmu/solvers/casadi_driver.h
 @dataclass(frozen=True, kw_only=True)
 class _CasadiSolver(AdaptiveSolver):
     order = 5
+    own_patches: ClassVar[tuple[str, ...]] = ()  # of its generated code; see `patched`
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
@@ -52,11 +54,6 @@ class _CasadiSolver(AdaptiveSolver):
         functions = EngineFunctions(run, ca.Function("parameters", [p], [extended]))
         counts = reported(library, start, length)
         return Engine(lambda: functions, points, problem.piecewise, counts, library)
-
-    @staticmethod
-    def finished(code: str) -> str:
-        """Return the generated code, edited for the compiler."""
-        return code
 
 
 @cached_per_thread(32)
@@ -86,7 +83,9 @@ def _library(
         code = patched(code, "run_time_tolerances", relative=relative, absolute=absolute)
         code = patched(code, "largest_step", largest=largest)
         code = run_time_grid(watched(code), known.numel())
-        return f"{head}#define SETTINGS {_SETTINGS}\n{method.finished(code)}"
+        for patch in method.own_patches:
+            code = patched(code, patch)
+        return f"{head}#define SETTINGS {_SETTINGS}\n{code}"
 
     key = cache_key(f"generated-11 {method.name}", original, repr(sorted(COMMON.items())).encode())
     return str(cached_library(key, generate, sources_beside(original))), constants
@@ -97,11 +96,7 @@ class Erk(_CasadiSolver):
     """Dormand and Prince's explicit pair of order 5(4), the method of MATLAB's ode45."""
 
     name = "erk"
-
-    @staticmethod
-    def finished(code: str) -> str:
-        """Return the generated code, edited for the compiler."""
-        return patched(code, "in_one_piece")
+    own_patches = ("in_one_piece",)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,6 @@
 """Explicit Runge-Kutta methods in C around generated equations, and the solver `dop853`."""
 
 import ctypes
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -170,14 +169,9 @@ class DirectCall:
     """
 
     def __init__(
-        self,
-        library: ctypes.CDLL,
-        constants: ca.Function,
-        known: Vector,
-        system: Hybrid | None = None,
+        self, library: ctypes.CDLL, constants: ca.Function, known: Vector, system: Hybrid | None
     ) -> None:
         self._run, self._constants, self._library = library.run, constants, library
-        self._passed: Callable[[], int] = library.cosim_passed
         self._relations = system.of_states if system else ()
         self._events = None
         if system is not None:
@@ -213,10 +207,11 @@ class DirectCall:
             return Filled(True, len(states), None, passed)
         relation = library.cosim_relation()
         if relation < 0:
-            return Filled(False, self._passed(), None, passed)
+            return Filled(False, library.cosim_passed(), None, passed)
         numbers = (ctypes.c_double * REPORT)()
         library.cosim_report(numbers)
-        return Filled(True, self._passed(), (numbers[4], self._relations[relation]), passed)
+        crossing = numbers[4], self._relations[relation]
+        return Filled(True, library.cosim_passed(), crossing, passed)
 
 
 def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:

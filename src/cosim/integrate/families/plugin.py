@@ -100,8 +100,7 @@ def restarted_engine(problem: Problem, plugin: str, options: Mapping[str, Any]) 
     results = [ca.horzcat(start, part) for start, part in zip((x, first), rest, strict=True)]
     names = ["x0", "z0", "p", "u"]
     whole = ca.Function("run", [x, z, p, columns], results, names, ["xf", "zf"])
-    functions = EngineFunctions(whole)
-    return Engine(lambda: functions, len(problem.grid), True, Counts)
+    return Engine(lambda: EngineFunctions(whole), n, True, Counts)
 
 
 @cached_per_thread(32)

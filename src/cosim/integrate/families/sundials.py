@@ -3,7 +3,6 @@
 Source  Hindmarsh et al., SUNDIALS, ACM TOMS 2005, doi:10.1145/1089014.1089020.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -69,18 +68,14 @@ class Idas(AdaptiveSolver):
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
+        options = _COMMON | tolerances(self) | {"suppress_algebraic": self.suppress_algebraic}
         if problem.piecewise and problem.dae.inputs:
-            return restarted_engine(problem, "idas", self._options)
+            return restarted_engine(problem, "idas", options)
 
         def restart(slopes: Vector) -> Engine:
             # IDACalcIC fails at some initial values that are consistent already
-            return self._engine(problem, {"calc_ic": False, "init_xdot": slopes.tolist()})
+            own = options | {"calc_ic": False, "init_xdot": slopes.tolist()}
+            return plugin_engine(problem, "idas", own, _SUNDIALS_COUNTERS)
 
-        return replace(self._engine(problem, {}), restart=restart)
-
-    @property
-    def _options(self) -> dict[str, Any]:
-        return _COMMON | tolerances(self) | {"suppress_algebraic": self.suppress_algebraic}
-
-    def _engine(self, problem: Problem, start: Mapping[str, Any]) -> Engine:
-        return plugin_engine(problem, "idas", self._options | dict(start), _SUNDIALS_COUNTERS)
+        first = plugin_engine(problem, "idas", options, _SUNDIALS_COUNTERS)
+        return replace(first, restart=restart)

@@ -32,11 +32,8 @@ def scalar_graph(
     names = list(names) or [f"o{i}" for i in range(len(expressions))]
     known = {symbol.name() for symbol in symbols}
     for name, expression in zip(names, expressions, strict=True):
-        if strangers := [s.name() for s in ca.symvar(MX(expression)) if s.name() not in known]:
-            raise UsageError(
-                f"{who}: {name} uses {', '.join(map(repr, strangers))}, which is among none of "
-                "t, x, z, u, p"
-            )
+        used = (symbol.name() for symbol in ca.symvar(MX(expression)))
+        _reject_strangers(who, name, [symbol for symbol in used if symbol not in known])
     flat = ca.Function("f", list(symbols), list(expressions))
     reject_calls(who, flat)
     scalars = [SX.sym(symbol.name(), symbol.shape[0], symbol.shape[1]) for symbol in symbols]
@@ -131,8 +128,7 @@ def _call_values(who: str, function: ca.Function, operands: list[SX]) -> list[SX
         return [ca.horzcat(*column) for column in zip(*calls, strict=True)]
     inputs = function.mx_in()  # called by its C code
     whole = ca.Function("whole", inputs, function.call(inputs), {"never_inline": True})
-    values: list[SX] = whole.call(operands)
-    return values
+    return whole.call(operands)
 
 
 def _inside(function: ca.Function) -> tuple[list[MX], list[MX]] | None:
@@ -170,8 +166,7 @@ def _node_value(name: str, node: MX, operands: list[SX]) -> SX:
         (result,) = ca.graph_substitute([node], deps, symbols)
     function = ca.Function(name, symbols, [result], {"never_inline": True})
     values = [ca.project(o, s.sparsity()) for o, s in zip(operands, symbols, strict=True)]
-    called: SX = function.call(values)[0]
-    return called
+    return function.call(values)[0]
 
 
 def _inlined_call(who: str, symbols: list[MX], expressions: list[MX], values: list[SX]) -> list[SX]:
@@ -356,23 +351,23 @@ def evaluated(
         laws = [e if isinstance(e, MX) else _as_mx(who, e) for e in expressions.values()]
         function = scalar_graph(who, columns, laws, list(expressions))
     else:
-        _reject_strangers(who, columns, expressions)
+        known = {s.element_hash() for s in ca.symvar(ca.veccat(SX(0, 1), *columns))}
+        for name, expression in expressions.items():
+            if isinstance(expression, MX):
+                raise UsageError(f"{who}: {name} is MX, the symbols are SX; use one of them")
+            others = (s for s in ca.symvar(SX(expression)) if s.element_hash() not in known)
+            _reject_strangers(who, name, [symbol.name() for symbol in others])
         function = ca.Function("f", columns, [SX(e) for e in expressions.values()])
         reject_calls(who, function)
     return dict(zip(expressions, function.call(arguments, True, False), strict=True))
 
 
-def _reject_strangers(who: str, columns: list[SX], expressions: Mapping[str, Any]) -> None:
-    known = {s.element_hash() for s in ca.symvar(ca.veccat(SX(0, 1), *columns))}
-    for name, expression in expressions.items():
-        if isinstance(expression, MX):
-            raise UsageError(f"{who}: {name} is MX, the symbols are SX; use one of them")
-        strangers = [s.name() for s in ca.symvar(SX(expression)) if s.element_hash() not in known]
-        if strangers:
-            raise UsageError(
-                f"{who}: {name} uses {', '.join(map(repr, strangers))}, which is among none of "
-                "t, x, z, u, p"
-            )
+def _reject_strangers(who: str, name: str, strangers: Sequence[str]) -> None:
+    if strangers:
+        raise UsageError(
+            f"{who}: {name} uses {', '.join(map(repr, strangers))}, which is among none of "
+            "t, x, z, u, p"
+        )
 
 
 def _as_mx(who: str, expression: SX) -> MX:

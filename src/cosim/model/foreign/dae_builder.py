@@ -139,15 +139,11 @@ class _Builder:
 
     def entries(self, name: str) -> tuple[str, ...]:
         """Return the name of every entry of a variable."""
-        shape = tuple(self.own.dimension(name))
-        base = identifier(name)
-        if self.own.numel(name) == 1:
-            return (base,)
-        if len(shape) == 2:
-            return tuple(
-                f"{base}_{i + 1}_{j + 1}" for i in range(shape[0]) for j in range(shape[1])
-            )
-        return tuple(f"{base}_{i + 1}" for i in range(self.own.numel(name)))
+        shape, size = self.own.dimension(name), self.own.numel(name)
+        if len(shape) == 2 and size > 1:
+            base, (rows, columns) = identifier(name), shape
+            return tuple(f"{base}_{i + 1}_{j + 1}" for i in range(rows) for j in range(columns))
+        return Symbol(name, (size, 1), MX(0, 1)).entries
 
 
 def _converted(builder: _Builder) -> Dae:

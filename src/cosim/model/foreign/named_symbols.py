@@ -60,8 +60,6 @@ def _in_ascii(name: str) -> str:
 
     A letter that is neither Latin nor Greek has no spelling, and is written by its number.
     """
-    if name.isascii():
-        return name
     return "".join(map(_letter, _UMLAUT.sub("", unicodedata.normalize("NFKD", name))))
 
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import inf, isclose
+from math import inf
 from pathlib import Path
 from typing import Any
 from warnings import warn
@@ -205,7 +205,8 @@ def movie(
     """Return the content of a file that Pillow (GIF) or ffmpeg (MP4) writes; see `animate`."""
     figure, axis = canvas(size)
     stage = Stage(runs, view, follow, size)
-    per_second = _frame_rate(runs[0]) * speed
+    gaps = np.diff(runs[0].time)
+    per_second = speed * float(1 / gaps[0] if gaps.size and gaps[0] else 1.0)
     writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
     settings: Any = {}
     if kind is AnimationFormat.MP4:
@@ -220,14 +221,6 @@ def movie(
                 stage.draw(axis, [frame])
                 writer.grab_frame()
         return place.read_bytes()
-
-
-def _frame_rate(run: Poses) -> float:
-    """Return the number of frames in a second of the run."""
-    gaps = np.diff(run.time)
-    if not len(gaps) or isclose(gaps[0], 0.0):
-        return 1.0
-    return float(1 / gaps[0])
 
 
 def drawing_of(run: Trajectory, model: Dae | str | None = None) -> Drawing:

@@ -1,176 +1,27 @@
-"""`accurate_run`: the solver for an accuracy or a time budget, with an independent check.
+"""`accurate_run`: the solver for an accuracy or a time budget, with an independent check."""
 
-The candidates are measured once for a model, natively, with its own values and span, and cached
-under a hash of equations, values, outputs, solvers, versions and machine.
-"""
-
-import hashlib
-import json
-import os
-import platform
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
-from time import perf_counter
 
 import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.codegen.cache import content_of, store_if_possible
-from cosim.codegen.compiler import find_compiler
 from cosim.codegen.functions import equations
-from cosim.errors import CosimError, ParameterError, SolverError
+from cosim.errors import ParameterError, SolverError
 from cosim.integrate.call import RunStats
 from cosim.integrate.initial_values import consistent_values, input_values
-from cosim.integrate.outputs import all_columns, watching
+from cosim.integrate.outputs import watching
 from cosim.integrate.preparation import compilation_of
 from cosim.integrate.run import run
 from cosim.integrate.solvers import contains_time, default_solver, is_driven, requested_solver
-from cosim.model.request import Policy, RunRequest
+from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Tolerance
-from cosim.study.pareto import pareto_front
+from cosim.study.accuracy.candidates import Candidate, Candidates, measured_candidates
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Difference, compare
-from cosim.verify.reference import Reference, reference, reference_key, rounding_errors
-
-TOLERANCES = (*(float(f"1e-{i}") for i in range(2, 14)), 3e-14)
-ROUNDS = 4  # timed runs, of which the fastest counts: other work of the machine only adds time
-TIMING_SECONDS = 5.0  # after this time no configuration is timed again
-MOST_CALLS = 200_000  # of the equations; a solver that needs more is not run at tighter tolerances
-# Time of a call in those of the equations, and beside them, s: the choice must not follow the noise
-# of measured times, so that a command gives the same bits again
-_TYPICAL = {"cvodes": (1, 2.5e-6), "idas": (1, 2.5e-6), "rosenbrock": (3, 1e-7)}
-_OTHERS, _OPERATION = (1, 5e-8), 2.5e-10
-_FORMAT = "candidates-2"
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Measured error and time of a solver at a tolerance.
-
-    Attributes:
-        solver: Name of the solver.
-        tolerance: Relative tolerance.
-        errors: Largest global error of each variable, in nominal values.
-        solve_time: Time of the solver, s.
-        rhs_calls: Number of evaluations of the equations.
-        work: Typical time for so many, s.
-    """
-
-    solver: str
-    tolerance: float
-    errors: Mapping[str, float]
-    solve_time: float
-    rhs_calls: int
-    work: float
-
-    @property
-    def error(self) -> float:
-        """The largest error."""
-        return max(self.errors.values())
-
-    def __str__(self) -> str:
-        return f"{self.solver} at {self.tolerance:g}"
-
-
-@dataclass(frozen=True)
-class Candidates:
-    """All candidates of a model.
-
-    Attributes:
-        every: The fastest run of each solver at each tolerance.
-        rounding: Rounding error of double precision in each variable, in nominal values.
-    """
-
-    every: tuple[Candidate, ...]
-    rounding: Mapping[str, float]
-
-    def cheapest_first(
-        self, names: Sequence[str], *, without: Collection[str] = ()
-    ) -> tuple[Candidate, ...]:
-        """Return the Pareto front for work and error of some variables, the cheapest first."""
-        compared = [
-            replace(candidate, errors={name: candidate.errors[name] for name in names})
-            for candidate in self.every
-            if candidate.solver not in without
-        ]
-        return pareto_front(compared, lambda c: c.work, lambda c: c.error)
-
-
-def measured_candidates(dae: Dae, *, compiled: bool) -> Candidates:
-    """Return the candidates of a model with its own values and span, cached if possible."""
-    every = tuple(column.name for column in all_columns(dae))
-    request = RunRequest(dae, outputs=every, policy=Policy(compiled=compiled))
-    entry = f"candidates/{_key(request, compiled)}"
-    return _read(entry) or _measured(request, compiled, entry)
-
-
-def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
-    """Return the measured solvers, of different kinds, so that one can check another."""
-    own = ("idas", "rosenbrock") if dae.algebraics else ("cvodes", "erk")
-    return (*own, "dop853") if compiled else own
-
-
-def _key(request: RunRequest, compiled: bool) -> str:
-    compiler = " ".join(find_compiler()) if compiled else "interpreted"
-    machine = (platform.node(), platform.machine(), os.cpu_count())
-    names = solvers(request.dae, compiled=compiled)
-    facts = (_FORMAT, version("cosim-rigid"), names, TOLERANCES)
-    text = repr((reference_key(request), request.dae.full_name, facts, compiler, machine))
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _measured(request: RunRequest, compiled: bool, entry: str) -> Candidates:
-    best = reference(request)
-    found: list[Candidate] = []
-    for name in solvers(request.dae, compiled=compiled):
-        for tolerance in TOLERANCES:  # the loosest first
-            candidate = _run(request, name, tolerance, best)
-            if candidate is not None:
-                found.append(candidate)
-            ends = candidate is None or candidate.rhs_calls > MOST_CALLS
-            if ends and found and found[-1].solver == name:
-                break  # too tight; the first ones may be too loose
-    began = perf_counter()
-    for _ in range(ROUNDS - 1):
-        for i, candidate in enumerate(found):
-            if perf_counter() - began < TIMING_SECONDS:
-                again = _run(request, candidate.solver, candidate.tolerance, best) or candidate
-                found[i] = min(candidate, again, key=lambda c: c.solve_time)
-    candidates = Candidates(tuple(found), rounding_errors(best.run))
-    content = json.dumps(asdict(candidates)).encode()
-    store_if_possible(entry, content)  # else they are measured again next time
-    return candidates
-
-
-def _run(request: RunRequest, solver: str, tolerance: float, best: Reference) -> Candidate | None:
-    """Return cost and errors of a run, errors at least the reference's; None if it fails."""
-    request = replace(request, solver=requested_solver(request.dae, solver, tolerance))
-    try:
-        found = run(request)
-    except CosimError:
-        return None
-    differences = compare(best.run.select(request.outputs or ()), found).differences
-    errors = {d.name: max(d.scaled, best.errors[d.name]) for d in differences}
-    calls = int(found.stats.get("rhs_calls", 0))
-    share, more = _TYPICAL.get(solver, _OTHERS)
-    work = calls * (share * _OPERATION * request.dae.operations() + more)
-    return Candidate(solver, tolerance, errors, found.stats.get("solve_time", 0.0), calls, work)
-
-
-def _read(entry: str) -> Candidates | None:
-    content = content_of(entry)
-    if content is None:
-        return None
-    try:
-        facts = json.loads(content)
-        every = tuple(Candidate(**candidate) for candidate in facts["every"])
-        return Candidates(every, facts["rounding"])
-    except (ValueError, KeyError, TypeError):
-        return None  # of another version
-
+from cosim.verify.reference import rounding_errors
 
 SAFETY = 3.0  # factor by which the predicted error is to be below the requested accuracy
 CHECK = 100.0  # factor by which the run that checks another is to be more accurate
@@ -380,7 +231,7 @@ def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:
             f"{', '.join(map(str, failures.values())) or 'there is no other solver'}",
             runs[0].run if runs else None,
         )
-    raise _unconfirmed(chooser, goal, accuracy, _closest_pair(runs))
+    raise _unconfirmed(chooser, goal, accuracy, runs)
 
 
 def _tighter(candidate: Candidate, runs: Sequence[CandidateRun]) -> bool:
@@ -401,15 +252,14 @@ def _reject_below_rounding(chooser: _Chooser, accuracy: float) -> None:
         )
 
 
-def _closest_pair(runs: Sequence[CandidateRun]) -> Pair:
-    """Return the two runs of different solvers that agree best."""
+def _unconfirmed(
+    chooser: _Chooser, goal: Goal, accuracy: float, runs: Sequence[CandidateRun]
+) -> SolverError:
+    """Return the error that names the two runs of different solvers that agree best."""
     different = (
         Pair(a, b) for a, b in combinations(runs, 2) if a.candidate.solver != b.candidate.solver
     )
-    return min(different, key=lambda pair: pair.worst.scaled)
-
-
-def _unconfirmed(chooser: _Chooser, goal: Goal, accuracy: float, best: Pair) -> SolverError:
+    best = min(different, key=lambda pair: pair.worst.scaled)
     worst = best.worst
     reached = (
         f"accuracy {accuracy:g} is not reached: {best.first.candidate} and "

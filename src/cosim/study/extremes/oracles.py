@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from casadi_models.dae import Dae
 from casadi_models.extreme_cases import Case, Counterpart
 from cosim.arrays import Vector
 from cosim.errors import CosimError, InitialConditionError, SolverError, UnknownName, UsageError
@@ -17,6 +16,7 @@ from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load
 from cosim.trajectory import Trajectory
 
+_model_of = cache(load)
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
 
 
@@ -146,18 +146,13 @@ def _power(case: Case, run: Trajectory) -> float:
 
 def _against_reference(case: Case, run: Trajectory) -> float:
     """Largest relative difference from the reference, over the variables of both runs."""
-    true = _first_success(case)
+    values = tuple(sorted(case.values.items()))
+    true = _reference(case.references, case.stop_time, case.points, values)
+    if isinstance(true, str):
+        raise SolverError(f"no reference: {true}")
     own = {name for model in (run.model, true.model) for name in _model_of(model).own_meanings}
     names = [name for name in run.names if name in true.names and name not in own]
     return max(_relative(run[n], true[n], run.column(n).nominal) for n in names)
-
-
-def _first_success(case: Case) -> Trajectory:
-    values = tuple(sorted(case.values.items()))
-    found = _reference(case.references, case.stop_time, case.points, values)
-    if isinstance(found, str):
-        raise SolverError(f"no reference: {found}")
-    return found
 
 
 @lru_cache(maxsize=16)  # cases of several solvers share a reference
@@ -193,8 +188,3 @@ def _relative(value: Vector, true: Any, floor: float) -> float:
     size = max(float(np.abs(true).max()), floor)
     gap = float(np.abs(value - true).max())
     return gap / size if gap else 0.0
-
-
-@cache
-def _model_of(name: str) -> Dae:
-    return load(name)

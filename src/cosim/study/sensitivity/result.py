@@ -73,8 +73,7 @@ class Sensitivity:
             if name not in known:
                 raise UnknownName.among(f"{self.run.model}: sensitivity", kind, name, known)
             places.append([*known].index(name))
-        values: Vector = self.values[:, places[0], places[1]]
-        return values
+        return self.values[:, places[0], places[1]]
 
     @property
     def scaled(self) -> Vector:

@@ -13,11 +13,10 @@ from typing import Any, Unpack
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, Variable
 from casadi_models.dae.variational import derivative, direction, variational
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.functions import symbols_like
 from cosim.codegen.initialization import start_function
@@ -289,7 +288,7 @@ class _Task:
         values_of = many.values[:, :n, len(names) :] / sizes[:, None, None]
         return replace(plain, stats={**many.stats, **calls}), np.moveaxis(values_of, 0, -1)
 
-    def between_events(self, times: Vector) -> NDArray[np.bool_]:
+    def between_events(self, times: Vector) -> Truths:
         """Return at which times all changed runs have passed equally many events, (n,)."""
         found = np.ones(len(times), dtype=bool)
         for events in self.events:
@@ -324,7 +323,7 @@ class _Task:
 
 
 def _agreement(
-    result: Sensitivity, second: Vector, method: str, bound: float, rows: NDArray[np.bool_]
+    result: Sensitivity, second: Vector, method: str, bound: float, rows: Truths
 ) -> Agreement:
     """Return the largest scaled difference between two methods at some of the times."""
     sizes = np.array([target.nominal for target in result.targets])

@@ -179,8 +179,7 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
 
 def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
     if hasattr(spread, "ppf"):
-        found: Vector = np.asarray(spread.ppf(quantiles), dtype=float)
-        return found
+        return np.asarray(spread.ppf(quantiles), dtype=float)
     if isinstance(spread, Sequence | np.ndarray) and len(spread) == 2:
         low, high = float(spread[0]), float(spread[1])
         if low < high < np.inf and low > -np.inf:

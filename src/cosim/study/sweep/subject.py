@@ -21,14 +21,13 @@ from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
 from cosim.integrate.keywords import TimeKeywords, requested
-from cosim.integrate.outputs import all_columns, watching
+from cosim.integrate.outputs import recorded_columns, watching
 from cosim.model.catalogue import load
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Solver
 from cosim.model.start_outputs import overriding
 from cosim.model.times import Times
-from cosim.model.values import assign, settable_variable
-from cosim.scene.scene import Scene
+from cosim.model.values import assign, numbers_of, settable_variable
 from cosim.scene.scene_file import read_scene
 from cosim.study.sweep.samples import digest_of
 from cosim.trajectory import Column, Trajectory
@@ -82,8 +81,7 @@ class ModelSubject:
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return the recorded outputs."""
         names = self._with({"outputs": outputs}).outputs or self._request.dae.observed
-        known = {column.name: column for column in all_columns(self._watching(names))}
-        return tuple(known[name] for name in names)
+        return recorded_columns(self._watching(names), names)[0]
 
     def times(self, settings: Mapping[str, Any]) -> Vector:
         """Return the output times of every run, s."""
@@ -97,10 +95,8 @@ class ModelSubject:
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and compile; return the method of the runs as text."""
         dae = self._request.dae
-        known = assign(dae)
-        starts = dict(zip((v.name for v in dae.states), known.x, strict=True))
-        starts |= dict(zip((v.name for v in dae.parameters), known.p, strict=True))
-        starts |= dict(zip((v.name for v in dae.inputs), known.u, strict=True))
+        own = assign(dae)
+        starts = dict(zip((v.name for v in dae.states), own.x, strict=True)) | numbers_of(dae, own)
         replaced = {rule.variable.name for rule in dae.start_outputs} & set(names)
         assign(dae, {name: starts.get(name, 0.0) for name in names if name not in replaced})
         request = self._with(settings)
@@ -127,15 +123,6 @@ class ModelSubject:
     def _watching(self, names: tuple[str, ...]) -> Dae:
         dae = self._request.dae
         return dae if names == dae.observed else watching(dae, names)
-
-
-def scene_subject(scene: Scene) -> ModelSubject:
-    """Return the model of a scene with the values, inputs and solver of the scene."""
-    if isinstance(scene.request.solver, Goal):
-        raise UsageError(
-            f"{scene.name}: a sweep has no accuracy and no budget; give a solver and a tolerance"
-        )
-    return ModelSubject(scene.request.reduced())
 
 
 _TAKEN = ("start_time", "stop_time", "output_interval", "relative_tolerance")
@@ -255,7 +242,13 @@ def open_subject(subject: Any) -> Subject:
         if Path(name).suffix == ".fmu":
             return FmuSubject(str(Path(name).resolve()))
         if Path(name).suffix == ".toml":
-            return scene_subject(read_scene(name))
+            scene = read_scene(name)
+            if isinstance(scene.request.solver, Goal):
+                raise UsageError(
+                    f"{scene.name}: a sweep has no accuracy and no budget; give a solver and a "
+                    "tolerance"
+                )
+            return ModelSubject(scene.request.reduced())
         return ModelSubject(RunRequest(load(name)))
     expected = "a model's name, a Dae, SCENE.toml or FILE.fmu"
     raise UsageError.of_type("sweep", subject, expected)

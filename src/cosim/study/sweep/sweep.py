@@ -20,7 +20,7 @@ from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.integrate.ensemble.ensemble import RunState
-from cosim.integrate.ensemble.simulate_many import processors
+from cosim.integrate.ensemble.lanes import processors
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
 from cosim.study.sweep.reductions import Function, Statistics, keep_from
 from cosim.study.sweep.samples import Samples, chosen_samples, digest_of

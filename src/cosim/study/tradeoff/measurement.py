@@ -208,10 +208,8 @@ def combined(runs: Sequence[Measurement]) -> Measurement:
 
 
 def _in_ms(what: str, timing: Timing | None) -> dict[str, float | None]:
+    names = (f"{what}_ms", f"{what}_ms_low", f"{what}_ms_high")
     if timing is None:
-        return {f"{what}_ms": None, f"{what}_ms_low": None, f"{what}_ms_high": None}
-    return {
-        f"{what}_ms": 1e3 * timing.median,
-        f"{what}_ms_low": 1e3 * timing.fastest,
-        f"{what}_ms_high": 1e3 * timing.slowest,
-    }
+        return dict.fromkeys(names)
+    times = (timing.median, timing.fastest, timing.slowest)
+    return {name: 1e3 * time for name, time in zip(names, times, strict=True)}

@@ -173,11 +173,10 @@ def tradeoff(
     constant = invariants(truth)
     selected = configurations(requests, outputs, selection)
     with temporary_folder() as folder:
-        runner = Runner(Path(folder))
 
         def run(configuration: Configuration) -> Measurement:
             try:
-                trajectory = runner.run(configuration)
+                trajectory = run_configuration(configuration, folder)
             except CosimError as error:
                 return failed(configuration, error)
             return measurement_of(configuration, trajectory, truth, outputs, constant)
@@ -291,24 +290,13 @@ def small_request(request: RunRequest, outputs: tuple[str, ...]) -> RunRequest |
     return small if size(small.dae) != size(request.dae) else None
 
 
-class Runner:
-    """Runs configurations; each FMU is exported once, to a folder."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._fmus: dict[tuple[str, bool], Path] = {}
-
-    def run(self, configuration: Configuration) -> Trajectory:
-        """Run one configuration."""
-        request, interface = configuration.request, configuration.backend.interface
-        if interface is None:
-            return backends.run(request, configuration.backend)
-        return run_file(request, self._fmu(configuration), interface)
-
-    def _fmu(self, configuration: Configuration) -> Path:
-        key = configuration.model, configuration.reduced
-        if key not in self._fmus:
-            small = "_reduced" if configuration.reduced else ""
-            path = self._folder / f"{configuration.model.replace('/', '_')}{small}.fmu"
-            self._fmus[key] = export_fmu(configuration.request.configured(), path)
-        return self._fmus[key]
+def run_configuration(configuration: Configuration, folder: Path) -> Trajectory:
+    """Run a configuration; each FMU is exported once, to a folder."""
+    request, interface = configuration.request, configuration.backend.interface
+    if interface is None:
+        return backends.run(request, configuration.backend)
+    small = "_reduced" if configuration.reduced else ""
+    path = folder / f"{configuration.model.replace('/', '_')}{small}.fmu"
+    if not path.exists():
+        export_fmu(request.configured(), path)
+    return run_file(request, path, interface)

@@ -233,11 +233,8 @@ def slopes(bench: Bench, kind: str) -> Iterator[Finding]:
     with bench.session(kind) as session:
         session.start()
         list(session.steps(4 * size, 5))
-        get = (
-            session.instance.getRealOutputDerivatives
-            if bench.second
-            else (session.instance.getOutputDerivatives)
-        )
+        instance = session.instance
+        get = instance.getRealOutputDerivatives if bench.second else instance.getOutputDerivatives
         places = [int(v.reference) for v in outputs]
         reported = np.array(get(places, [1] * len(places)))
         get(places, [int(offered)] * len(places))

@@ -1,0 +1,306 @@
+"""Findings about a model description: the schema, its structure, its variables and units."""
+
+import zipfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib.resources import files
+from math import isclose, isfinite
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from casadi_models.units import UNITS, product
+from cosim.fmi.archive import DESCRIPTION, entry_content
+from cosim.fmi.check.finding import RULES, Finding, Rule
+from cosim.fmi.check.parsed import BUILD, REAL, Described, Description, Unknown
+
+_ROUNDING = 1e-5  # of factors, as people write them
+_MOST = 10  # findings in a file: one fault can have hundreds
+_SCHEMAS = {  # of what layered standards add, the standards have their own
+    BUILD: "fmi3/fmi3BuildDescription.xsd",
+    "terminalsAndIcons/terminalsAndIcons.xml": "fmi3/fmi3TerminalsAndIcons.xsd",
+}
+
+
+def schema_findings(archive: zipfile.ZipFile, version: str) -> Iterator[Finding]:
+    """Return the violations of the FMI's schemas, at most ten for a file."""
+    own = {DESCRIPTION: f"fmi{version}/fmi{version}ModelDescription.xsd"}
+    for entry, name in (own | _SCHEMAS).items():
+        if entry in archive.namelist():
+            yield from _against(name, entry, entry_content(archive, entry))
+
+
+def _against(schema: str, entry: str, content: bytes) -> Iterator[Finding]:
+    from lxml import etree
+
+    try:
+        tree = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        yield RULES["xml"].at(entry, f"not well-formed: {error}")
+        return
+    known = _schema(schema)
+    if known.validate(tree):
+        return
+    for fault in list(known.error_log)[:_MOST]:
+        yield RULES["schema"].at(f"{entry} line {fault.line}", fault.message.rstrip("."))
+
+
+@cache
+def _schema(name: str) -> Any:
+    """Return a schema by its place in fmpy's folder."""
+    from lxml import etree
+
+    return etree.XMLSchema(file=str(files("fmpy") / "schema" / name))
+
+
+SectionFault = tuple[Rule, str]  # a rule, and the fault that breaks it
+
+
+def structure_findings(described: Description) -> Iterator[Finding]:
+    """Return the faults of value references and model structure."""
+    yield from _references(described)
+    variables = described.variables
+    states = {v.derivative_of for v in variables if v.derivative_of is not None}
+    moving = {i for i, v in enumerate(variables) if v.causality in ("input", "independent")}
+    knowns = moving | {i for i, v in enumerate(variables) if v.initial == "exact"}
+    parameters = {i for i, v in enumerate(variables) if v.causality == "parameter"}
+    if described.version == "2":  # there, only those that change during a run
+        parameters = {i for i in parameters if variables[i].variability == "tunable"}
+    running = moving | states | parameters
+    for name, expected, known in (
+        ("Outputs", _output_positions(described), running),
+        ("Derivatives", _derivatives(described), running),
+        ("InitialUnknowns", _initial_unknowns(described), knowns),
+    ):
+        listed = described.sections[name]
+        strict = name == "Outputs"
+        for rule, fault in (
+            *_entries(described, listed, expected, strict=strict),
+            *_needs(described, listed, known),
+        ):
+            yield rule.at(name, fault)
+
+
+def _references(described: Description) -> Iterator[Finding]:
+    """Value references number the variables of a type (FMI 3: all variables) without gaps."""
+    second = described.version == "2"
+    shared = RULES["alias"] if second else RULES["shared-reference"]  # FMI 2.0 allows aliases
+    for kind in sorted({v.kind for v in described.variables} if second else {""}):
+        texts = [v.reference for v in described.variables if kind in ("", v.kind)]
+        for text, count in Counter(texts).items():
+            if count > 1:
+                yield shared.about(DESCRIPTION, f"{count} variables share value reference {text}")
+        unused = sorted(set(map(str, range(len(texts)))) - set(texts), key=int)
+        if unused:
+            fault = (
+                f"value references are not consecutive from 0: {', '.join(unused[:5])} is unused"
+            )
+            yield RULES["references"].about(DESCRIPTION, fault)
+
+
+def _output_positions(described: Description) -> list[int]:
+    return [i for i, v in enumerate(described.variables) if v.causality == "output"]
+
+
+def _derivatives(described: Description) -> list[int]:
+    return [i for i, v in enumerate(described.variables) if v.derivative_of is not None]
+
+
+def _initial_unknowns(described: Description) -> list[int]:
+    """FMI 2.0.4, 2.2.8: what initialization computes of outputs, states and derivatives."""
+    variables = described.variables
+    derivatives = _derivatives(described)
+    states = [place for i in derivatives if (place := variables[i].derivative_of) is not None]
+    members = {*_output_positions(described), *derivatives, *states} - {-1}
+    members |= {i for i, v in enumerate(variables) if v.causality == "calculatedParameter"}
+    clocked = {i for i in members if variables[i].kind == "Clock" or "clocks" in variables[i].texts}
+    members -= clocked  # which initialization does not compute
+    return [i for i in sorted(members) if variables[i].initial in ("approx", "calculated")]
+
+
+def _entries(
+    described: Description, listed: Sequence[Unknown], expected: Sequence[int], *, strict: bool
+) -> Iterator[SectionFault]:
+    rule = RULES["listed"] if strict else RULES["listed-lightly"]
+    places = [unknown.position for unknown in listed]
+    if -1 in places:
+        yield RULES["refers"], "an entry refers to no variable"
+    for place, count in Counter(places).items():
+        if count > 1 and place >= 0:
+            yield RULES["listed"], f"'{described.variables[place].name}' is listed {count} times"
+    for place in sorted(set(expected) - set(places)):
+        yield rule, f"'{described.variables[place].name}' is missing"
+    for place in sorted(set(places) - set(expected) - {-1}):
+        yield rule, f"'{described.variables[place].name}' does not belong there"
+    if places != sorted(places):
+        yield RULES["order"], "the entries are not in ascending order"
+
+
+def _needs(
+    described: Description, listed: Sequence[Unknown], known: set[int]
+) -> Iterator[SectionFault]:
+    for unknown in listed:
+        needs = unknown.needs or ()
+        name = "?" if unknown.position < 0 else described.variables[unknown.position].name
+        if -1 in needs:
+            yield RULES["refers"], f"'{name}' depends on what does not exist"
+        for place in sorted(set(needs) - known - {-1}):
+            other = described.variables[place].name
+            yield RULES["knowns"], f"'{name}' depends on '{other}', which is not a known"
+        if list(needs) != sorted(set(needs)):
+            yield RULES["order"], f"dependencies of '{name}' are not ascending"
+
+
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_INITIALS = ("exact", "approx", "calculated")
+# FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7.5. None: the attribute is absent.
+_INITIAL: dict[tuple[str, str], tuple[str | None, ...]] = {
+    **{("parameter", v): ("exact",) for v in ("fixed", "tunable")},
+    **{("structuralParameter", v): ("exact",) for v in ("fixed", "tunable")},
+    **{("calculatedParameter", v): ("approx", "calculated") for v in ("fixed", "tunable")},
+    **{("local", v): ("approx", "calculated") for v in ("fixed", "tunable")},
+    **{("input", v): (None,) for v in ("discrete", "continuous")},
+    **{(c, "constant"): ("exact",) for c in ("output", "local")},
+    **{(c, v): _INITIALS for c in ("output", "local") for v in ("discrete", "continuous")},
+    ("independent", "continuous"): (None,),
+}
+
+
+def description_findings(described: Description) -> Iterator[Finding]:
+    """Return the faults of a model description."""
+    yield from _head(described)
+    yield from _units(described)
+    for variable in described.variables:
+        for rule, fault in _variable_findings(described, variable):
+            yield rule.at(f"variable '{variable.name}'", fault)
+    for name, count in Counter(v.name for v in described.variables).items():
+        if count > 1:
+            yield RULES["name"].at(f"variable '{name}'", f"{count} variables have this name")
+    yield from structure_findings(described)
+
+
+def _head(described: Description) -> Iterator[Finding]:
+    root = described.root
+    if not described.token.strip():
+        yield RULES["token"].about(DESCRIPTION, "the GUID or instantiation token is missing")
+    if not described.interfaces and root.find("ScheduledExecution") is None:
+        yield RULES["interface"].about(
+            DESCRIPTION, "there is neither model exchange nor co-simulation"
+        )
+    for name, attributes in described.interfaces.items():
+        identifier = attributes.get("modelIdentifier", "")
+        if not (identifier.isascii() and identifier.isidentifier()):
+            yield RULES["identifier"].at(name, f"modelIdentifier '{identifier}' is no C name")
+    experiment = root.find("DefaultExperiment")
+    numbers = {} if experiment is None else {k: _finite(v) for k, v in experiment.attrib.items()}
+    for name, value in numbers.items():
+        if value is None or (name in ("tolerance", "stepSize") and value <= 0):
+            fault = f"{name} is no finite number in its range"
+            yield RULES["experiment"].at("DefaultExperiment", fault)
+    start, stop = numbers.get("startTime", 0.0), numbers.get("stopTime")
+    if start is not None and stop is not None and stop <= start:
+        yield RULES["experiment"].at("DefaultExperiment", "stopTime is not after startTime")
+
+
+def _finite(text: str) -> float | None:
+    """Return a finite number, None for anything else; NaN and INF are schema-valid."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if isfinite(value) else None
+
+
+def _units(described: Description) -> Iterator[Finding]:
+    used = {v.texts["unit"] for v in described.variables if "unit" in v.texts}
+    defined = described.root.findall("UnitDefinitions/Unit")
+    names = [unit.get("name", "") for unit in defined]
+    for name, count in Counter(names).items():
+        if count > 1:
+            yield RULES["unit"].about(DESCRIPTION, f"unit '{name}' is defined {count} times")
+    for unit, name in zip(defined, names, strict=True):
+        base, own = _base(unit), UNITS.get(name) or product(name)
+        if base and own:
+            exponents = dict(own.base)
+            same = all(base[n] == exponents.get(n, 0) for n in BASE_UNITS if n != "rad")
+            close = isclose(base["factor"], own.factor, rel_tol=_ROUNDING) and not base["offset"]
+            if not (same and close):
+                fault = "has base units of another quantity, another factor or an offset"
+                yield RULES["unit-base"].about(DESCRIPTION, f"unit '{name}' {fault}")
+        if not base:
+            yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' has no base units")
+        if name not in used:
+            yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' is not used")
+        for element in (*unit.findall("BaseUnit"), *unit.findall("DisplayUnit")):
+            factor = _finite(element.get("factor", "1"))
+            if not factor or _finite(element.get("offset", "0")) is None:
+                fault = f"unit '{name}': factor or offset of {element.tag} is no finite number"
+                yield RULES["unit"].about(DESCRIPTION, fault)
+    for name in sorted(used - set(names)):
+        yield RULES["unit"].about(DESCRIPTION, f"unit '{name}' is not defined")
+
+
+def _variable_findings(described: Description, variable: Described) -> Iterator[tuple[Rule, str]]:
+    texts = variable.texts
+    kinds = (variable.causality, variable.variability)
+    allowed = _INITIAL.get(kinds, ())
+    if described.version == "3" and variable.causality == "input":
+        allowed = (*allowed, "exact")
+    if variable.initial not in allowed:
+        fault = (
+            f"causality {kinds[0]}, variability {kinds[1]}, initial {variable.initial} is illegal"
+        )
+        yield RULES["causality"], fault
+    if variable.variability == "continuous" and variable.kind not in REAL:
+        yield RULES["variability"], f"a {variable.kind} cannot be continuous"
+    required = variable.initial in ("exact", "approx") or variable.causality == "input"
+    if required != ("start" in texts) and variable.kind not in ("Clock", "Binary"):
+        fault = (
+            "the start value is missing" if required else "a calculated variable has a start value"
+        )
+        yield RULES["start"], fault
+    if variable.kind not in REAL:
+        return
+    numbers = ("min", "max", "nominal", "start")
+    number = {k: _finite(texts[k]) for k in numbers if k in texts and " " not in texts[k].strip()}
+    for name, value in number.items():
+        if value is None:
+            yield RULES["number"], f"{name} = {texts[name]} is no finite number"
+    ladder = [number[k] for k in ("min", "start", "max") if number.get(k) is not None]
+    if ladder != sorted(ladder, key=lambda value: value or 0.0):
+        yield RULES["bounds"], f"min, start and max do not rise: {ladder}"
+    if number.get("nominal", 1.0) == 0:
+        yield RULES["nominal"], "nominal is 0"
+    yield from _unit_of(described, variable)
+
+
+def _unit_of(described: Description, variable: Described) -> Iterator[tuple[Rule, str]]:
+    unit, shown = variable.texts.get("unit"), variable.texts.get("displayUnit")
+    units = described.units
+    if shown is not None:
+        displays = units[unit].findall("DisplayUnit") if unit in units else []
+        if shown not in [d.get("name") for d in displays]:
+            yield RULES["unit"], f"display unit '{shown}' is not defined for unit '{unit}'"
+    if variable.derivative_of is None:
+        return
+    if variable.derivative_of < 0:
+        yield RULES["derivative"], "it is the derivative of nothing"
+        return
+    state = described.variables[variable.derivative_of]
+    if state is variable or state.kind not in REAL or state.variability != "continuous":
+        fault = f"'{state.name}', whose derivative it is, is not a continuous state"
+        yield RULES["derivative"], fault
+        return
+    base, rate = (_base(units.get(v.texts.get("unit"))) for v in (state, variable))
+    if base and rate and rate != base | {"s": base["s"] - 1}:
+        yield RULES["unit-of-rate"], f"unit '{unit}' is not that of '{state.name}' per second"
+
+
+def _base(unit: ET.Element | None) -> dict[str, float]:
+    """Return factor, offset and exponents of a unit; empty if the file does not define them."""
+    element = None if unit is None else unit.find("BaseUnit")
+    if element is None:
+        return {}
+    exponents = {name: _finite(element.get(name, "0")) or 0.0 for name in BASE_UNITS}
+    factor, offset = element.get("factor", "1"), element.get("offset", "0")
+    return exponents | {"factor": _finite(factor) or 0.0, "offset": _finite(offset) or 0.0}

@@ -1,0 +1,108 @@
+"""`documentation/index.html` of an FMU: description, variables and equations of its model."""
+
+from collections.abc import Container, Iterable, Sequence
+from html import escape
+from pathlib import Path
+from string import Template
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae import Dae
+from casadi_models.dae.expressions import operation_count
+from cosim.fmi.export.variables import FmuVariable, Role
+from cosim.memo import cached_per_thread
+
+LONGEST_FORMULA = 120  # characters of an expression that the page shows
+
+
+@cached_per_thread(8)
+def formulas(dae: Dae) -> tuple[tuple[str, str], ...]:
+    """Return left and right sides of start rules, dx/dt, algebraic equations and outputs."""
+    parameters = frozenset(parameter.name for parameter in dae.parameters)
+    found = []
+    for rule in dae.start_rules:
+        names = ", ".join(dae.states[i].name for i in rule.states)
+        text = _text(rule.expression, parameters)
+        right = f"solution of 0 = {text}" if rule.implicit else text
+        found.append((f"{names} at the start", right))
+    every = [f"der({state.name})" for state in dae.states] + ["0"] * len(dae.algebraics)
+    every += [output.name for output in dae.output_variables]
+    expressions = ca.vertsplit(ca.vertcat(dae.ode, dae.alg, dae.outputs)) if every else []
+    for left, expression in zip(every, expressions, strict=True):
+        found.append((left, _text(expression, parameters)))
+    return tuple(found)
+
+
+def _text(expression: SX, parameters: Container[str]) -> str:
+    """Return an expression as text; a long one as its variables and number of operations."""
+    symbols = ca.symvar(expression)
+    count = operation_count(ca.Function("f", symbols, [expression]))
+    if expression.is_scalar() and count < LONGEST_FORMULA:
+        text = str(expression)
+        if len(text) <= LONGEST_FORMULA and "@" not in text:
+            return text
+    moving = ", ".join(s.name() for s in symbols if s.name() not in parameters)
+    return f"f({moving}{'; ' if moving else ''}parameters), {count} operations"
+
+
+_HEADINGS = {
+    Role.PARAMETER: "Parameters",
+    Role.INPUT: "Inputs",
+    Role.STATE: "States",
+    Role.ALGEBRAIC: "Algebraic unknowns",
+    Role.OUTPUT: "Outputs",
+}
+_FIGURE = """<figure><img src="diagram.png" alt="the mechanism">
+<figcaption>At the start values. 1, 2, 3: axes of the bodies' frames. Brown: what counts as a
+positive force or torque. Purple, two heads: the axis of a positive turn, by the right
+hand.</figcaption></figure>
+"""
+
+
+def documentation_page(
+    dae: Dae,
+    variables: Sequence[FmuVariable],
+    solver: str,
+    tolerance: float,
+    *,
+    pictured: bool,
+) -> str:
+    """Return `documentation/index.html`: description, variables and equations of a model."""
+    page = Template(Path(__file__).with_name("documentation.html").read_text(encoding="utf-8"))
+    sections = (
+        _section(heading, [v for v in variables if v.role is role])
+        for role, heading in _HEADINGS.items()
+    )
+    equations = _items(f"{left} = {right}" for left, right in formulas(dae))
+    limits = _items(meaning for _, meaning in dae.limits)
+    drift = _items(invariant.meaning for invariant in dae.invariants)
+    return page.substitute(
+        name=escape(dae.full_name),
+        description=escape(dae.description),
+        source=escape(dae.source),
+        solver=escape(solver),
+        tolerance=f"{tolerance:g}",
+        limits=limits and f"<p>The model holds while</p>\n<ul>\n{limits}</ul>\n",
+        diagram=_FIGURE if pictured else "",
+        sections="".join(sections),
+        equations=equations,
+        invariants=drift and f"<p>What exact solutions keep to:</p>\n<ul>\n{drift}</ul>\n",
+    )
+
+
+def _items(texts: Iterable[str]) -> str:
+    return "".join(f"<li>{escape(text)}</li>\n" for text in texts)
+
+
+def _section(heading: str, variables: Sequence[FmuVariable]) -> str:
+    if not variables:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(v.name)}</td><td class='number'>"
+        f"{'' if v.start is None else format(v.start, '.10g')}</td>"
+        f"<td>{escape(v.unit)}</td><td>{escape(v.meaning)}</td></tr>\n"
+        for v in variables
+    )
+    head = "<tr><th>name</th><th>start</th><th>unit</th><th>meaning</th></tr>\n"
+    return f"<h2>{heading}</h2>\n<table>\n{head}{rows}</table>\n"

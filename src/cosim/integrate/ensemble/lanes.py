@@ -1,0 +1,257 @@
+"""Runs of one model in SIMD lanes and threads, by a compiled solver."""
+
+import ctypes
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from threading import Condition, Thread
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_models.dae import Dae
+from cosim.arrays import Truths, Vector
+from cosim.codegen.initialization import DEFECT_LIMIT
+from cosim.codegen.runge_kutta.lane_library import Batch, lane_library, processor_lanes
+from cosim.errors import InitialConditionError
+from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.integrate.initial_values import start_values
+from cosim.integrate.outputs import recorded_columns, watching
+from cosim.memo import cached_per_thread
+from cosim.model.many_values import ManyValues
+from cosim.model.request import OnInvalid, RunRequest
+from cosim.model.solver import Tolerance
+from cosim.model.values import Values, own_sizes
+
+CAUSES = {  # by code of the library
+    1: "too many steps",
+    2: "step size too small",
+    4: "a state or an output is not finite",
+    5: "interrupted",
+    6: "outside the model's validity conditions",
+}
+HALTED, OUTSIDE = 5, 6
+
+
+# Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
+# ended: time at which the run ended, s; error: sum of the estimated errors of the steps, in units
+# of the tolerance; outside: position of the first output time that violates a validity condition,
+# -1 for none; limit: position of that condition.
+_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "outside", "limit")
+_REPORT = np.dtype([(name, float) for name in _FIELDS])
+
+
+def lane_starts(
+    library: ctypes.CDLL, dae: Dae, t: float, x: Vector, u: Vector, p: Vector
+) -> Truths:
+    """Compute initial values in place, and return which runs have valid ones, (runs,).
+
+    Args:
+        library: The model's library.
+        dae: The model.
+        t: Begin of the runs, s.
+        x: Initial values, or guesses if they are calculated, SI, (runs, nx); overwritten.
+        u, p: Inputs and parameters, SI, (runs, nu) and (runs, np).
+    """
+    defect = np.zeros(len(x))
+    if dae.start_rules:
+        addresses = (row.ctypes.data for row in (x, u, p, defect))
+        library.lanes_start(len(x), t, *addresses)
+    low = np.array([v.minimum for v in dae.states])
+    high = np.array([v.maximum for v in dae.states])
+    good: Truths = ((x >= low) & (x <= high)).all(axis=1) & (defect < DEFECT_LIMIT)
+    return good
+
+
+def run_lanes(
+    library: ctypes.CDLL,
+    lanes: int,
+    outputs: int,
+    starts: Sequence[Vector],
+    grid: Vector,
+    limits: tuple[float, float, float],
+    *,
+    threads: int,
+    stop_outside: bool,
+) -> tuple[Vector, NDArray[np.void], float]:
+    """Integrate every run over a grid of output times.
+
+    Args:
+        library: The model's library.
+        lanes: Number of its lanes.
+        outputs: Number of outputs that it records.
+        starts: Consistent x0 and nominal values of the states, inputs u, parameters p, SI: (runs,
+            nx) twice, (runs, nu), (runs, np).
+        grid: Output times, s, (n,); the first is the begin of the runs.
+        limits: Relative and absolute tolerance (1), and the largest step, s.
+        threads: Largest number of threads; results do not depend on it.
+        stop_outside: Whether a run ends when a validity condition is violated.
+
+    Returns:
+        The outputs, SI, (runs, times, outputs), NaN after the last valid output time; how each run
+        ended, (runs,), with the fields of `_REPORT`; and the time of all runs, s.
+    """
+    runs, points = len(starts[0]), len(grid)
+    x0, nominal, u, p = (np.ascontiguousarray(rows, dtype=float) for rows in starts)
+    values, report = np.empty((runs, points, outputs)), np.empty(runs, _REPORT)
+    following, stop = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int32)
+    batch = Batch(
+        runs,
+        points,
+        *(array.ctypes.data for array in (x0, nominal, u, p, grid)),
+        *limits,
+        *(array.ctypes.data for array in (values, report, following, stop)),
+        int(stop_outside),
+    )
+    failed: list[bool] = []
+    begun: list[bool] = []
+    news = Condition()  # `Thread.join` returns too early after Ctrl-C (Python 3.11)
+
+    def work() -> None:
+        with news:
+            if stop[0]:
+                return
+            begun.append(True)
+        outcome = bool(library.lanes_run(ctypes.byref(batch)))
+        with news:
+            failed.append(outcome)
+            news.notify_all()
+
+    began = perf_counter()
+    most = max(1, min(threads, runs // (2 * lanes)))
+    workers = [Thread(target=work, daemon=True) for _ in range(most)]
+    waiting, interrupted = iter(workers), False
+    while True:
+        try:
+            for worker in () if interrupted else waiting:
+                worker.start()
+            with news:
+                stop[0] = interrupted
+                news.wait_for(lambda: len(failed) == (len(begun) if stop[0] else most))
+            break
+        except KeyboardInterrupt:
+            interrupted = True
+    if any(failed):
+        raise MemoryError("not enough memory for one run in each lane; use fewer output times")
+    first = min(int(following[0]), runs)  # the first run that no lane has begun
+    report[first:] = 0
+    report["code"][first:], report["outside"][first:] = HALTED, -1
+    values[first:] = np.nan
+    return values, report, perf_counter() - began
+
+
+def in_lanes(
+    request: RunRequest, values: ManyValues, tolerance: Tolerance, threads: int, lanes: int | None
+) -> Ensemble:
+    """Run an explicit formulation in lanes.
+
+    Args:
+        request: The run; its values are ignored.
+        values: Values of every run.
+        tolerance: Tolerance and largest step of the solver.
+        threads, lanes: See `simulate_many`.
+    """
+    on_invalid = request.policy.on_invalid
+    names = request.outputs or request.dae.observed
+    dae = watching(request.dae, names)
+    grid = request.times.grid(dae, len(values) * len(names))
+    if on_invalid is OnInvalid.IGNORE:
+        dae = _unlimited(dae)
+    lanes = lanes or processor_lanes()
+    library = lane_library(dae, names, lanes)
+    reasons, runs = dict(values.refused), len(values)
+    x = np.ascontiguousarray(values.x)
+    known = (np.ascontiguousarray(rows) for rows in (values.u, values.p))
+    possible = lane_starts(library, dae, float(grid[0]), x, *known)
+    for i in np.flatnonzero(~possible):
+        if int(i) not in reasons:
+            reasons[int(i)] = _why_no_start(dae, float(grid[0]), values, int(i))
+    going = np.array([i for i in range(runs) if i not in reasons], dtype=np.int64)
+    declared = tolerance.absolute is not None  # a requested one is of the declared values
+    sizes = own_sizes(dae, np.zeros_like(x) if declared else x)
+    nominal = np.array(2.0 ** np.round(np.log2(sizes)), dtype=float)
+    table = (x, nominal, values.u, values.p)
+    found, ended, solve_time = run_lanes(
+        library,
+        lanes,
+        len(names),
+        table if len(going) == runs else [rows[going] for rows in table],
+        grid,
+        (*tolerance.pair, tolerance.max_step or np.inf),
+        threads=threads,
+        stop_outside=on_invalid is OnInvalid.STOP,
+    )
+    states = [RunState.REFUSED] * runs
+    invalid: dict[int, str] = {}
+    for position, number in enumerate(going.tolist()):
+        states[number], reason, outside = _outcome(dae, ended[position], grid)
+        if reason:
+            reasons[number] = reason
+        if outside and on_invalid is not OnInvalid.IGNORE:
+            invalid[number] = outside
+    everything, report = found, ended
+    if len(going) < runs:
+        everything = np.full((runs, *found.shape[1:]), np.nan)
+        everything[going] = found
+        report = np.zeros(runs, ended.dtype)
+        report["error"] = np.nan
+        report[going] = ended
+    output_times = request.times.requested if request.times.own else grid
+    rows = np.searchsorted(grid, output_times)
+    return Ensemble(
+        dae.full_name,
+        output_times,
+        recorded_columns(dae, names)[0],
+        everything if len(rows) == len(grid) else everything[:, rows],
+        values.given,
+        tuple(states),
+        reasons,
+        invalid,
+        reached=np.searchsorted(rows, report["good"]),
+        steps=report["steps"].astype(np.int64),
+        rhs_calls=report["rhs_calls"].astype(np.int64),
+        error=report["error"] * (tolerance.relative or 1.0),
+        stats={"lanes": lanes, "solve_time": solve_time},
+    )
+
+
+@cached_per_thread(16)
+def _unlimited(dae: Dae) -> Dae:
+    """Return the DAE without validity conditions, which are then not computed."""
+    return replace(dae, limits=())
+
+
+def _outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, str]:
+    """Return how a run in lanes ended, why, and the violated validity condition with its time."""
+    code, good, at = (int(report[name]) for name in ("code", "good", "outside"))
+    outside = ""
+    if at >= 0:
+        meaning = dae.limits[int(report["limit"])][1]
+        outside = f"from {grid[at]:g} s on it is no longer true that {meaning}"
+    if not code:
+        return RunState.COMPLETE, "", outside
+    last = f"{grid[good - 1]:g} s" if good else "the start"
+    if code == OUTSIDE:
+        return RunState.STOPPED, f"stopped after {last}: {outside}", outside
+    state = RunState.INTERRUPTED if code == HALTED else RunState.FAILED
+    at_time = "" if code == HALTED else f" at t = {report['ended']:g}"
+    return state, f"stopped after {last}: {CAUSES[code]}{at_time}", outside
+
+
+def _why_no_start(dae: Dae, t: float, values: ManyValues, run: int) -> str:
+    try:
+        start_values(dae, t, Values(values.x[run], values.p[run], values.u[run]))
+    except InitialConditionError as error:
+        return str(error)
+    return (
+        f"{dae.full_name}: calculated start values do not exist or are out of bounds; change the "
+        "other values"
+    )
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
