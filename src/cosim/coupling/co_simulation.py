@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -18,13 +19,13 @@ from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.errors import FmuError, Interrupted, SolverError, UsageError
-from cosim.fmi.run.c_structures import Ending, Functions, Recorded, Recording
+from cosim.fmi.run.c_structures import Ending, Functions, Recording
 from cosim.fmi.run.instance import by_name, why_it_ended
 from cosim.fmi.run.request import column_of, output_names
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.times import time_grid
-from cosim.trajectory import Event, Trajectory
+from cosim.trajectory import Column, Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
@@ -280,7 +281,7 @@ class CoSimulation:
         rows = int(system.rows)
         times = np.minimum(times[:rows], system.time)
         shown = [
-            replace(column_of(by_name(self.parts[name].description)[v]), name=f"{name}.{v}")
+            _column(f"{name}.{v}", by_name(self.parts[name].description)[v])
             for name, wanted in columns.items()
             for v in wanted
         ]
@@ -403,13 +404,9 @@ class CoSimulation:
                 np.array([v.valueReference for v in variables] + [0], dtype=np.uint32)
                 for variables in (part.inputs, part.outputs)
             ]
-            known = by_name(part.description)
-            recorded = Recorded(part.instance, part.description, [known[v] for v in columns[name]])
-            held += [*references, recorded]
-            structure = recorded.structure
-            structure.rows = tables[name].ctypes.data
+            held += references
             place.call = ctypes.pointer(part.functions)
-            place.recording = ctypes.pointer(structure)
+            place.recording = ctypes.pointer(part.recording(columns[name], tables[name]))
             place.turn = self._turns.index(name)
             place.inputs, place.outputs = len(part.inputs), len(part.outputs)
             place.input_references, place.output_references = (r.ctypes.data for r in references)
@@ -423,6 +420,11 @@ class CoSimulation:
         variables = [v for part in self.parts.values() for v in part.inputs]
         scale = np.array([float(v.nominal or 1.0) for v in variables] + [1.0])
         return scale, np.array([v.nominal is None for v in variables] + [False], dtype=np.int64)
+
+
+@lru_cache(1024)
+def _column(name: str, variable: Any) -> Column:
+    return replace(column_of(variable), name=name)
 
 
 @cached_per_thread(1)
