@@ -77,6 +77,21 @@ def test_fmpy_reads_it(fmu, tmp_path, own_files):
     assert read == ["x", "rate"]
 
 
+def test_files_with_structured_names_are_written_with_these_and_read_again(tmp_path):
+    path = cosim.export_fmu(cosim.load("bar_on_frame"), tmp_path / "bar.fmu", names="structured")
+    system = cosim.couple(
+        {"a": path, "b": path}, {"b.T2": "a.tk_G_F"}, start_values={"a.theta_dot": 2.0, "b.m": 1.0}
+    )
+    file = system.write_ssp(tmp_path / "two.ssp")
+    with zipfile.ZipFile(file) as archive:
+        root = etree.fromstring(archive.read("SystemStructure.ssd"))
+    (connection,) = root.iter(f"{SSD}Connection")
+    assert connection.get("startConnector") == "G.t_F[3]"  # as in the FMU
+    assert "G.t_F[3]" in {c.get("name") for c in root.iter(f"{SSD}Connector")}
+    runs = [one.simulate(stop_time=0.1) for one in (system, cosim.read_ssp(file))]
+    assert cosim.compare(*runs).worst.scaled == 0
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 0.0, -1.0, "1"])
 def test_stop_time_that_is_no_positive_number_is_rejected(fmu, tmp_path, bad):
     with pytest.raises(ParameterError, match="write_ssp: stop_time = "):

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 from casadi_models.units import UNITS
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.files import write_atomically
-from cosim.fmi.archive import unpacked
+from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.instance import unit_of
 from cosim.model.values import number
@@ -103,14 +103,13 @@ def write_ssp(
         stop_time = number("write_ssp", "stop_time", stop_time, positive=True)
     described = {name: _described(path) for name, path in components.items()}
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
+    given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
     name, files, used = name or Path(target).stem, dict[str, bytes](), set[str]()
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
-    for component, description in described.items():
-        prefix = f"{component}."
-        given = (values or {}).items()
-        own = {n.removeprefix(prefix): value for n, value in given if n.startswith(prefix)}
+    for component, (description, _) in described.items():
+        own = {entry: value for (owner, entry), value in given if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
         used |= {unit for unit in units.values() if unit}
         element = _component(component, description, units)
@@ -125,8 +124,6 @@ def write_ssp(
             else:
                 ET.SubElement(binding, f"{{{SSD}}}ParameterValues").append(chosen)
         elements.append(element)
-    for key in values or {}:
-        _side(described, key, None)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
     for (source, output), (sink, entry) in ends:
         begins = {"startElement": source, "startConnector": output}
@@ -141,14 +138,18 @@ def write_ssp(
     return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
 
 
-def _described(path: str | os.PathLike[str]) -> Any:
+def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
+    """Return fmpy's model description, and the variables by name and by flat name."""
     from fmpy import read_model_description
 
     with unpacked(path) as folder:
         try:
-            return read_model_description(str(folder), validate=False)
+            description = read_model_description(str(folder), validate=False)
+            flat = flat_names(ET.parse(folder / DESCRIPTION).getroot())
         except Exception as error:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
+    known = {variable.name: variable for variable in description.modelVariables}
+    return description, {flat.get(name, name): found for name, found in known.items()} | known
 
 
 def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:
@@ -168,9 +169,9 @@ def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tup
     component, dot, name = text.partition(".")
     if not dot or component not in described:
         raise UnknownName.among("the SSP", "component", component, described)
-    variables = {v.name: v for v in described[component].modelVariables}
+    _, variables = described[component]
     if name not in variables:
         raise UnknownName.among(component, "variable", name, variables)
     if causality is not None and variables[name].causality != causality:
         raise UsageError(f"{text} is not an {causality}; connect an output to an input")
-    return component, name
+    return component, variables[name].name
