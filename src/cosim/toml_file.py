@@ -94,7 +94,7 @@ def typed(value: Any, kind: type, form: str, where: str) -> Any:
     Raises:
         ParameterError: It is of another one; `where` and how to write it are named.
     """
-    if not isinstance(value, kind):
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise ParameterError(f"{where}{': ' if where else ''}{value!r} does not fit; write {form}")
     return value
 

@@ -197,6 +197,30 @@ def test_unknown_name_is_reported_with_the_nearest_name(line, expected, refused)
     assert re.search(expected, message), message
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "sweep crank_shaft -p omega=100,200,300rpm",
+        "sweep crank_shaft -p omega=100:300rpm:3",
+        "sweep crank_shaft --design lhs:4 -p omega=10:200rpm",
+        "sweep crank_shaft --design lhs:4 -p omega=loguniform(1,100rpm)",
+        "plot bar_on_frame -p theta=10,20,30deg -o a.png",
+        "simulate crank_shaft --at 100,200,300ms",
+        "tradeoff crank_shaft --steps 1,2,5ms",
+        "linearize bicycle --along speed=10:20km/h:5",
+    ],
+)
+def test_list_whose_last_number_alone_has_a_unit_is_rejected(line, refused):
+    code, message = refused(line)
+    assert code == 2
+    assert re.search("has no unit and .* has one; write the unit at each", message), message
+
+
+def test_formula_that_is_given_twice_is_rejected(refused):
+    code, message = refused("simulate bicycle --input roll_torque=1 --input roll_torque=2")
+    assert (code, "given twice" in message) == (2, True), message
+
+
 def test_calculated_start_is_rejected_with_the_names_that_can_be_set(refused):
     code, message = refused("simulate bicycle -p theta=1")
     assert code == 1

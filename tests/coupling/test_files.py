@@ -111,6 +111,25 @@ def test_linear_transformation_of_a_connection_is_applied(ssp, tmp_path):
     np.testing.assert_allclose(run["rider.phi"], 0.5 - 2 * run["bicycle.phi"], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b'endElement="rider" ', b'suppressUnitConversion="true" endElement="rider" '),
+        (
+            b'endElement="rider" endConnector="phi" />',
+            b'endElement="rider" endConnector="phi"><ssc:IntegerMappingTransformation>'
+            b"</ssc:IntegerMappingTransformation></ssd:Connection>",
+        ),
+        (b"</ssd:System>", b'</ssd:System><ssd:DefaultExperiment startTime="0.5" />'),
+    ],
+    ids=["unit conversion", "mapping", "start time"],
+)
+def test_what_would_change_the_result_and_is_not_read_is_rejected(ssp, tmp_path, old, new):
+    file = changed(ssp, tmp_path / "changed.ssp", old, new)
+    with pytest.raises(UsageError, match=r"cannot be read here|starts at 0\.5 s"):
+        cosim.read_ssp(file)
+
+
 def nested(ssp, target):
     """Write the same system with the rider in a system of its own, and reverse phi twice."""
     with zipfile.ZipFile(ssp) as source:

@@ -5,8 +5,12 @@ from math import atan2, pi, radians, sin
 import casadi as ca
 import pytest
 
-from cosim.errors import ParameterError
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import ParameterError, UnknownName
 from cosim.model import formula
+from cosim.model.driving import with_laws
+from cosim.model.quantities import quantity
 
 T = ca.SX.sym("t")
 
@@ -53,3 +57,75 @@ def test_conditions_hold_powers():
 def test_other_operators_are_rejected(text):
     with pytest.raises(ParameterError, match="a test: "):
         value(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "9.81m/s^2*m",
+        "100N/m*l",
+        "1kg*g",
+        "10N-m",
+        "3cm ^2",
+        "3cm ** 2",
+        "3cm^(2)",
+        "2cm^m",
+        "3m2^2",
+    ],
+)
+def test_units_that_can_be_read_in_two_ways_are_rejected(text):
+    with pytest.raises(ParameterError, match="can be read in two ways"):
+        formula.expression("a test", text, dict.fromkeys("mgl", T))
+
+
+def test_blanks_end_a_unit():
+    found = formula.expression("a test", "9.81m/s^2 * m - 1m*s/s", {"m": T})
+    assert float(ca.Function("f", [T], [found])(2.0)) == pytest.approx(18.62)
+
+
+def turned():
+    """Return an angle in deg that its input, in deg/s, changes."""
+    model = Model("turned", stop_time=1.0)
+    angle = model.state("angle", "deg", 0.0, "angle")
+    model.derivative(angle, model.input("rate", "deg/s", 0.0, "rate"))
+    return model.freeze()
+
+
+def test_quantities_are_converted_to_the_unit_of_their_input(tmp_path):
+    fmu = cosim.export_fmu(turned(), tmp_path / "turned.fmu")
+    for run in (
+        cosim.simulate(with_laws(turned(), (("rate", "5deg/s"),))),
+        cosim.simulate(turned(), inputs={"rate": "5deg/s"}),
+        cosim.simulate_fmu(fmu, inputs={"rate": "5deg/s"}),
+    ):
+        assert run["angle"][-1] == pytest.approx(5.0, rel=1e-6)
+
+
+def test_numbers_with_units_do_not_mix_with_variables_in_other_units(tmp_path):
+    fmu = cosim.export_fmu(turned(), tmp_path / "turned.fmu")
+    for call in (
+        lambda: cosim.simulate(turned(), inputs={"rate": "5deg/s*time"}),
+        lambda: cosim.simulate_fmu(fmu, inputs={"rate": "5deg/s*time"}),
+        lambda: cosim.simulate(turned(), inputs={"rate": "5"}, stop_when="angle > 3deg"),
+    ):
+        with pytest.raises(ParameterError, match=r"is in deg.*without units"):
+            call()
+    run = cosim.simulate(turned(), inputs={"rate": "5"}, stop_when="angle > 3")
+    assert run.time[-1] == pytest.approx(0.6, rel=1e-6)
+
+
+def test_name_of_time_belongs_to_time():
+    model = Model("plate", stop_time=1.0)
+    x, thickness = model.state("x", "m", 0.0, "x"), model.parameter("t", "m", 5.0, "thickness")
+    model.derivative(x, model.input("u", "m/s", 0.0, "u") + 0 * thickness)
+    dae = model.freeze()
+    with pytest.raises(UnknownName, match="no name 't'"):
+        cosim.simulate(dae, inputs={"u": "2*t"})
+    assert cosim.simulate(dae, inputs={"u": "2*time"})["x"][-1] == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("text", ["1 150 rpm", "12 150", "1 1000/min", "3 1^2 rpm"])
+def test_numbers_within_units_are_rejected(text):
+    with pytest.raises(ParameterError, match="is unknown"):
+        quantity("omega", text, "rad/s")
+    assert quantity("rate", "600 1/min", "1/s") == pytest.approx(10.0)

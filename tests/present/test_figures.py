@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,16 @@ def curves(axis):
 @pytest.fixture(scope="module")
 def path_run():
     return cosim.simulate(cosim.load("bicycle"), stop_time=0.5)
+
+
+def test_curves_of_a_panel_stand_in_one_unit():
+    run = made_up(a=[POUND, 0.0], b=[POUND, 0.0])
+    plain = replace(run.column("b"), display_unit=None)
+    run = replace(run, columns=(run.column("a"), plain))
+    (figure,) = draw_figures([FigureSpec("F", (("a", "b"),))], run)
+    (axis,) = figure.axes
+    assert axis.get_ylabel() == "a, b [lbf]"
+    np.testing.assert_allclose([y[0] for y in curves(axis)], [1, 1])
 
 
 def test_curves_stand_in_display_units_under_their_title():

@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 
+from cosim.errors import UnknownName, UsageError
 from cosim.series import csv_file
 from cosim.series.csv_file import repr_17, write_csv
 from cosim.series.samples import Column
@@ -52,3 +53,44 @@ def test_line_of_units_may_hold_a_1(tmp_path):
     assert run["n"].tolist() == [2, 4]
     path.write_text("time,x\n1,\n2,1\n")  # a gap is no unit
     assert np.isnan(Trajectory.read_csv(path)["x"][0])
+
+
+def read(tmp_path, text, **options):
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    return Trajectory.read_csv(path, **options)
+
+
+def test_indices_and_derivatives_are_names_and_no_units(tmp_path):
+    run = read(tmp_path, "time,der(h),x[1],x[2],phi (roll) [deg]\n0,1,2,3,180\n1,1,2,3,180\n")
+    assert run.names == ("der(h)", "x[1]", "x[2]", "phi (roll)")
+    np.testing.assert_allclose(run.values[0], [1, 2, 3, np.pi])
+
+
+@pytest.mark.parametrize("header", ["n [1000/min]", "F [10 N]", "c [N/(mm/s)]"])
+def test_units_with_numbers_or_brackets_are_rejected(tmp_path, header):
+    with pytest.raises(UsageError, match="unknown; give units"):
+        read(tmp_path, f"time,{header}\n0,1\n1,1\n")
+
+
+def test_line_of_units_leaves_those_of_the_header_where_it_is_empty(tmp_path):
+    run = read(tmp_path, "time [ms],phi\n,deg\n5,180\n6,180\n")
+    np.testing.assert_allclose(run.time, [0.005, 0.006])
+    np.testing.assert_allclose(run["phi"], np.pi)
+
+
+def test_column_of_a_torque_is_not_the_time(tmp_path):
+    run = read(tmp_path, "time_s,T,phi\n0,20,1\n1,21,2\n")
+    assert run.names == ("T", "phi")
+    assert read(tmp_path, "x,t\n5,0\n6,1\n").time.tolist() == [0, 1]
+
+
+def test_units_of_no_column_and_other_units_than_in_the_header_are_rejected(tmp_path):
+    text = "t,roll,yaw [rad]\n0,180,1\n1,180,1\n"
+    assert read(tmp_path, text, units={"roll": "deg"})["roll"][0] == pytest.approx(np.pi)
+    with pytest.raises(UnknownName, match="no column 'rol'; did you mean roll"):
+        read(tmp_path, text, units={"rol": "deg"})
+    with pytest.raises(UsageError, match="yaw is in 'rad' by its header; units= says 'deg'"):
+        read(tmp_path, text, units={"yaw": "deg"})
+    odd = "t,F [10 N]\n0,2\n1,2\n"
+    assert read(tmp_path, odd, units={"F": "kN"})["F"][0] == 2000

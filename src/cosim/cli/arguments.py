@@ -12,7 +12,7 @@ from cosim.integrate.keywords import requested
 from cosim.model.catalogue import load
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
-from cosim.model.quantities import quantity
+from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
@@ -39,7 +39,7 @@ def scene_from(args: argparse.Namespace) -> Scene:
         request = with_solver(request, solver)
     keywords = options_in(args, *TIMES, *_NUMBERS, *_POLICY) | goal
     if getattr(args, "at", None) is not None and runs_natively(args):
-        keywords |= {"output_times": sorted(times_in("--at", args.at)), "stop_time": None}
+        keywords |= {"output_times": sorted(numbers_in("--at", args.at)), "stop_time": None}
     if args.outputs is not None:
         keywords["outputs"] = names_in(args.outputs)
         scene = replace(scene, figures=())
@@ -100,16 +100,21 @@ def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
 
 def assigned(option: str, items: Iterable[str], form: str) -> Iterator[tuple[str, str]]:
     """Yield the names and texts of an option whose values are written as NAME=TEXT."""
+    names = set[str]()
     for item in items:
         name, equals, text = (part.strip() for part in item.partition("="))
         if not equals:
             raise UsageError(f"{option} {item}: write NAME={form}")
+        if name in names:
+            raise UsageError(f"{name} is given twice; give it once")
+        names.add(name)
         yield name, text
 
 
-def times_in(option: str, text: str) -> list[float]:
-    """Return the times of a list with commas, s; each may have a unit."""
-    return [quantity(option, word, "s") for word in text.split(",")]
+def numbers_in(option: str, text: str, unit: str = "s") -> list[float]:
+    """Return the numbers of a list with commas in a unit; all or none may have units."""
+    reject_mixed_units(option, text.split(","))
+    return [quantity(option, word, unit) for word in text.split(",")]
 
 
 def names_in(text: str) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
-from cosim.model.quantities import quantity
+from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
@@ -174,6 +174,7 @@ def single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace
     for item in args.values:
         name, equals, text = item.partition("=")
         texts = text.split(",") if equals else [text]
+        reject_mixed_units(f"-p {name}", texts)
         choices.append([f"{name}{equals}{one}" for one in texts])
     lists = [i for i, items in enumerate(choices) if len(items) > 1]
     for chosen in product(*choices):

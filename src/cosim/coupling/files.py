@@ -142,7 +142,10 @@ class _Description:
         """
         parts = dict(self._parts(self._system, ()))
         experiment = self._root.find("{*}DefaultExperiment")
-        stop = None if experiment is None else experiment.get("stopTime")
+        times = {} if experiment is None else experiment.attrib
+        stop, start = times.get("stopTime"), times.get("startTime", "0")
+        if float(start):
+            raise UsageError(f"{self._path} starts at {start} s; shift its times so that it is 0")
         names = {place: _identifier("_".join(place)) for place in parts}
         if len(set(names.values())) < len(names):
             raise UsageError(f"{self._path}: two parts have the same name; rename one")
@@ -209,6 +212,14 @@ class _Description:
                     "once"
                 )
             driven.add(sink)
+            what = {_local(child) for child in connection if "Mapping" in child.tag}
+            if connection.get("suppressUnitConversion") in ("true", "1"):
+                what.add("suppressUnitConversion")
+            if what:
+                raise UsageError(
+                    f"{self._path}: {min(what)} in the connection to {'.'.join(sink[0])}.{sink[1]} "
+                    "cannot be read here; write a LinearTransformation"
+                )
             linear = connection.find("{*}LinearTransformation")
             change = {} if linear is None else linear.attrib
             yield sink, (source, float(change.get("factor", 1)), float(change.get("offset", 0)))

@@ -149,7 +149,8 @@ def stopping(dae: Dae, condition: str) -> Dae:
     groups = (dae.z, dae.algebraics), (dae.u, dae.inputs), (dae.outputs, dae.output_variables)
     for column, variables in groups:
         symbols |= {v.name: s for v, s in zip(variables, ca.vertsplit(column), strict=True)}
-    holds = formula.condition(f"{dae.full_name}: stop_when", condition, symbols)
+    units = {variable.name: variable.unit for variable in dae.variables}
+    holds = formula.condition(f"{dae.full_name}: stop_when", condition, symbols, units)
     event = Event(STOP_WHEN, holds, (), ca.SX(0, 1), message=condition)
     return replace(dae, events=(*dae.events, event))
 

@@ -100,7 +100,9 @@ def _by_name(owner: str, inputs: Any) -> Iterator[tuple[str, Any, Mapping[str, f
             yield str(name), given, {}
 
 
-def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
+def followed(
+    owner: str, inputs: Any, times: Vector, units: Mapping[str, str | None]
+) -> InputSeries | None:
     """Return the inputs of an FMU, whose equations cannot be changed.
 
     Formulas and functions of time are evaluated at every time that the FMU receives.
@@ -109,6 +111,7 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
         inputs: An `InputSeries`; or by name a number, a formula or a function of time, samples at
             the output times (n,), or an `InputSeries` with that input.
         times: Output times, s, (n,).
+        units: Of the inputs by name.
 
     Raises:
         UnknownName, ParameterError, UsageError: See `driven`.
@@ -123,8 +126,11 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
         elif isinstance(value, Real):
             pieces.append(_samples(owner, name, [float(value)] * 2, ends))
         elif isinstance(value, str) or callable(value):
+            unit = units.get(name) or "1"
+            if isinstance(value, str) and _is_quantity(value):
+                value = repr(quantity(name, value, unit))
             if isinstance(value, str):
-                law, switches = _formula(f"{owner}: {name}", value, numbers, ends)
+                law, switches = _formula(f"{owner}: {name}", value, numbers, ends, unit)
             else:
                 law, switches = value, _samples(owner, name, value, times).jumps.tolist()
             laws[name] = _on_arrays(law)
@@ -139,12 +145,12 @@ def followed(owner: str, inputs: Any, times: Vector) -> InputSeries | None:
 
 
 def _formula(
-    owner: str, text: str, constants: Mapping[str, float], ends: Vector
+    owner: str, text: str, constants: Mapping[str, float], ends: Vector, unit: str
 ) -> tuple[Callable[[float], float], list[float]]:
     """Return a formula as a function, and when its relations switch between two times, s."""
     model = Model("input")
     symbols = {name: SX(value) for name, value in constants.items()}
-    value = expression(owner, text, symbols | {"t": model.t, "time": model.t})
+    value = expression(owner, text, symbols | {"t": model.t, "time": model.t}, {"": unit})
     model.derivative(model.state("integral", "1", 0.0, "integral of the input"), value)
     function = ca.Function("law", [model.t], [value])
     switches = list(switch_times(model.freeze(), *ends.tolist()))
@@ -172,11 +178,14 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...], constants: tuple[str,
     for name, law in laws:
         if name not in known:
             raise UnknownName.among(dae.full_name, "input", name, known)
-        owner = f"{dae.full_name}: {name}"
-        found = (
-            expression(owner, law, names_of(dae)) if isinstance(law, str) else _symbolic(dae, law)
-        )
-        rows[known.index(name)] = found
+        place = known.index(name)
+        if not isinstance(law, str):
+            rows[place] = _symbolic(dae, law)
+        elif _is_quantity(law):
+            rows[place] = SX(quantity(name, law, dae.inputs[place].unit))
+        else:
+            units = {v.name: v.unit for v in dae.variables} | {"": dae.inputs[place].unit}
+            rows[place] = expression(f"{dae.full_name}: {name}", law, names_of(dae), units)
     left = [i for i, name in enumerate(known) if name not in dict(laws)]
     u = ca.vertcat(*(dae.u[i] for i in left)) if left else SX(0, 1)
     followed = dae.rewritten(lambda laws: ca.substitute(laws, [dae.u], [ca.vertcat(*rows)]))
@@ -200,10 +209,13 @@ def _with_parameters(dae: Dae, names: tuple[str, ...]) -> Dae:
 
 def names_of(dae: Dae) -> dict[str, SX]:
     """Return the symbols that a formula may use, by name: time, states and parameters."""
-    symbols = {"t": dae.t, "time": dae.t}
+    symbols = dict[str, SX]()
     for column, variables in ((dae.x, dae.states), (dae.p, dae.parameters)):
         symbols |= {v.name: s for v, s in zip(variables, ca.vertsplit(column), strict=True)}
-    return symbols
+    time = {"time": dae.t, "t": dae.t}
+    if "t" in symbols:  # a formula with `t` could mean either
+        del time["t"], symbols["t"]
+    return time | symbols
 
 
 def _is_quantity(text: str) -> bool:

@@ -3,7 +3,7 @@
 import ast
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from functools import reduce
 from math import e, pi
 from typing import Any
@@ -11,13 +11,14 @@ from typing import Any
 import casadi as ca
 from casadi import SX
 
+from casadi_models.units import UNITS
 from cosim.errors import ParameterError, UnknownName
 from cosim.model.quantities import parse_unit
 
 _POWER = r"[A-Za-z\u00b0\u03a9]+(?:\d+|(?:\^|\*\*)-?\d+)?"
 _NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)"
-    rf"({_POWER}(?:[./*]{_POWER})*)"
+    rf"({_POWER}(?:[./*-]{_POWER})*)"
 )
 _CONSTANTS = {"pi": pi, "e": e}
 _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
@@ -44,33 +45,52 @@ _COMPARISONS: Mapping[type, Callable[[Any, Any], Any]] = {
 }  # fmt: skip
 
 
-def expression(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
+def expression(
+    owner: str, text: str, symbols: Mapping[str, SX], units: Mapping[str, str] | None = None
+) -> SX:
     """Read a formula.
 
     Numbers may carry a unit without a blank, `45deg` or `9.81m/s^2`, whose powers belong to it;
     `^` is a power; `where(t > 1, 2, 0)` chooses.
 
-    Raises:
-        ParameterError: It is no formula of numbers, names and known functions.
-        UnknownName: A name in it does not exist.
-    """
-    return SX(_Reader(owner, text, symbols).value(_parsed(owner, text)))
-
-
-def condition(owner: str, text: str, symbols: Mapping[str, SX]) -> SX:
-    """Read a condition: comparisons, `and`, `or`, `not`.
+    Args:
+        owner: For messages.
+        symbols: By name.
+        units: Of the symbols by name, and of the result by the name "".
 
     Raises:
-        ParameterError: It is no condition.
+        ParameterError: It is no formula of numbers, names and known functions, or has numbers with
+            a unit, which become SI values, and variables in other units.
         UnknownName: A name in it does not exist.
     """
-    return SX(_Reader(owner, text, symbols).condition(_parsed(owner, text)))
+    return SX(_Reader(owner, text, symbols).value(_parsed(owner, text, symbols, units or {})))
 
 
-def _parsed(owner: str, text: str) -> ast.expr:
+def condition(
+    owner: str, text: str, symbols: Mapping[str, SX], units: Mapping[str, str] | None = None
+) -> SX:
+    """Read a condition: comparisons, `and`, `or`, `not`; see `expression`.
+
+    Raises:
+        ParameterError: It is no condition, or see `expression`.
+        UnknownName: A name in it does not exist.
+    """
+    return SX(_Reader(owner, text, symbols).condition(_parsed(owner, text, symbols, units or {})))
+
+
+def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, str]) -> ast.expr:
     if not isinstance(text, str):
         raise ParameterError(f"{owner}: {text!r} is no formula; give a text, e.g. '10*sin(t)'")
-    plain = _NUMBER_WITH_UNIT.sub(_in_si, text).replace("^", "**")  # ^ would bind less than +
+    plain = _NUMBER_WITH_UNIT.sub(lambda match: _in_si(owner, match, names), text)
+    if plain != text:
+        for name in ("", *re.findall(r"[A-Za-z_]\w*", plain)):
+            unit = UNITS.get(units.get(name, ""))
+            if unit is not None and unit.factor != 1:
+                raise ParameterError(
+                    f"{owner}: '{text}' has numbers with units, which become SI values, but "
+                    f"{name or 'the result'} is in {units[name]}; write all numbers without units"
+                )
+    plain = plain.replace("^", "**")  # ^ would bind less than +
     try:
         return ast.parse(plain.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
@@ -80,14 +100,29 @@ def _parsed(owner: str, text: str) -> ast.expr:
         ) from None
 
 
-def _in_si(match: re.Match[str]) -> str:
-    """Return a number with a unit as a product; the longest matching unit is taken."""
+def _in_si(owner: str, match: re.Match[str], names: Container[str]) -> str:
+    """Return a number with a unit as a product; the longest matching unit is taken.
+
+    Raises:
+        ParameterError: A part of the unit may be a name of the model, or a power not part of it.
+    """
     number, unit = match[1], match[2]
     for end in range(len(unit), 0, -1):
         found = parse_unit(unit[:end])
         rest = unit[end:]
-        if found is not None and not (rest and rest[0].isalnum()):
-            return f"({number}*{found.factor!r}){rest}"
+        if found is None or (rest and rest[0].isalnum()):
+            continue
+        _, *factors = re.findall(r"[A-Za-z\u00b0\u03a9]+", unit[:end])
+        after = (rest + match.string[match.end() :]).lstrip()
+        is_difference = "-" in re.sub(r"[*^]-", "", unit[:end])
+        is_power = after.startswith(("^", "**"))
+        if is_difference or is_power or any(name in names for name in factors):
+            raise ParameterError(
+                f"{owner}: in '{match.string}', '{number}{unit[:end]}' can be read in two ways; "
+                "write blanks around what does not belong to the unit, and powers as 3cm^2 or "
+                "(3cm)^2"
+            )
+        return f"({number}*{found.factor!r}){rest}"
     return match[0]
 
 
@@ -101,7 +136,7 @@ class _Reader:
             case ast.Constant(value=bool()):
                 raise self.refusal(node)
             case ast.Constant(value=int() | float() as number):
-                return float(number)
+                return float(str(number))  # of any length
             case ast.Name(id=name):
                 return self.named(name)
             case ast.UnaryOp(op=ast.USub(), operand=operand):

@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from cosim.text import LONGEST_WORD, bounded
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
-_FACTOR = re.compile(r"([A-Za-z\u00b0\u03a9\u00b5\u03bc%]+|1)(?:(?:\^|\*\*)?([-+]?\d+))?")
+_FACTOR = re.compile(r"([A-Za-z\u00b0\u03a9\u00b5\u03bc%]+)(?:(?:\^|\*\*)?([-+]?\d+))?|1(?![\d^*])")
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
 
 
@@ -65,6 +65,20 @@ def quantity(name: str, text: str, unit: str) -> float:
     return value if source.factor == target.factor else value * source.factor / target.factor
 
 
+def reject_mixed_units(name: str, words: Sequence[str]) -> None:
+    """Reject a list of quantities in which one has a unit and another, which is not 0, has none.
+
+    Raises:
+        ParameterError: It is such a list, e.g. 100,200,300rpm.
+    """
+    found = [match for match in map(_QUANTITY.fullmatch, words) if match]
+    without = [match[0].strip() for match in found if not match[2] and float(match[1])]
+    if without and (others := [match[0].strip() for match in found if match[2]]):
+        raise ParameterError(
+            f"{name}: {without[0]} has no unit and {others[0]} has one; write the unit at each"
+        )
+
+
 @lru_cache(1024)
 def parse_unit(text: str, like: Unit | None = None) -> Unit | None:
     """Return the unit that a text names; None when a part of it is unknown.
@@ -99,7 +113,7 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
             position, expected = separator.end(), True
             continue
         match = _FACTOR.match(text, position)
-        unit = known(match[1]) if match and expected else None
+        unit = known(match[1] or "1") if match and expected else None
         if match is None or unit is None:
             return None
         power = sign * int(match[2] or 1)

@@ -1,5 +1,6 @@
 """`RunRequest`: what to simulate, as one value that is independent of the backend."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -8,6 +9,7 @@ from typing import TypeVar
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.errors import UnknownName, UsageError
+from cosim.model.catalogue import observable
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import checked_outputs, reduce
 from cosim.model.solver import AdaptiveSolver, Goal, Solver, Tolerance
@@ -158,11 +160,13 @@ class RunRequest:
         return getattr(self.solver, "max_step", None)
 
     def reduced(self) -> "RunRequest":
-        """Return the request with the model reduced to the equations that its outputs require."""
+        """Return the request with the model reduced to what outputs and stop condition require."""
         if self.outputs is None:
             return self
-        values = plain_values(self.dae, self.values)
-        small = reduce(self.dae, self.outputs)
+        values, dae = plain_values(self.dae, self.values), self.dae
+        words = re.findall(r"\w+", self.policy.stop_when or "")
+        needed = (*self.outputs, *(name for name in observable(dae) if name in words))
+        small = reduce(dae, tuple(dict.fromkeys(needed)))
         known = {v.name for v in (*small.states, *small.parameters, *small.inputs)}
         return replace(
             self,

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from casadi_models.units import UNITS
 from cosim.arrays import Vector
 from cosim.colors import CURVES, INVALID, SECOND
 from cosim.errors import UsageError
@@ -143,19 +144,20 @@ def _overlaid_panel(
     axis: Axes, spec: FigureSpec, panel: Sequence[str], labelled: Sequence[tuple[Trajectory, str]]
 ) -> None:
     several, runs = len(panel) > 1, [run for run, _ in labelled]
+    unit = runs[0].column(panel[0]).shown_unit
     for i, name in enumerate(panel):
         for k, (run, label) in enumerate(labelled):
             axis.plot(
                 _displayed(run, spec.x),
-                _displayed(run, name),
+                _displayed(run, name, unit),
                 color=CURVES[(i if several else k) % len(CURVES)],
                 linestyle=LINES[k % len(LINES)],
                 linewidth=1.6 - 0.25 * min(k, 3),
                 label=f"{name}, {label}" if several else label,
             )
-    axis.set_ylabel(fill(f"{', '.join(panel)} [{runs[0].column(panel[0]).shown_unit}]", 24))
-    unit = "s" if spec.x == "time" else runs[0].column(spec.x).shown_unit
-    axis.set_xlabel(f"{spec.x_label or spec.x} [{unit}]")
+    axis.set_ylabel(fill(f"{', '.join(panel)} [{unit}]", 24))
+    over = "s" if spec.x == "time" else runs[0].column(spec.x).shown_unit
+    axis.set_xlabel(f"{spec.x_label or spec.x} [{over}]")
     axis.label_outer()
     _scale(axis, spec, panel, runs)
 
@@ -281,13 +283,14 @@ def _panel(
     legends = spec.legends[index] if spec.legends else meanings
     for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
         color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
-        over, values = _displayed(run, spec.x), _displayed(run, column.name)
+        over, values = _displayed(run, spec.x), _displayed(run, column.name, columns[0].shown_unit)
         axis.plot(over, values, color=color, linestyle=line, label=legend)
         bad = run.time >= run.validity[0]
         if spec.x != "time" and bad.any():
             axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
         if other is not None:
-            axis.plot(_displayed(other, spec.x), _displayed(other, column.name), **_SECOND_RUN)
+            second = _displayed(other, column.name, columns[0].shown_unit)
+            axis.plot(_displayed(other, spec.x), second, **_SECOND_RUN)
     label = spec.labels[index] if spec.labels else ", ".join(names)
     letters = 34 if spec.equal or len(spec.panels) == 1 else 19
     axis.set_ylabel(_beside(label, columns[0].shown_unit, letters))
@@ -302,7 +305,8 @@ def _difference(
     axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
 ) -> None:
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
-        gap = _displayed(other, name) - _displayed(run, name)
+        unit = run.column(names[0]).shown_unit
+        gap = _displayed(other, name, unit) - _displayed(run, name, unit)
         color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
         axis.plot(run.time, gap, color=color, linestyle=line, linewidth=0.9, label=legend)
     axis.set_ylabel(_beside("difference", run.column(names[0]).shown_unit, 16))
@@ -340,8 +344,15 @@ def _beside(label: str, unit: str, letters: int) -> str:
     return text if len(text) <= letters else f"{fill(label, letters)}\n[{unit}]"
 
 
-def _displayed(run: Trajectory, name: str) -> Vector:
-    return run.time if name == "time" else run.column(name).shown(run[name])
+def _displayed(run: Trajectory, name: str, unit: str = "") -> Vector:
+    """Return a variable in the unit of its axis if it converts, else in its display unit."""
+    if name == "time":
+        return run.time
+    column = run.column(name)
+    own, other = UNITS.get(column.unit), UNITS.get(unit)
+    if own is not None and other is not None and own.measures_like(other):
+        column = replace(column, display_unit=unit)
+    return column.shown(run[name])
 
 
 def _displayed_nominal(column: Column) -> float:

@@ -19,9 +19,10 @@ from cosim.series.samples import Column
 from cosim.text import csv_cell
 
 UNIT_KINDS = ("si", "book")  # of units in files
-_NAMED = re.compile(r"\s*(.+?)\s*(?:[\[(]([^\])]*)[\])]?)?\s*")
+_NAMED = re.compile(r"\s*(.+?)\s*(?:\[([^\[\]]*)\]?|\(([^()]*)\)?)?\s*")
+_WITHOUT_UNIT = re.compile(r"der\(.*\)|\S+\[[\d\s,;]+\]")  # a derivative, an element
 _BLOCK = 1000  # rows, that are written at once
-_TIMES = ("time", "t", "zeit", "temps")
+_TIME = re.compile("t|(?i:time|zeit|temps)")  # T is a torque or a temperature
 
 
 def write_csv(
@@ -92,25 +93,34 @@ def read_samples(
     """
     rows = rows_of(path)
     cells = [cell.strip() for cell in rows[0][1]]
-    header = [_NAMED.fullmatch(cell) for cell in cells]
+    header = [_named(cell) for cell in cells]
     if len(header) < 2 or any(_is_number(cell) for cell in cells):
         raise UsageError(f"{path}, line {rows[0][0]}: no header; write 'time,NAME,...' there")
-    if headers is None and not all(header):
+    if headers is None and not all(name for name, _ in header):
         raise UsageError(f"{path}, line {rows[0][0]}: a column has no name; give each one a name")
-    names = [match[1] if match else "" for match in header]
-    written: list[str | None] = [match[2] if match else None for match in header]
+    names, written = [name for name, _ in header], [unit for _, unit in header]
     body = rows[1:]
     words = [cell for cell in body[0][1] if cell.strip() != "1"] if body else []  # 1 is a unit
     if any(map(str.strip, words)) and not any(map(_is_number, words)):
-        written, body = [cell.strip() or None for cell in body[0][1]], body[1:]
+        line, words = body[0]
+        numbers_of(path, line, ["" for _ in words], names, [])  # rejects another number of cells
+        units_line = [cell.strip() or own for cell, own in zip(words, written, strict=True)]
+        written, body = units_line, body[1:]
     if not body:
         raise UsageError(f"{path}: there is no sample below the header; give one line or more")
-    at = next((i for i, name in enumerate(names) if name.lower() in _TIMES), 0)
+    at = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), 0)
     at = at if time is None else _place(path, cells, names, time)
     chosen = [(name, i) for i, name in enumerate(names) if i != at]
     if headers is not None:
         chosen = [(name, _place(path, cells, names, text)) for name, text in headers.items()]
     places = [at, *(i for _, i in chosen)]
+    for key, unit in units.items():
+        own = dict([("time", at), *chosen])
+        if key not in own:
+            raise UnknownName.among(f"{path}: units", "column", key, own)
+        other = written[own[key]]
+        if other is not None and other != unit and parse_unit(other) is not None:
+            raise UsageError(f"{path}: {key} is in '{other}' by its header; units= says '{unit}'")
     table = np.array([numbers_of(path, line, row, names, places) for line, row in body])
     _, factor = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
     times = table[:, 0] * factor
@@ -123,6 +133,14 @@ def read_samples(
     pairs = [_column(path, n, units.get(n, written[i]), known.get(n)) for n, i in chosen]
     values = table[:, 1:] * [factor for _, factor in pairs]
     return times, tuple(column for column, _ in pairs), values, [line for line, _ in body]
+
+
+def _named(cell: str) -> tuple[str, str | None]:
+    """Return the name in the header of a column, and the unit in brackets behind it."""
+    match = _NAMED.fullmatch(cell)
+    if match is None or _WITHOUT_UNIT.fullmatch(cell):
+        return cell, None
+    return match[1], match[2] if match[3] is None else match[3]
 
 
 def _place(path: Path, cells: Sequence[str], names: Sequence[str], text: str) -> int:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casadi_models.dae import Dae
-from cosim.cli.arguments import names_in, start_numbers, times_in
+from cosim.cli.arguments import names_in, numbers_in, start_numbers
 from cosim.cli.runs import runs_of, scene_or_none, single, size_of
 from cosim.cli.tables import note
 from cosim.errors import UsageError
@@ -17,7 +17,7 @@ from cosim.trajectory import Trajectory
 def run(args: argparse.Namespace) -> int:
     """Show runs in three dimensions."""
     animation_format(args.output_file)  # rejects it before anything is computed
-    at = None if args.poses is None else times_in("--at", args.poses)
+    at = None if args.poses is None else numbers_in("--at", args.poses)
     size = size_of(args)
     tables = [name for name in args.sources if name.endswith(".csv")]
     if args.shown_model is None and tables:

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.cli.arguments import names_in, scene_from, start_numbers, times_in, value_of
+from cosim.cli.arguments import names_in, numbers_in, scene_from, start_numbers, value_of
 from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.trust import require_trust
+from cosim.model.quantities import reject_mixed_units
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.linearize import linearize
 from cosim.study.linearize.point import EQUILIBRIUM, START
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         model, start, outputs = request.dae, dict(request.values), request.outputs
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
-        points = [*times_in("--at", args.at)]
+        points = [*numbers_in("--at", args.at)]
     if args.along:
         if len(points) > 1:
             raise UsageError("--along needs a single point; give one time with --at")
@@ -54,6 +55,7 @@ def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
     if not equals or len(parts) != 3 or not parts[2].isdigit():
         raise UsageError(f"--along {args.along}: write NAME=A:B:N")
     dae = None if isinstance(model, str) else model
+    reject_mixed_units(f"--along {name}", parts[:2])
     first, last = (value_of(dae, name, part) for part in parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
     found = linearize(model, along={name: values}, at=at, start_values=start, outputs=outputs)

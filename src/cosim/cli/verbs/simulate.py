@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cosim.cli.arguments import runs_natively, times_in
+from cosim.cli.arguments import numbers_in, runs_natively
 from cosim.cli.runs import run_or_partial, scene_or_none
 from cosim.cli.tables import show_table, write_text
 from cosim.errors import UnknownName, UsageError
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     scene = scene_or_none(args)
     run, code = run_or_partial(args, scene)
     if args.at is not None and (scene is None or not runs_natively(args)):
-        run = run.at(sorted(times_in("--at", args.at)))
+        run = run.at(sorted(numbers_in("--at", args.at)))
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}

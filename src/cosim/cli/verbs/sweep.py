@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from cosim.cli.arguments import TIMES, assigned, names_in, options_in, times_in, value_in
+from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, value_in
 from cosim.cli.tables import note, write_text
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
+from cosim.model.quantities import reject_mixed_units
 from cosim.study.sweep.samples import Samples, chosen_samples
 from cosim.study.sweep.subject import Subject, open_subject
 from cosim.study.sweep.sweep import sweep
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         samples=_samples(subject, args),
         progress=False if args.quiet else None,
         outputs=None if args.outputs is None else names_in(args.outputs),
-        output_times=None if args.times is None else times_in("--times", args.times),
+        output_times=None if args.times is None else numbers_in("--times", args.times),
         **options_in(args, *_OF_SWEEP, *_OF_RUNS),
     )
     if args.output_file is not None or args.store is None:
@@ -63,8 +64,8 @@ def _axes(subject: Subject, items: Sequence[str], *, ranges: bool) -> dict[str, 
     """Read `-p NAME=...`: ranges and distributions of a design, otherwise lists of values."""
     axes: dict[str, Any] = {}
     for name, text in assigned("-p", items, _AXIS_FORMS):
-        if name in axes:
-            raise UsageError(f"{name} is given twice; give it once")
+        words = text.split(":")[:2] if ":" in text else re.split("[,()]", text)
+        reject_mixed_units(f"-p {name}", words)
         axes[name] = _range(subject, name, text) if ranges else _values(subject, name, text)
     return axes
 

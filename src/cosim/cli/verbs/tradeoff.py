@@ -6,13 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.cli.arguments import names_in, options_in, scene_from, start_texts
+from cosim.cli.arguments import names_in, numbers_in, options_in, scene_from, start_texts
 from cosim.cli.tables import show_table, write_text
 from cosim.coupling.files import is_system, read_system
 from cosim.coupling.system import System
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.trust import is_made_here
-from cosim.model.quantities import quantity
 from cosim.study.tradeoff.configuration import Selection
 from cosim.study.tradeoff.measurement import COSTS
 from cosim.study.tradeoff.result import Tradeoff
@@ -86,7 +85,7 @@ def _selection(args: argparse.Namespace) -> Selection:
     }
     for name, unit in (("tolerances", "1"), ("steps", "s")):
         if text := getattr(args, name):
-            chosen[name] = tuple(quantity(f"--{name}", word, unit) for word in text.split(","))
+            chosen[name] = tuple(numbers_in(f"--{name}", text, unit))
     if args.relative_tolerance is not None:
         if "tolerances" in chosen:
             raise UsageError(

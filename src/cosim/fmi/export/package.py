@@ -36,6 +36,7 @@ from cosim.fmi.export.variables import fmu_variables, structured, with_margins
 from cosim.fmi.platforms import NATIVE, targets
 from cosim.fmi.trust import remember
 from cosim.memo import cached_per_thread
+from cosim.model.reduction import checked_outputs
 from cosim.model.values import A_DAE, listed, number
 
 _C_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
@@ -235,7 +236,8 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     """Return the content of an FMU by path, without binaries."""
     name, fmi = options.identifier_of(dae), options.fmi
     if options.outputs is not None:
-        dae = _observing(dae, listed(f"{dae.full_name}: outputs", options.outputs))
+        names = checked_outputs(dae, options.outputs)
+        dae = replace(dae.watching(names), observed=names)
     tunable = options.tunable and listed(f"{dae.full_name}: tunable", options.tunable)
     solver = solver_for(dae, options.solver)
     fixed = options.step_size or dae.experiment.output_interval
@@ -312,14 +314,6 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
         "documentation/index.html": page.encode(),
         **{f"sources/{file}": content for file, content in {**runtime, **code}.items()},
     }
-
-
-def _observing(dae: Dae, outputs: Sequence[str]) -> Dae:
-    names = [v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables)]
-    for name in outputs:
-        if name not in names:
-            raise UnknownName.among(dae.full_name, "output", name, names)
-    return replace(dae, observed=tuple(outputs))
 
 
 def zipped(files: dict[str, bytes]) -> bytes:

@@ -82,7 +82,8 @@ class FmuRequest:
         recorded = tuple(variables[output] for output in output_names(name, variables, outputs))
         series = None
         if inputs is not None:
-            series = followed(str(name), inputs, time_grid(start, stop, interval))
+            units = {name: unit_of(variable) for name, variable in variables.items()}
+            series = followed(str(name), inputs, time_grid(start, stop, interval), units)
         if series is not None:
             _check_series(name, variables, series, values)
         return cls(

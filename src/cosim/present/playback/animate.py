@@ -21,6 +21,7 @@ import casadi_models
 from casadi_models.dae import Dae, Drawing
 from cosim.api import simulate
 from cosim.codegen.c_sources import page_source
+from cosim.codegen.casadi_library import generated
 from cosim.drawing.camera import View
 from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
 from cosim.drawing.pose import POINT, Poses, motion
@@ -307,9 +308,7 @@ def live_part(dae: Dae, run: Trajectory) -> dict[str, Any]:
     [picture] = ca.substitute([picture], [symbols[name] for name in constants], numbers)
     values = ca.vertcat(*(symbols[name] for name in own), SX.sym("curves", len(run.names)))
     drawn = ca.Function("drawn", [values, time], [picture], {"cse": True})
-    generator = ca.CodeGenerator("drawing", {"with_header": False})
-    generator.add(drawn)
-    sources["drawing.c"] = generator.dump().encode()
+    sources["drawing.c"] = generated("drawing", drawn).encode()
     sources["page.c"] = page_source()
     references = [variables[name]["reference"] for name in (*own, *run.names)]
     return {
