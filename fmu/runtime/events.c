@@ -130,7 +130,14 @@ static Status find_switched(Instance *self, int crossing, bool zero[], bool deci
             const double speed = fabs(rates[i]) * span, gap = inside[i] - s->slack[i];
             const bool crossed =
                 gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack[i];
-            zero[i] = i == crossing || crossed;
+            /* an importer of model exchange tells no rates of inputs: an argument that has passed
+               its boundary against the known rate has been moved there, and its value decides */
+            const double past = seen.arguments[i] - s->offsets[i];
+            const bool beyond =
+                relations[i].floor ? past < modes[i] || past >= modes[i] + 1 : modes[i] * past < 0;
+            const bool blind = self->state.interface == INTERFACE_ME && relations[i].of_input;
+            const bool moved = blind && beyond && rates[i] >= -ROUNDING * seen.sizes[i];
+            zero[i] = (i == crossing || crossed) && !moved;
             if (zero[i]) *way = fmax(*way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }
     }

@@ -16,9 +16,6 @@
 
 #if HAS_EVENTS
 
-/* Relative size of a rate below which it is taken as 0. */
-static const double ROUNDING = 64 * DBL_EPSILON;
-
 static const double EDGE = 1e-9;        /* by which the mode of a new sliding may leave -1 ... 1 */
 static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event */
 static const double NOT_AFFINE = 1e-8;  /* rate of an argument that should stay, relative */

@@ -60,6 +60,9 @@ bool is_sliding(const Instance *self);
 Status begin_modes(Instance *self);
 Status settle_modes(Instance *self, bool zero[], const bool decided[], Status severity);
 
+/* Relative size of a rate that is 0. */
+static const double ROUNDING = 64 * DBL_EPSILON;
+
 /* Relative distance of times that importers take as one. */
 static const double SAME_TIME = 1e-9;
 

@@ -2,6 +2,7 @@
 
 from contextlib import closing
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -353,3 +354,47 @@ def test_parameters_of_events_may_change_during_a_run(tmp_path, fmi):
     instance.terminate()
     instance.freeInstance()
     assert found == [2, 2, 2, 7]
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def threshold(request, tmp_path_factory):
+    """Return an FMU that counts how often an input passes a state, and integrates its steps."""
+    model = cosim.Model("threshold", description="an input and a state", stop_time=2.0)
+    y, steps = (model.state(name, "1", 0.0, name) for name in ("y", "steps"))
+    u = model.input("u", "1", 0.0, "input")
+    rate, level = model.parameter("rate", "1/s", 0.0, "y'"), model.parameter("level", "1", 0.5, "c")
+    count = model.discrete("count", "1", 0.0, "events")
+    model.derivative(y, rate)
+    model.derivative(steps, ca.floor(2 * (u - y)))
+    model.when(u - y > level, {count: count + 1}, name="passed")
+    folder = tmp_path_factory.mktemp("threshold")
+    return cosim.export_fmu(model.freeze(), folder / "threshold.fmu", fmi=request.param)
+
+
+@pytest.mark.parametrize(
+    ("law", "rate", "level", "time"),
+    [
+        ("t", 0.5, 0.3, 0.6),
+        ("t", 0.0, 0.5, 0.5),
+        ("0.6*t", 0.0, 0.5, 0.5 / 0.6),
+        ("0.37*t", 0.0, 0.5, 0.5 / 0.37),
+        ("0.2*t", -0.5, 0.5, 0.5 / 0.7),
+        ("2*t + 0.1*t^2", 1.0, 0.2, 5 * (np.sqrt(1.08) - 1)),
+    ],
+)
+def test_threshold_that_an_input_passes_is_met_in_model_exchange(threshold, law, rate, level, time):
+    """An importer of model exchange tells no rate of an input, which may oppose the known one."""
+    run = cosim.simulate_fmu(
+        threshold,
+        interface="ModelExchange",
+        inputs={"u": law},
+        start_values={"rate": rate, "level": level},
+        output_interval=0.07,
+        relative_tolerance=1e-9,
+    )
+    passed = [event.time for event in run.events if event.name == "passed"]
+    assert passed == pytest.approx([time], abs=1e-12)
+    assert run.final["count"] == 1
+    t = np.linspace(0, 2, 2_000_001)
+    value = eval(law.replace("^", "**"), {"t": t}) - rate * t
+    assert run.final["steps"] == pytest.approx(np.floor(2 * value).mean() * 2, abs=1e-5)
