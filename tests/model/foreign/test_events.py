@@ -48,6 +48,14 @@ def test_when_of_a_dae_builder_is_an_event():
     assert run.events[0].after["v"] == pytest.approx(-0.7 * run.events[0].before["v"])
 
 
+def test_transition_with_other_inputs_is_rejected():
+    x = ca.SX.sym("x", 2)
+    few = ca.Function("transition", [ca.SX.sym("index"), x], [x])
+    laws = {"x": x, "ode": ca.vertcat(x[1], -9.81), "zero": x[0], "transition": few}
+    with pytest.raises(UsageError, match="'transition' needs the inputs index, t, x, z, p, u"):
+        cosim.from_casadi(laws)
+
+
 @pytest.mark.parametrize("missing", ["zero", "transition"])
 def test_half_of_an_event_is_rejected(missing):
     system = {key: value for key, value in mapping(ca.SX).items() if key != missing}

@@ -232,6 +232,8 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
     transition = system.get("transition")
     if ("zero" in system) != isinstance(transition, ca.Function):
         raise UsageError(f"{who}: give 'zero' and the Function 'transition' together, or neither")
+    if isinstance(transition, ca.Function) and transition.n_in() != 1 + len(SYMBOLS):
+        raise UsageError(f"{who}: 'transition' needs the inputs index, t, x, z, p, u")
     given = {
         key: value
         for key, value in system.items()
