@@ -405,8 +405,10 @@ class CoSimulation:
                 for variables in (part.inputs, part.outputs)
             ]
             held += references
-            place.call = ctypes.pointer(part.functions)
-            place.recording = ctypes.pointer(part.recording(columns[name], tables[name]))
+            known = by_name(part.description)
+            variables = [known[variable] for variable in columns[name]]
+            place.call = ctypes.pointer(part.calls.functions)
+            place.recording = ctypes.pointer(part.calls.recording(variables, tables[name]))
             place.turn = self._turns.index(name)
             place.inputs, place.outputs = len(part.inputs), len(part.outputs)
             place.input_references, place.output_references = (r.ctypes.data for r in references)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.arrays import Vector
 from cosim.errors import FmuError
-from cosim.fmi.run.c_structures import Recorded, Recording, functions_of
+from cosim.fmi.run.c_structures import Calls
 from cosim.fmi.run.instance import (
     Interface,
     asks_for_inputs,
@@ -47,7 +46,6 @@ class OpenedPart:
         fmu.reset_is_enough = is_made_here(path)
         self.description = fmu.description
         self.instance: Any = None
-        self._recorded = dict[tuple[str, ...], Recorded]()
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
         known, abilities = by_name(fmu.description), fmu.description.coSimulation
         self.inputs = [known[name] for name in inputs]
@@ -81,20 +79,10 @@ class OpenedPart:
         """
         instance, self.explained = self._fmu.ready()
         if instance is not self.instance:
-            self.instance, self.functions = instance, functions_of(instance, self.description)
-            self._recorded.clear()
+            self.instance, self.calls = instance, Calls(instance, self.description)
         instance.logged_events.clear()
         instance.log_texts.clear()
         begin_initialization(self.instance, self.description, values, **experiment)
-
-    def recording(self, names: Sequence[str], rows: Vector) -> Recording:
-        """Return what records variables into rows, (times, names)."""
-        if (key := tuple(names)) not in self._recorded:
-            variables = [by_name(self.description)[name] for name in names]
-            self._recorded = {key: Recorded(self.instance, self.description, variables)}
-        structure = self._recorded[key].structure
-        structure.rows = rows.ctypes.data
-        return structure
 
     def feeds(self) -> NDArray[np.int64]:
         """Return whether each output depends at once on each input, (outputs, inputs)."""

@@ -121,14 +121,14 @@ def followed(
     laws, pieces = dict[str, Callable[[Vector], Vector]](), list[InputSeries]()
     ends = times[[0, -1]] if len(times) > 1 else times[0] + np.array([0.0, 1.0])
     for name, value, numbers in _by_name(owner, inputs):
+        unit = units.get(name) or "1"
+        if isinstance(value, str) and _is_quantity(value):
+            value = quantity(name, value, unit)
         if isinstance(value, InputSeries):
             pieces.append(_column(name, value))
         elif isinstance(value, Real):
             pieces.append(_samples(owner, name, [float(value)] * 2, ends))
         elif isinstance(value, str) or callable(value):
-            unit = units.get(name) or "1"
-            if isinstance(value, str) and _is_quantity(value):
-                value = repr(quantity(name, value, unit))
             if isinstance(value, str):
                 law, switches = _formula(f"{owner}: {name}", value, numbers, ends, unit)
             else:

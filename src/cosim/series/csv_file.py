@@ -114,11 +114,11 @@ def read_samples(
     if headers is not None:
         chosen = [(name, _place(path, cells, names, text)) for name, text in headers.items()]
     places = [at, *(i for _, i in chosen)]
+    place_of = {"time": at, **dict(chosen)}
     for key, unit in units.items():
-        own = dict([("time", at), *chosen])
-        if key not in own:
-            raise UnknownName.among(f"{path}: units", "column", key, own)
-        other = written[own[key]]
+        if key not in place_of:
+            raise UnknownName.among(f"{path}: units", "column", key, place_of)
+        other = written[place_of[key]]
         if other is not None and other != unit and parse_unit(other) is not None:
             raise UsageError(f"{path}: {key} is in '{other}' by its header; units= says '{unit}'")
     table = np.array([numbers_of(path, line, row, names, places) for line, row in body])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.errors import FmuError
 from cosim.fmi.run.instance import getter_name, is_second
 
@@ -145,15 +146,28 @@ class Recorded:
         )
 
 
-def functions_of(instance: Any, description: Any) -> Functions:
-    """Return the functions of an instance of fmpy's."""
-    version = 2 if is_second(description) else 3
-    found = {
-        field: _address(instance, f"fmi{version}{name}")
-        for field, names in _FUNCTIONS.items()
-        if (name := names[version - 2]) is not None
-    }
-    return Functions(version=version, instance=instance.component, **found)
+class Calls:
+    """The functions of an instance of fmpy's, and what records its variables, looked up once."""
+
+    def __init__(self, instance: Any, description: Any) -> None:
+        self._instance, self._description = instance, description
+        version = 2 if is_second(description) else 3
+        found = {
+            field: _address(instance, f"fmi{version}{name}")
+            for field, names in _FUNCTIONS.items()
+            if (name := names[version - 2]) is not None
+        }
+        self.functions = Functions(version=version, instance=instance.component, **found)
+        self._recorded: dict[tuple[int, ...], Recorded] = {}
+
+    def recording(self, variables: Sequence[Any], rows: Vector) -> Recording:
+        """Return what records variables into rows, (times, variables)."""
+        key = tuple(map(id, variables))  # which live as long as their description
+        if key not in self._recorded:
+            self._recorded = {key: Recorded(self._instance, self._description, variables)}
+        structure = self._recorded[key].structure
+        structure.rows = rows.ctypes.data
+        return structure
 
 
 def _address(instance: Any, name: str) -> int | None:

@@ -18,7 +18,7 @@ from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.c_structures import Ending, Recorded, Run, functions_of, reject_failure
+from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
 from cosim.fmi.run.instance import (
     Interface,
     asks_for_inputs,
@@ -184,8 +184,7 @@ class CompiledMaster:
             description.numberOfEventIndicators if exchange else 0,
             exchange,
         )
-        self._functions = functions_of(instance, description)
-        self._recordings: dict[tuple[int, ...], Recorded] = {}
+        self._calls = Calls(instance, description)
 
     def run(self, request: FmuRequest) -> MasterRun:
         """Initialize the FMU and run it.
@@ -197,13 +196,9 @@ class CompiledMaster:
         initialize(instance, description, request.values, **request.experiment)
         points = request.points
         rows = np.empty((len(points), len(request.recorded)))
-        key = tuple(map(id, request.recorded))  # which live as long as their description
-        if key not in self._recordings:
-            self._recordings = {key: Recorded(instance, description, request.recorded)}
-        recording = self._recordings[key].structure
-        recording.rows = rows.ctypes.data
+        recording = self._calls.recording(request.recorded, rows)
         run = Run(
-            functions=ctypes.pointer(self._functions),
+            functions=ctypes.pointer(self._calls.functions),
             recording=ctypes.pointer(recording),
             times=points.ctypes.data,
             points=len(points),

@@ -86,6 +86,7 @@ def _from_bodies(
     moves: Mapping[Any, SX],
 ) -> dict[str, SX]:
     """Return the equations of a `KanesMethod` formed anew; `moves` are rates of others than q."""
+    # printed apart: what the dynamics share with these laws would be written out for them
     found = printed(who, {key: law for key, law in laws.items() if key not in _DYNAMICS}, symbols)
     rates = ca.solve(found["kinematics"], found["rates"])
     known = dict(zip((x.diff() for x in method.q), ca.vertsplit(rates), strict=True))
@@ -186,7 +187,7 @@ def from_sympy(
             moves = {x: symbols[x.diff(t)] for x in chain} | {t: SX(1)}
             with suppress(ValueError, UsageError):  # SymPy's equations need less than the bodies
                 anew = _from_bodies(who, method, laws, of, printable, moves)
-                columns = [ca.vertcat(laws["ode"], laws["more"]) for laws in (anew, found)]
+                columns = [ca.vertcat(form["ode"], form["more"]) for form in (anew, found)]
                 found = anew if is_cheaper(*columns) else found
         found["ode"] = ca.vertcat(found["ode"], *(symbols[x.diff(t)] for x in chain))
         names = [*map(_label, [*dependent, *forces]), *shown]
