@@ -4,7 +4,7 @@ The mode of a sign is 1 or -1, that of a floor an integer; see `casadi_models.da
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import TypeVar
 
@@ -16,6 +16,7 @@ from casadi_models.dae.frozen import Dae
 
 COMPARISONS = ("<", "<=")
 _COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay equal
+KEEPS = 2  # in place of a mode, where either side has the same value
 # Operations that are defined on one side of a boundary, and may be continuous there
 _BOUNDED = {
     ca.OP_SQRT: "sqrt",
@@ -34,7 +35,8 @@ class Relation:
     Attributes:
         argument: Its sign, or its floor, is the mode; of the frozen equations' symbols.
         floor: Whether the mode is the floor of the argument, not its sign.
-        at_zero: Mode while the argument stays 0.
+        at_zero: Mode of a sign while its argument rests at 0: -1, 0 or 1, or `KEEPS` for that of
+            either side.
         operation: The operation of the equations, for messages.
     """
 
@@ -177,7 +179,7 @@ class LawsWithModes:
             (a,) = terms
             match code:
                 case ca.OP_SIGN:
-                    return self._sign(a, "sign")
+                    return self._sign(a, "sign", 0)
                 case ca.OP_FABS:
                     return self._sign(a, "fabs") * a
                 case ca.OP_FLOOR:
@@ -190,7 +192,7 @@ class LawsWithModes:
             case ca.OP_FMAX:
                 return ca.if_else(self._sign(b - a, "fmax") > 0, b, a)
             case ca.OP_COPYSIGN:
-                return self._sign(a, "copysign") * a * self._sign(b, "copysign")
+                return self._sign(a, "copysign") * a * self._sign(b, "copysign", 1)
             case ca.OP_REMAINDER:
                 return a - b * self._floor(a / b + 0.5, "remainder")
         side = self._sign(a / b, "fmod")
@@ -214,21 +216,23 @@ class LawsWithModes:
         inner = ca.if_else(within, base, 0.5)
         found = ca.if_else(within, applied(code, [inner, *terms[1:]]), edge)
         outside = applied(code, terms) if code == ca.OP_POW else SX.nan()
-        relation = Relation(argument + _AT_BOUNDARY, False, 1, _BOUNDED[code])
+        relation = Relation(argument + _AT_BOUNDARY, False, KEEPS, _BOUNDED[code])
         mode = self._mode(relation, self._domains)
         return ca.if_else(mode > 0, found, outside)
 
-    def _sign(self, argument: SX, operation: str, at_zero: int = 1) -> SX:
+    def _sign(self, argument: SX, operation: str, at_zero: int = KEEPS) -> SX:
         return self._mode(Relation(argument, False, at_zero, operation), self._switches)
 
     def _floor(self, argument: SX, operation: str) -> SX:
-        return self._mode(Relation(argument, True, 1, operation), self._switches)
+        return self._mode(Relation(argument, True, KEEPS, operation), self._switches)
 
     def _mode(self, relation: Relation, pairs: list[tuple[Relation, SX]]) -> SX:
         """Return the mode of a relation, which becomes one of the pairs if it is new."""
-        for known, mode in pairs:
-            same = known.floor == relation.floor and known.at_zero == relation.at_zero
-            if same and ca.is_equal(known.argument, relation.argument, 3):
+        for i, (known, mode) in enumerate(pairs):
+            ends = {known.at_zero, relation.at_zero}
+            alike = known.floor == relation.floor and (len(ends) == 1 or ends == {0, KEEPS})
+            if alike and ca.is_equal(known.argument, relation.argument, 3):
+                pairs[i] = replace(known, at_zero=min(ends)), mode
                 return mode
         mode = SX.sym(f"mode_{len(self._switches) + len(self._domains) + 1}")
         pairs.append((relation, mode))

@@ -5,8 +5,8 @@
 #include <string.h>
 
 #include "evaluation.h"
+#include "events.h"
 #include "logging.h"
-#include "modes.h"
 
 /* What must be fresh before a variable of a role is read. */
 static const unsigned needed_by[] = {
@@ -118,6 +118,15 @@ static Status check_setting(Instance *self, const VariableInfo *variable, double
     return OK;
 }
 
+static bool changes_parameters(const Instance *self, const uint32_t references[], size_t count,
+                               const double values[]) {
+    for (size_t i = 0; i < count; i++)
+        if (variables[references[i]].role == PARAMETER &&
+            values[i] != self->state.values[references[i]])
+            return true;
+    return false;
+}
+
 /* Set variables by reference: all of them, or none if one is rejected. */
 Status set_values(Instance *self, const uint32_t references[], size_t count,
                   const double values[]) {
@@ -128,19 +137,23 @@ Status set_values(Instance *self, const uint32_t references[], size_t count,
         const Status status = check_setting(self, &variables[references[i]], values[i]);
         if (status != OK) return status;
     }
+    const bool runs = !(self->state.mode & (INSTANTIATED | INITIALIZATION_MODE));
+    const bool retuned = changes_parameters(self, references, count, values);
+    double behind[ROOM(EVENTS)];
+    if (runs && retuned) note_samples(self, behind);
     for (size_t i = 0; i < count; i++) {
         const VariableInfo *variable = &variables[references[i]];
         if (variable->start_kind == CALCULATED && self->state.mode == INSTANTIATED)
             self->state.guesses[references[i] - FIRST_STATE] = values[i];
-        if (variable->role == PARAMETER && values[i] != self->state.values[references[i]]) {
-            self->state.retuned = true;
-#if HAS_EVENTS
-            self->state.switching.next = NOT_PLANNED;
-#endif
-        }
         self->state.values[references[i]] = values[i];
         self->state.stale |= dependents(self);
     }
+    if (!retuned) return OK;
+    self->state.retuned = true;
+#if HAS_EVENTS
+    self->state.switching.next = NOT_PLANNED;
+#endif
+    if (runs) rebase_samples(self, behind);
     return OK;
 }
 

@@ -30,7 +30,7 @@
    model_rank is 1 where the constraints are independent at their best and 0 where they lose rank;
    model_project makes a step of Newton's method towards where the constraints hold.
 
-   The last N_MODES of u are the modes of the relations: 1 or -1, the sign of its argument, or the
+   The last MODES of u are the modes of the relations: 1 or -1, the sign of its argument, or the
    floor of it; between -1 and 1 while an argument stays 0. model_relations gives their values with
    their first and second time derivatives along a solution, and sizes of the first; model_rounding
    their changes if all that they depend on changes by its size; model_timed those of time alone,
@@ -41,7 +41,7 @@
 
    The functions of rank are there where model.h has HAS_RANK 1, model_adjoint where it has
    HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0, the functions of events where HAS_EVENTS
-   is 1, model_bounds where N_BOUNDED is positive. */
+   is 1, model_bounds where BOUNDED is positive. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 

@@ -58,7 +58,7 @@ static Status settle_start(Instance *self) {
                       names, defect);
     }
     memcpy(values + FIRST_STATE, x, NX * sizeof(double));
-    return begin_modes(self);
+    return start_modes(self);
 }
 
 /* The common arguments of the equations: t, x, z, u, p. */
@@ -182,7 +182,7 @@ void begin_watching(Instance *self) {
    what slides is moved by an importer that does not tell how. */
 Status look_back(Instance *self, Status status) {
     const bool exchange = self->state.interface == INTERFACE_ME;
-    if (exchange && look_at_slides(self, status) != OK) return status;
+    if (exchange && complete_step(self, status) != OK) return status;
     return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
 }
 

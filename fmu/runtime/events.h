@@ -1,5 +1,4 @@
-/* Events: relations that leave their modes, assignments, ends of runs. Without HAS_EVENTS there are
-   none. */
+/* Events of an instance: what happens at its instants. Without HAS_EVENTS there are none. */
 #ifndef EVENTS_H
 #define EVENTS_H
 
@@ -13,16 +12,17 @@ typedef struct {
 #if HAS_EVENTS
 INSIDE_BEGIN
 
-/* Where events go on from at the end of initialization. */
-Status begin_events(Instance *self);
+/* The conditions of rules at the end of initialization. */
+Status start_events(Instance *self);
 
 /* All that happens at the present time; `crossing` is the relation whose argument is 0, or -1. */
-Status happen(Instance *self, int crossing, Outcome *outcome);
+Status handle_instant(Instance *self, int crossing, Outcome *outcome);
 
-/* The next time event; `NO_EVENT` where there is none. */
+/* The next time event; NEVER_AGAIN where there is none. */
 double next_event(const Instance *self);
 
-/* The end of a step of co-simulation, or the time event that only rounding is beyond it. */
+/* The end of a step of co-simulation, or the time event that only the rounding of an importer that
+   adds its steps is beyond it. */
 double end_with_event(const Instance *self, double end);
 
 bool run_stopped(const Instance *self);
@@ -31,21 +31,25 @@ bool run_stopped(const Instance *self);
    an event that the importer has not handled; false where it fails or ends the run. */
 bool start_over(Instance *self);
 
+/* Samples that have not happened yet: before a parameter is set, and after it. */
+void note_samples(Instance *self, double behind[]);
+void rebase_samples(Instance *self, const double behind[]);
+
 /* Whether a step of co-simulation ends at an event, which the importer handles in event mode; then
    it waits. `crossing` is the relation whose argument is 0, or -1. */
 bool leave_to_importer(Instance *self, int crossing);
 
-/* The event that waits, as for `happen`; it waits no longer. */
+/* The event that waits, as for `handle_instant`; it waits no longer. */
 int take_waiting(Instance *self);
 bool event_waits(const Instance *self);
 
 INSIDE_END
 #else
-static inline Status begin_events(Instance *self) {
+static inline Status start_events(Instance *self) {
     (void)self;
     return OK;
 }
-static inline Status happen(Instance *self, int crossing, Outcome *outcome) {
+static inline Status handle_instant(Instance *self, int crossing, Outcome *outcome) {
     (void)self, (void)crossing;
     *outcome = (Outcome){false, false};
     return OK;
@@ -53,6 +57,12 @@ static inline Status happen(Instance *self, int crossing, Outcome *outcome) {
 static inline bool run_stopped(const Instance *self) {
     (void)self;
     return false;
+}
+static inline void note_samples(Instance *self, double behind[]) {
+    (void)self, (void)behind;
+}
+static inline void rebase_samples(Instance *self, const double behind[]) {
+    (void)self, (void)behind;
 }
 static inline int take_waiting(Instance *self) {
     (void)self;

@@ -31,11 +31,11 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) 
     if (!fmi2eventInfo) return fmi2_status(refuse(self, ERROR, "there is no room for the results"));
     *fmi2eventInfo = (fmi2EventInfo){0}; /* nothing to update, nothing changed, no event to come */
     Outcome outcome;
-    const Status status = happen(self, -1, &outcome);
+    const Status status = handle_instant(self, -1, &outcome);
     fmi2eventInfo->terminateSimulation = outcome.ends;
     fmi2eventInfo->valuesOfContinuousStatesChanged = outcome.states_changed;
 #if HAS_EVENTS
-    fmi2eventInfo->nextEventTimeDefined = next_event(self) != NO_EVENT;
+    fmi2eventInfo->nextEventTimeDefined = next_event(self) != NEVER_AGAIN;
     fmi2eventInfo->nextEventTime = fmi2eventInfo->nextEventTimeDefined ? next_event(self) : 0.0;
 #endif
     return fmi2_status(status);

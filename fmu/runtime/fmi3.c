@@ -94,7 +94,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
             host.ask_inputs = ask_inputs;
     }
     host.event_mode = eventModeUsed;
-    if (eventModeUsed && N_MODES == 0) {
+    if (eventModeUsed && MODES == 0) {
         log_text(&draft, ERROR, "the model has no events: instantiate with eventModeUsed = false");
         return NULL;
     }

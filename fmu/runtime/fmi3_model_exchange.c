@@ -46,11 +46,11 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
     *nominalsOfContinuousStatesChanged = *valuesOfContinuousStatesChanged = fmi3False;
     *nextEventTime = 0.0;
     Outcome outcome;
-    const Status status = happen(self, take_waiting(self), &outcome);
+    const Status status = handle_instant(self, take_waiting(self), &outcome);
     *terminateSimulation = outcome.ends;
     *valuesOfContinuousStatesChanged = outcome.states_changed;
 #if HAS_EVENTS
-    *nextEventTimeDefined = next_event(self) != NO_EVENT;
+    *nextEventTimeDefined = next_event(self) != NEVER_AGAIN;
     if (*nextEventTimeDefined) *nextEventTime = next_event(self);
 #endif
     return fmi3_status(status);

@@ -34,10 +34,10 @@ Status set_up(Instance *self, const double *tolerance, double start, const doubl
 Status finish_initialization(Instance *self) {
     if (refresh(self, START_VALUES | ALGEBRAICS) != OK)
         return refuse(self, ERROR, "initialization failed; change start values or parameters");
-    if (begin_events(self) != OK) return ERROR;
+    if (start_events(self) != OK) return ERROR;
     const bool events = self->state.interface == INTERFACE_ME || self->host.event_mode;
     self->state.mode = events ? EVENT_MODE : STEP_MODE;
     if (self->state.interface == INTERFACE_ME) return OK;
     Outcome outcome; /* what happens at the start */
-    return happen(self, -1, &outcome);
+    return handle_instant(self, -1, &outcome);
 }

@@ -30,7 +30,7 @@ static WorkSize *const work_sizes[] = {
     model_relations_work,   model_rounding_work,          model_timed_work,
     model_conditions_work,
 #endif
-#if N_BOUNDED > 0
+#if BOUNDED > 0
     model_bounds_work,
 #endif
 };

@@ -11,6 +11,9 @@ INSIDE_BEGIN
    where it went as far as was wanted: `Host.step_finished` may bring the end forward. */
 bool integrate_to(Instance *self, double end);
 
+/* Let the solver start afresh: an event has changed what it was going on from. */
+void restart_solver(Instance *self);
+
 /* A step that is short enough for the motion at the present state. */
 double typical_step(Instance *self);
 

@@ -11,7 +11,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "crossing.h"
 #include "dop853_coefficients.h"
 #include "equations.h"
 #include "evaluation.h"
@@ -42,7 +41,7 @@ static int problem_slope(void *problem, double t, const double *x, double *dx) {
     inputs_at(fmu, t, u);
 #if HAS_EVENTS
     const Point at = {t, x, self->z, u};
-    if (!follow(fmu, &at)) return 1;
+    if (!follow_at(fmu, &at)) return 1;
 #endif
     fmu->arg[0] = &t;
     fmu->arg[1] = x;
@@ -142,50 +141,49 @@ static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, dou
 
 #if HAS_EVENTS
 typedef struct {
+    const Ode *ode;
     Problem *problem;
-    const Interpolant *piece;
+    const SolverMemory *memory; /* where the step begins, and its interpolant */
+    Slopes *k;
+    double x[NX], error; /* of the last fresh step */
 } Step;
 
 static void within_step(void *step, double t, double x[], double z[], double u[]) {
     const Step *self = step;
-    evaluate(self->piece, t, x);
+    evaluate(&self->memory->piece, t, x);
     memcpy(z, self->problem->z, NZ * sizeof *z);
     inputs_at(self->problem->fmu, t, u);
 }
 
-/* Step to where a relation leaves its mode: where the ends of such steps cross. False where the
-   last one is not accurate, as what happens just before the crossing was stepped over. */
-static bool step_to(const Ode *ode, Problem *self, const SolverMemory *memory, Slopes k,
-                    Crossing *crossing, double latest, double x[]) {
-    const double from = memory->until;
-    Bounds bounds = {from, latest, 0};
-    double error = 0;
-    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; n++) {
-        double u[ROOM(NU)] = {0};
-        const double t = crossing->time;
-        memcpy(x, memory->end, sizeof memory->end);
-        error = 0;
-        if (t > from) {
-            if (stages(ode, from, t - from, memory->end, k, x)) return false;
-            error = error_of(ode, t - from, memory->end, x, k);
-        }
-        if (!keep_to_constraints(self, t, x)) return false;
-        inputs_at(self->fmu, t, u);
-        const Point at = {t, x, self->z, u};
-        if (!correct_crossing(self->fmu, crossing, &bounds, &at)) break;
+static bool step_again(void *step, double t, double x[], double z[], double u[]) {
+    Step *self = step;
+    const double from = self->memory->until, *begin = self->memory->end;
+    memcpy(self->x, begin, sizeof self->x);
+    self->error = 0;
+    if (t > from) {
+        if (stages(self->ode, from, t - from, begin, *self->k, self->x)) return false;
+        self->error = error_of(self->ode, t - from, begin, self->x, *self->k);
     }
-    return error <= 1;
+    if (!keep_to_constraints(self->problem, t, self->x)) return false;
+    memcpy(x, self->x, sizeof self->x);
+    memcpy(z, self->problem->z, NZ * sizeof *z);
+    inputs_at(self->problem->fmu, t, u);
+    return true;
 }
 
-/* End an accepted step from `until` to `after` at x where a relation leaves its mode. */
+/* End an accepted step from `until` to `after` at x where a relation leaves its mode. False where
+   the last fresh step is not accurate, as what happens just before the crossing was stepped over.
+ */
 static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
                             double *after, double x[]) {
-    Step accepted = {self, &memory->piece};
-    const Motion motion = {&accepted, within_step};
-    Crossing crossing = first_crossing(self->fmu, &motion, memory->until, *after);
+    Step step = {.ode = ode, .problem = self, .memory = memory, .k = (Slopes *)k};
+    const Motion motion = {&step, within_step, step_again};
+    Crossing crossing;
     memory->crossing = 0;
+    if (!find_event(self->fmu, &motion, memory->until, *after, &crossing)) return false;
     if (crossing.relation < 0) return true;
-    if (!step_to(ode, self, memory, k, &crossing, *after, x)) return false;
+    if (!(step.error <= 1)) return false;
+    memcpy(x, step.x, sizeof step.x);
     memory->crossing = crossing.relation + 1;
     *after = crossing.time;
     return true;
@@ -250,7 +248,7 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
 }
 
 /* Move the instance to a time that has been reached. */
-static void settle(const Problem *self, const SolverMemory *memory, double time) {
+static void move_to(const Problem *self, const SolverMemory *memory, double time) {
     State *state = &self->fmu->state;
     double *values = state->values;
     if (time < memory->until)
@@ -267,7 +265,7 @@ static bool show(const Problem *self, const SolverMemory *memory, double *end) {
     State *state = &self->fmu->state;
     if (N_LIMITS == 0 && !self->fmu->host.step_finished) return true;
     State before = *state;
-    settle(self, memory, memory->until);
+    move_to(self, memory, memory->until);
     const bool well = pass_midway(self->fmu, end);
     before.mode = state->mode;
     before.outside = state->outside;
@@ -284,12 +282,13 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
     Instance *fmu = self->fmu;
     if (memory->crossing == 0 && next_event(fmu) > memory->until) return WENT_ON;
     Outcome outcome;
-    settle(self, memory, memory->until);
+    move_to(self, memory, memory->until);
     if (leave_to_importer(fmu, (int)memory->crossing - 1)) {
         memset(memory, 0, sizeof *memory);
         return WAITS;
     }
-    if (happen(fmu, (int)memory->crossing - 1, &outcome) != OK || outcome.ends) return FAILED;
+    if (handle_instant(fmu, (int)memory->crossing - 1, &outcome) != OK || outcome.ends)
+        return FAILED;
     if (refresh(fmu, ALGEBRAICS) != OK) return FAILED;
     memcpy(self->z, fmu->state.values + FIRST_ALGEBRAIC, NZ * sizeof *self->z);
     memcpy(memory->inputs, fmu->state.values + FIRST_INPUT, NU * sizeof *memory->inputs);
@@ -297,6 +296,10 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
     return begin(ode, fmu, memory, ahead) ? HAPPENED : FAILED;
 }
 #endif
+
+void restart_solver(Instance *self) {
+    self->state.memory.next = 0;
+}
 
 double typical_step(Instance *self) {
     SolverMemory memory = self->state.memory;
@@ -314,8 +317,8 @@ bool integrate_to(Instance *self, double end) {
     SolverMemory *memory = &self->state.memory;
     const bool resting = inputs_rest(self);
     const bool first = !(memory->next > 0);
-    const bool same = first || (memcmp(memory->inputs, u, (NU - N_MODES) * sizeof *u) == 0 &&
-                                !self->state.retuned);
+    const bool same =
+        first || (memcmp(memory->inputs, u, (NU - MODES) * sizeof *u) == 0 && !self->state.retuned);
     self->state.retuned = false;
     const double ahead = resting && same ? fmax(state->stop_time, end) : end;
     const bool goes_on = !first && resting && same && memory->rested > 0;
@@ -349,10 +352,10 @@ bool integrate_to(Instance *self, double end) {
         if (memory->until >= end) break;
         if (!step(&ode, &problem, memory, end, until) ||
             (memory->until < end && !show(&problem, memory, &end))) {
-            settle(&problem, memory, memory->until);
+            move_to(&problem, memory, memory->until);
             return false;
         }
     }
-    settle(&problem, memory, end);
+    move_to(&problem, memory, end);
     return true;
 }

@@ -8,7 +8,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "crossing.h"
 #include "equations.h"
 #include "evaluation.h"
 #include "events.h"
@@ -51,6 +50,10 @@ static bool advance(Instance *self, double end) {
     return true;
 }
 
+void restart_solver(Instance *self) {
+    (void)self; /* it does so in every communication step */
+}
+
 /* A tenth of the time in which the states change by their sizes. */
 double typical_step(Instance *self) {
     const double *values = self->state.values;
@@ -70,9 +73,9 @@ double typical_step(Instance *self) {
    after a limited number of steps, and where it succeeds. */
 static const double SHORTER = 0.25, LONGER = 1.2;
 
-/* The cubic through both ends of a step. */
+/* A step that has been made, and the cubic through both of its ends. */
 typedef struct {
-    const Instance *fmu; /* at the end of the step */
+    Instance *fmu;
     const State *from, *to;
     double slopes[2][ROOM(NX)];
 } Cubic;
@@ -88,18 +91,16 @@ static void on_cubic(void *cubic, double t, double x[], double z[], double u[]) 
     inputs_at(self->fmu, t, u);
 }
 
-/* Repeat a step so that it ends where a relation leaves its mode; nothing on failure. */
-static bool step_to(Instance *self, const State *from, Crossing *crossing) {
-    double *values = self->state.values;
-    Bounds bounds = {from->values[TIME], values[TIME], 0};
-    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; n++) {
-        self->state = *from;
-        if (crossing->time > from->values[TIME] && !advance(self, crossing->time)) return false;
-        if (refresh(self, ALGEBRAICS) != OK) return false;
-        const Point at = {crossing->time, values + FIRST_STATE, values + FIRST_ALGEBRAIC,
-                          values + FIRST_INPUT};
-        if (!correct_crossing(self, crossing, &bounds, &at)) break;
-    }
+/* Repeat the step so that it ends at a time; the instance is there then. */
+static bool step_again(void *cubic, double t, double x[], double z[], double u[]) {
+    const Cubic *self = cubic;
+    const double *values = self->fmu->state.values;
+    self->fmu->state = *self->from;
+    if (t > self->from->values[TIME] && !advance(self->fmu, t)) return false;
+    if (refresh(self->fmu, ALGEBRAICS) != OK) return false;
+    memcpy(x, values + FIRST_STATE, NX * sizeof *x);
+    memcpy(z, values + FIRST_ALGEBRAIC, NZ * sizeof *z);
+    memcpy(u, values + FIRST_INPUT, NU * sizeof *u);
     return true;
 }
 
@@ -111,14 +112,19 @@ static bool end_at_crossing(Instance *self, const State *from, int *relation) {
     const State to = self->state;
     cubic.to = &to;
     memcpy(cubic.slopes[1], to.values + FIRST_DERIVATIVE, NX * sizeof(double));
-    const Motion motion = {&cubic, on_cubic};
-    Crossing crossing = first_crossing(self, &motion, from->values[TIME], self->state.values[TIME]);
+    const Motion motion = {&cubic, on_cubic, step_again};
+    Crossing crossing;
+    if (!find_event(self, &motion, from->values[TIME], to.values[TIME], &crossing)) return false;
     *relation = crossing.relation;
-    return crossing.relation < 0 || step_to(self, from, &crossing);
+    if (crossing.relation >= 0) return true;
+    const Switching noted = self->state.switching;
+    self->state = to;
+    self->state.switching = noted;
+    return true;
 }
 
 static bool cannot_slide(Instance *self) {
-    if (!is_sliding(self)) return false;
+    if (!is_sliding_now(self)) return false;
     refuse(self, ERROR,
            "an expression slides along 0 at %.12g s, which the solver of this FMU cannot follow; "
            "export it with solver dop853",
@@ -135,7 +141,7 @@ bool integrate_to(Instance *self, double end) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
             if (leave_to_importer(self, relation)) return true;
-            if (happen(self, relation, &outcome) != OK || outcome.ends) return false;
+            if (handle_instant(self, relation, &outcome) != OK || outcome.ends) return false;
             relation = -1;
             continue;
         }

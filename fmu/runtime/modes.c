@@ -1,14 +1,5 @@
-/* Modes of relations: which ones are consistent at an instant.
-
-   The mode of a relation whose argument is 0 is that of the first time derivative that is not. If
-   neither mode is consistent, the relation slides: its argument stays 0, and its mode is between
-   -1 and 1.
-
-   Source  Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988. */
+/* The laws of a model for the kernel of events, and the relations of an instance. */
 #include "modes.h"
-
-#include <math.h>
-#include <string.h>
 
 #include "equations.h"
 #include "input_motion.h"
@@ -16,13 +7,9 @@
 
 #if HAS_EVENTS
 
-static const double EDGE = 1e-9;        /* by which the mode of a new sliding may leave -1 ... 1 */
-static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event */
-static const double NOT_AFFINE = 1e-8;  /* rate of an argument that should stay, relative */
-static const double MOVED = 1e8;        /* roundings by which only an input moves an argument */
-static const double NO_BOUNDARY = 1e30; /* far from any: of time alone, or without a value */
+/* -- the model's laws ------------------------------------------------------------------------- */
 
-static Point present(Instance *self) {
+Point present(Instance *self) {
     double *values = self->state.values;
     return (Point){values[TIME], values + FIRST_STATE, values + FIRST_ALGEBRAIC,
                    values + FIRST_INPUT};
@@ -36,357 +23,252 @@ static void pass(Instance *self, const Point *at) {
     self->arg[4] = self->state.values + FIRST_PARAMETER;
 }
 
-/* The algebraic unknowns from their guess; relations at what is solved. False: without a value. */
-static bool see(Instance *self, const Point *at, Seen *seen) {
+static bool evaluated(Instance *self, Equation *equation, double *first, double *second,
+                      double *third, double *fourth) {
+    self->res[0] = first;
+    self->res[1] = second;
+    self->res[2] = third;
+    self->res[3] = fourth;
+    return !equation(self->arg, self->res, self->iw, self->w, 0);
+}
+
+/* The algebraic unknowns from their guess. */
+static bool solve_at(Instance *self, const Point *at) {
     double z[ROOM(NZ)] = {0};
     pass(self, at);
-    if (NZ > 0) {
-        self->res[0] = z;
-        if (model_algebraic(self->arg, self->res, self->iw, self->w, 0)) return false;
-        for (int i = 0; i < NZ; i++)
-            if (!isfinite(z[i])) return false;
-        memcpy(at->z, z, NZ * sizeof *z);
-    }
+    if (NZ == 0) return true;
+    if (!evaluated(self, model_algebraic, z, NULL, NULL, NULL)) return false;
+    for (int i = 0; i < NZ; i++)
+        if (!isfinite(z[i])) return false;
+    memcpy(at->z, z, NZ * sizeof *z);
+    return true;
+}
+
+static bool see(void *owner, const Point *at, Seen *seen) {
+    Instance *self = owner;
     double slopes[ROOM(NU)] = {0};
+    if (!solve_at(self, at)) return false;
     input_slopes_at(self, at->t, slopes);
     self->arg[5] = slopes;
-    self->res[0] = seen->arguments;
-    self->res[1] = seen->rates;
-    self->res[2] = seen->seconds;
-    self->res[3] = seen->sizes;
-    return !model_relations(self->arg, self->res, self->iw, self->w, 0);
+    return evaluated(self, model_relations, seen->arguments, seen->rates, seen->seconds,
+                     seen->sizes);
 }
 
-typedef double Rows[ROOM(N_MODES)][ROOM(N_MODES) + 1];
-
-/* Solve n linear equations, the right side being the last column; false if they are singular. */
-static bool solve_linear(int n, Rows a) {
-    for (int c = 0; c < n; c++) {
-        int pivot = c;
-        for (int r = c + 1; r < n; r++)
-            if (fabs(a[r][c]) > fabs(a[pivot][c])) pivot = r;
-        if (!(fabs(a[pivot][c]) > 0)) return false;
-        for (int k = 0; k <= n; k++) {
-            const double swapped = a[c][k];
-            a[c][k] = a[pivot][k];
-            a[pivot][k] = swapped;
-        }
-        for (int r = 0; r < n; r++) {
-            if (r == c) continue;
-            const double share = a[r][c] / a[c][c];
-            for (int k = c; k <= n; k++) a[r][k] -= share * a[c][k];
-        }
-    }
-    for (int r = 0; r < n; r++) a[r][n] /= a[r][r];
-    return true;
+static bool look_at_rules(void *owner, const Point *at, Decision *found) {
+    Instance *self = owner;
+    return solve_at(self, at) && evaluated(self, model_conditions, found->conditions, found->values,
+                                           found->defects, NULL);
 }
 
-/* The rates of the arguments are affine in the modes: modes 0 and 1 tell how. */
-bool follow(Instance *self, const Point *at) {
-    double *modes = at->u + NU - N_MODES;
-    int which[ROOM(N_MODES)], n = 0;
-    for (int i = 0; i < N_MODES; i++)
-        if (self->state.switching.slides[i] > 0) which[n++] = i;
-    if (n == 0) return true;
+static bool spread(void *owner, const Point *at, double moved[]) {
+    Instance *self = owner;
+    double sizes[ROOM(NX)];
+    for (int i = 0; i < NX; i++) sizes[i] = variables[FIRST_STATE + i].nominal;
+    pass(self, at);
+    self->arg[5] = sizes;
+    return evaluated(self, model_rounding, moved, NULL, NULL, NULL);
+}
 
-    Seen base, one;
-    Rows a;
-    double sizes[ROOM(N_MODES)];
-    for (int k = 0; k < n; k++) modes[which[k]] = 0;
-    if (!see(self, at, &base)) return false;
-    for (int k = 0; k < n; k++) {
-        a[k][n] = -base.rates[which[k]];
-        sizes[k] = fabs(a[k][n]);
+static bool evaluate_timed(void *owner, const Point *at, double t, double arguments[],
+                           double rates[]) {
+    Instance *self = owner;
+    pass(self, at);
+    self->arg[0] = &t;
+    return evaluated(self, model_timed, arguments, rates, NULL, NULL);
+}
+
+static bool bounds_of_time(void *owner, const Point *at, double t, double length, double low[],
+                           double high[]) {
+#if BOUNDED > 0
+    Instance *self = owner;
+    pass(self, at);
+    self->arg[0] = &t;
+    self->arg[5] = &length;
+    return evaluated(self, model_bounds, low, high, NULL, NULL);
+#else
+    (void)owner, (void)at, (void)t, (void)length, (void)low, (void)high;
+    return false;
+#endif
+}
+
+Laws laws_of(Instance *self) {
+    return (Laws){
+        .owner = self,
+        .relations = relations,
+        .rules = rules,
+        .assigned = assigned,
+        .adds = adds,
+        .barriers = barriers,
+        .bounded = bounded,
+        .blind = self->state.interface == INTERFACE_ME,
+        .see = see,
+        .decide = look_at_rules,
+        .spread = spread,
+        .timed = evaluate_timed,
+        .bounds = bounds_of_time,
+    };
+}
+
+/* Refuse what the kernel cannot go on from. */
+Status refuse_ending(Instance *self, Status severity, const Ending *why, const char *switched) {
+    const double t = self->state.values[TIME];
+    const char *rule = why->part >= 0 ? rule_names[why->part] : switched;
+    const char *state = why->state >= 0 ? variables[FIRST_STATE + why->state].name : "";
+    switch (why->reason) {
+    case NO_VALUE: return refuse(self, severity, "the event at %.12g s has no result", t);
+    case NO_MODES:
+        return refuse(self, severity, "no consistent modes at %.12g s after %d trials (%s)", t,
+                      MOST_ROUNDS, relation_names[why->part]);
+    case TOO_MANY_ROUNDS:
+        return refuse(self, severity, "'%s' happens again and again at %.12g s, more than %d times",
+                      rule, t, MOST_ROUNDS);
+    case TOO_CLOSE:
+        return refuse(self, severity,
+                      "'%s' happens ever faster before %.12g s (Zeno); end the run before with a "
+                      "stop condition, or let the motion rest there",
+                      rule, t);
+    case CONTRADICTS:
+        return refuse(self, severity, "'%s' and '%s' give %s different values at %.12g s",
+                      rule_names[why->other], rule, state, t);
+    case NOT_FINITE_ASSIGNED:
+        return refuse(self, severity, "'%s' gives %s no finite value at %.12g s", rule, state, t);
+    case VIOLATES:
+        return refuse(self, severity,
+                      "'%s' at %.12g s leaves states that violate a constraint by %.2g; assign "
+                      "consistent values",
+                      rule, t, why->size);
+    case STAYS_TRUE:
+        return refuse(self, severity,
+                      "the condition of '%s' stays true after %.12g s, so the event cannot happen "
+                      "again; let the motion rest there by a mode or a contact",
+                      rule, t);
+    default: return OK;
     }
-    for (int c = 0; c < n; c++) {
-        modes[which[c]] = 1;
-        if (!see(self, at, &one)) return false;
-        modes[which[c]] = 0;
-        for (int r = 0; r < n; r++) {
-            a[r][c] = one.rates[which[r]] - base.rates[which[r]];
-            sizes[r] += fabs(a[r][c]);
-        }
-    }
-    if (!solve_linear(n, a)) return false;
-    for (int k = 0; k < n; k++) modes[which[k]] = a[k][n];
-    if (!see(self, at, &one)) return false;
-    for (int k = 0; k < n; k++)
-        if (!(fabs(one.rates[which[k]]) <= NOT_AFFINE * sizes[k])) return false;
-    return true;
+}
+
+/* -- the present modes ------------------------------------------------------------------------ */
+
+Status start_modes(Instance *self) {
+    State *state = &self->state;
+    const Laws laws = laws_of(self);
+    const Point at = present(self);
+    const double rest = state->stop_time - state->values[TIME], span = SPAN * LARGEST_STEP;
+    const Ending found = begin_modes(&laws, &state->switching, &at, rest < INFINITY ? rest : span);
+    state->stale |= AFTER_START;
+    return refuse_ending(self, DISCARD, &found, NULL);
 }
 
 Status follow_present(Instance *self) {
     const Point at = present(self);
-    if (follow(self, &at)) return OK;
+    if (follow_at(self, &at)) return OK;
     return refuse(self, DISCARD, "no mode keeps an expression at 0 that slides there at time %.17g",
                   at.t);
 }
 
-bool is_sliding(const Instance *self) {
-    for (int i = 0; i < N_MODES; i++)
-        if (self->state.switching.slides[i] > 0) return true;
-    return false;
+bool follow_at(Instance *self, const Point *at) {
+    const Laws laws = laws_of(self);
+    return follow(&laws, &self->state.switching, at);
 }
 
-Status watch_relations(Instance *self, Seen *seen) {
-    const Status status = follow_present(self);
+bool is_sliding_now(const Instance *self) {
+    return is_sliding(&self->state.switching);
+}
+
+/* The relations at the present values. */
+Status look_now(Instance *self, Seen *seen) {
     const Point at = present(self);
+    const Status status = follow_present(self);
     if (status != OK || see(self, &at, seen)) return status;
     return refuse(self, DISCARD, "the relations cannot be computed at time %.17g", at.t);
 }
 
-bool is_moved(const Instance *self, const Seen *seen, int i) {
-    const Switching *s = &self->state.switching;
-    const double way = fabs(seen->arguments[i] - s->offsets[i]);
-    return relations[i].of_input && !(way <= MOVED * s->slack[i]);
-}
-
-bool is_held(const Instance *self, const Seen *seen, int i) {
-    const double most = self->state.switching.stays[i];
-    return most > 0 && fabs(seen->rates[i]) <= most && !is_moved(self, seen, i);
-}
-
-Status look_at_slides(Instance *self, Status severity) {
+Status complete_step(Instance *self, Status severity) {
+    Switching *s = &self->state.switching;
+    const Laws laws = laws_of(self);
+    const bool any = any_leaves(s) || is_sliding(s);
     Seen seen;
-    const Status status = is_sliding(self) ? watch_relations(self, &seen) : OK;
-    for (int i = 0; i < N_MODES && status == OK; i++)
-        if (self->state.switching.slides[i] > 0 && is_moved(self, &seen, i))
+    const Status status = any ? look_now(self, &seen) : OK;
+    if (!any || status != OK) return status;
+    note_inside(&laws, s, self->state.values + FIRST_MODE, seen.arguments);
+    for (int i = 0; i < MODES && laws.blind; i++)
+        if (s->state[i] == SLIDES && is_moved(&laws, s, &seen, i))
             return refuse(self, severity,
                           "an input moves '%s', which stays 0, at %.12g s, and model exchange does "
                           "not tell its rate: use co-simulation, or compute it in the model",
-                          relations[i].name, self->state.values[TIME]);
-    return status;
-}
-
-/* How far arguments are within their modes, and the rates of that. */
-void measure(const Instance *self, const double modes[], const Seen *seen, double inside[],
-             double rates[]) {
-    const Switching *s = &self->state.switching;
-    for (int i = 0; i < N_MODES; i++) {
-        const double mode = modes[i], value = seen->arguments[i] - s->offsets[i];
-        double sign = mode;
-        if (s->slides[i] > 0) {
-            sign = 0;
-            const bool jumped = self->state.interface == INTERFACE_CS && is_moved(self, seen, i);
-            inside[i] = jumped ? -1 : 1 - fabs(mode) + LEAVING;
-        } else if (relations[i].of_time || !isfinite(value)) {
-            sign = 0;
-            inside[i] = NO_BOUNDARY;
-        } else if (relations[i].floor) {
-            sign = value - mode < mode + 1 - value ? 1 : -1;
-            inside[i] = s->slack[i] + (sign > 0 ? value - mode : mode + 1 - value);
-        } else {
-            inside[i] = s->slack[i] + mode * value;
-            if (is_held(self, seen, i)) inside[i] = fmax(inside[i], s->slack[i]);
-        }
-        rates[i] = sign == 0 ? 0 : sign * seen->rates[i];
-    }
-}
-
-bool inside_at(Instance *self, const Point *at, double inside[], double rates[]) {
-    Seen seen;
-    if (!follow(self, at) || !see(self, at, &seen)) return false;
-    measure(self, at->u + NU - N_MODES, &seen, inside, rates);
-    return true;
+                          relation_names[i], self->state.values[TIME]);
+    return OK;
 }
 
 Status get_insides(Instance *self, double inside[]) {
     Seen seen;
-    const Status status = watch_relations(self, &seen);
+    const Status status = look_now(self, &seen);
     if (status != OK) return status;
-    double all[ROOM(N_MODES)], rates[ROOM(N_MODES)];
-    measure(self, self->state.values + FIRST_MODE, &seen, all, rates);
-    for (int i = 0, k = 0; i < N_MODES; i++)
+    const Laws laws = laws_of(self);
+    double all[ROOM(MODES)], rates[ROOM(MODES)];
+    measure(&laws, &self->state.switching, self->state.values + FIRST_MODE, &seen, all, rates);
+    for (int i = 0, k = 0; i < MODES; i++)
         if (!relations[i].of_time) inside[k++] = all[i];
     return OK;
 }
 
-/* The first modes by the values of arguments alone; what has none compares false. */
-static void guess_modes(Instance *self, int count) {
-    double *modes = self->state.values + FIRST_MODE;
+/* -- within a step ---------------------------------------------------------------------------- */
+
+typedef struct {
+    Instance *fmu;
+    Laws laws;
+    const Motion *motion;
+} SearchedStep;
+
+/* Margins at a point; what has no value is no event. */
+static bool margins_at(SearchedStep *self, const Point *at, Place *found) {
+    const Switching *s = &self->fmu->state.switching;
     Seen seen;
-    const Point at = present(self);
-    const bool defined = see(self, &at, &seen);
-    for (int i = 0; i < count; i++) {
-        const double value = defined ? seen.arguments[i] : NAN;
-        if (!isfinite(value))
-            modes[i] = relations[i].at_zero ? -1 : 1;
-        else
-            modes[i] = relations[i].floor ? floor(value) : value >= 0 ? 1 : -1;
+    found->t = at->t;
+    const bool valued = look_closely(&self->laws, s, at, &seen);
+    if (valued) measure(&self->laws, s, modes_of(at), &seen, found->inside, found->rates);
+    for (int i = 0; i < MODES && !valued; i++) {
+        found->inside[i] = 1;
+        found->rates[i] = 0;
     }
+    return valued;
 }
 
-double event_time(const Instance *self) {
-    const double now = self->state.values[TIME], next = self->state.switching.next;
-    const bool early = self->state.interface == INTERFACE_ME && next != NOT_PLANNED && next > now &&
-                       next - now <= SAME_TIME * fmax(fabs(now), fabs(next));
-    return early ? next : now;
+static void look_at(void *step, double t, Place *found) {
+    SearchedStep *self = step;
+    double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
+    self->motion->at(self->motion->solver, t, x, z, u);
+    margins_at(self, &(Point){t, x, z, u}, found);
 }
 
-void evaluate_timed(Instance *self, double t, double arguments[], double rates[]) {
-    const Point at = present(self);
-    pass(self, &at);
-    self->arg[0] = &t;
-    self->res[0] = arguments;
-    self->res[1] = rates;
-    if (model_timed(self->arg, self->res, self->iw, self->w, 0))
-        for (int i = 0; i < N_MODES; i++) arguments[i] = rates[i] = NAN;
+static bool step_afresh(void *step, double t, Place *found) {
+    SearchedStep *self = step;
+    double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
+    return self->motion->step_to(self->motion->solver, t, x, z, u) &&
+           margins_at(self, &(Point){t, x, z, u}, found);
 }
 
-static double argument_at(Instance *self, int i, double t) {
-    double arguments[N_MODES], rates[N_MODES];
-    evaluate_timed(self, t, arguments, rates);
-    return arguments[i];
-}
-
-/* The mode of an argument that is not 0. One of time alone may be due a little later, or have
-   jumped with another mode; at a start, what only rounding is before happens. */
-static double by_value(Instance *self, const Seen *seen, int i, double value) {
-    const RelationInfo *relation = &relations[i];
-    if (relation->of_time) {
-        const bool planned = self->state.switching.next != NOT_PLANNED;
-        const double t = event_time(self), rate = seen->rates[i];
-        if (relation->linear)
-            value += rate * (t - self->state.values[TIME]);
-        else if (t != self->state.values[TIME])
-            value = argument_at(self, i, t);
-        const double boundary = relation->floor ? round(value) : 0;
-        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate)) {
-            if (planned) return self->state.values[FIRST_MODE + i];
-            if (relation->linear) value = relation->floor ? boundary - (rate < 0) : rate;
-        }
-    }
-    return relation->floor ? floor(value) : value > 0 ? 1 : -1;
-}
-
-/* The mode that value and rates require; `zero` tells whether the argument is 0. */
-static double required(Instance *self, const Seen *seen, int i, bool *zero) {
-    const Switching *s = &self->state.switching;
-    const RelationInfo *relation = &relations[i];
-    const double mode = self->state.values[FIRST_MODE + i];
-    const bool jumps = relation->of_time && s->due[i] == JUMPS;
-    const double value =
-        jumps ? argument_at(self, i, event_time(self)) : seen->arguments[i] - s->offsets[i];
-    const double boundary = relation->floor ? round(value) : 0;
-    if (!isfinite(value)) return mode;
-    if (jumps) return relation->floor ? floor(value) : value >= 0 ? 1 : -1;
-    if (!*zero && value != boundary) return by_value(self, seen, i, value);
-    *zero = true;
-    const double tiny = ROUNDING * seen->sizes[i];
-    const double rates[] = {seen->rates[i], seen->seconds[i]};
-    for (int k = 0; k < 2; k++) {
-        const bool up = rates[k] > 0;
-        if (!(fabs(rates[k]) > tiny)) continue;
-        if (relation->floor) return up ? boundary : boundary - 1;
-        return up ? 1 : -1;
-    }
-    if (relation->floor) return boundary;
-    return relation->at_zero ? relation->at_zero : mode;
-}
-
-static void note_slack(Instance *self) {
-    Switching *s = &self->state.switching;
-    double sizes[ROOM(NX)], moved[ROOM(N_MODES)] = {0};
-    const Point at = present(self);
-    for (int i = 0; i < NX; i++) sizes[i] = variables[FIRST_STATE + i].nominal;
-    pass(self, &at);
-    self->arg[5] = sizes;
-    self->res[0] = moved;
-    if (model_rounding(self->arg, self->res, self->iw, self->w, 0)) return;
-    for (int i = 0; i < N_MODES; i++) s->slack[i] = isfinite(moved[i]) ? ROUNDING * moved[i] : 0;
-}
-
-/* End the sliding of relations whose modes have left -1 ... 1; true if there are any. */
-static bool release(Instance *self, bool zero[]) {
-    double *modes = self->state.values + FIRST_MODE;
-    bool any = false;
-    for (int i = 0; i < N_MODES; i++) {
-        if (!(self->state.switching.slides[i] > 0) || fabs(modes[i]) <= 1 + EDGE) continue;
-        self->state.switching.slides[i] = 0;
-        modes[i] = modes[i] > 0 ? 1 : -1;
-        zero[i] = any = true;
-    }
-    return any;
-}
-
-/* Change the first mode that is not consistent, or let its relation slide. */
-static Status change_one(Instance *self, const Seen *seen, bool zero[], const bool decided[],
-                         bool *changed) {
-    double *modes = self->state.values + FIRST_MODE;
-    for (int i = 0; i < N_MODES; i++) {
-        if (self->state.switching.slides[i] > 0 || decided[i]) continue;
-        bool at_zero = zero[i];
-        const double mode = required(self, seen, i, &at_zero);
-        if (mode == modes[i]) continue;
-        *changed = true;
-        modes[i] = mode;
-        if (!at_zero || relations[i].floor) return OK;
-        Seen other;
-        const Status status = watch_relations(self, &other);
-        if (status == OK && required(self, &other, i, &at_zero) != mode) {
-            self->state.switching.slides[i] = 1;
-            zero[i] = true;
-        }
-        return status;
-    }
-    return OK;
-}
-
-/* Whether an argument that became 0 came to rest beyond it, where its value decides. */
-static bool rests_beyond(const Instance *self, const Seen *seen, int i) {
-    const Switching *s = &self->state.switching;
-    if (relations[i].floor || s->slides[i] > 0) return false;
-    const double past = self->state.values[FIRST_MODE + i] * (seen->arguments[i] - s->offsets[i]);
-    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= ROUNDING && past < -ROUNDING;
-}
-
-/* Find modes that are consistent with what follows.
-
-   `zero`: relations whose arguments are 0, whatever rounding makes of them; more may be found.
-   `decided`: relations that keep their modes although their arguments are 0. */
-Status settle_modes(Instance *self, bool zero[], const bool decided[], Status severity) {
-    Switching *s = &self->state.switching;
+/* Boundaries that an event has displaced are where they were as soon as a step ends within them. */
+static void let_go(SearchedStep *self, double end) {
+    Switching *s = &self->fmu->state.switching;
+    double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Seen seen;
-    self->state.stale |= AFTER_START;
-    for (int trial = 0; trial < MOST_ROUNDS; trial++) {
-        Status status = watch_relations(self, &seen);
-        note_slack(self);
-        for (int i = 0; i < N_MODES && trial == 0 && status == OK; i++)
-            if (zero[i] && rests_beyond(self, &seen, i)) zero[i] = false;
-        bool changed = status == OK && release(self, zero);
-        if (status == OK && !changed) status = change_one(self, &seen, zero, decided, &changed);
-        if (status != OK)
-            return severity == DISCARD ? status
-                                       : refuse(self, severity, "no event is possible at %.12g s",
-                                                self->state.values[TIME]);
-        if (changed) continue;
-        for (int i = 0; i < N_MODES; i++) {
-            const double value = seen.arguments[i], tiny = ROUNDING * seen.sizes[i];
-            s->stays[i] = 0;
-            if (!zero[i] || relations[i].of_time || !isfinite(value)) continue;
-            if (fmax(fabs(seen.rates[i]), fabs(seen.seconds[i])) <= tiny) s->stays[i] = tiny;
-            s->offsets[i] = relations[i].floor ? value - round(value) : value;
-        }
-        return OK;
-    }
-    int last = 0;
-    for (int i = 0; i < N_MODES; i++)
-        if (zero[i]) last = i;
-    return refuse(self, severity, "no consistent modes at %.12g s after %d trials (%s)",
-                  self->state.values[TIME], MOST_ROUNDS, relations[last].name);
+    if (!any_leaves(s)) return;
+    self->motion->at(self->motion->solver, end, x, z, u);
+    const Point at = {end, x, z, u};
+    if (look_closely(&self->laws, s, &at, &seen))
+        note_inside(&self->laws, s, modes_of(&at), seen.arguments);
 }
 
-Status begin_modes(Instance *self) {
-    State *state = &self->state;
-    bool zero[ROOM(N_MODES)] = {0};
-    const bool decided[ROOM(N_MODES)] = {0};
-    memset(&state->switching, 0, sizeof state->switching);
-    state->switching.next = state->switching.last = NOT_PLANNED;
-    for (int i = 0; i < N_MODES; i++) state->values[FIRST_MODE + i] = 1;
-    /* arguments may hold the modes of others, most of them of relations before them */
-    for (int i = 1; i <= N_MODES; i++) guess_modes(self, i);
-    guess_modes(self, N_MODES);
-    return settle_modes(self, zero, decided, DISCARD);
+bool find_event(Instance *self, const Motion *motion, double begin, double end,
+                Crossing *crossing) {
+    SearchedStep step = {self, laws_of(self), motion};
+    Switching *s = &self->state.switching;
+    Place before;
+    look_at(&step, begin, &before);
+    const Located how =
+        find_crossing(look_at, step_afresh, &step, s->slack, begin, before, end, crossing);
+    if (how == CROSSES && crossing->relation < 0) let_go(&step, end);
+    return how != FAILS;
 }
 
 #else

@@ -64,7 +64,7 @@ Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
         if (!is_known(self, &variables[knowns[i]]))
             return refuse(self, ERROR, "%s is not a known", variables[knowns[i]].name);
     const Status status = refresh(self, ALGEBRAICS);
-    if (status != OK || !is_sliding(self)) return status;
+    if (status != OK || !is_sliding_now(self)) return status;
     return refuse(self, DISCARD, "there are no derivatives while an expression slides along 0");
 }
 

@@ -93,7 +93,7 @@ static bool plausible(const Instance *self, const State *state) {
 #if HAS_EVENTS
     const double waits = state->switching.waits;
     if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
-    if (!(waits >= 0 && waits <= N_MODES + 1 && waits == floor(waits))) return false;
+    if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;

@@ -7,6 +7,9 @@
 #include <stdint.h>
 
 #include "solver_memory.h"
+#if HAS_EVENTS
+#include "switching.h"
+#endif
 
 /* Numbered as in FMI 2 and FMI 3. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
@@ -58,28 +61,6 @@ typedef struct {
 enum { WATCH_SIZE = sizeof(Watch) / sizeof(double) };
 
 _Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubles");
-
-#if HAS_EVENTS
-/* What past events leave for later ones; all of it doubles. */
-typedef struct {
-    double slides[ROOM(N_MODES)];  /* 1: the argument stays 0, and the mode follows from that */
-    double offsets[ROOM(N_MODES)]; /* rounding of an argument that was 0 at its last event */
-    double stays[ROOM(N_MODES)];   /* rate up to which such an argument stays 0; 0: it moves */
-    double
-        due[ROOM(N_MODES)]; /* when a relation of time alone switches next; or never, or `JUMPS` */
-    double conditions[ROOM(N_EVENTS)]; /* of events, as they were after the last one */
-    double next; /* time event: the first of `due`; `NOT_PLANNED` after a change */
-    double last,
-        close; /* time of the last event; how many in succession were close to each other */
-    double slack[ROOM(N_MODES)]; /* by which an argument passes 0 before that is an event */
-    double stopped;              /* 1: an event has ended the run */
-    double waits; /* 1: a time event waits for the importer; 2 + i: a crossing of relation i */
-} Switching;
-
-enum { SWITCHING_SIZE = sizeof(Switching) / sizeof(double) };
-
-_Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it is doubles");
-#endif
 
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */

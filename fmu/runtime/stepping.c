@@ -42,7 +42,7 @@ Status do_step(Instance *self, double from, double length) {
     const bool asks = self->host.ask_inputs != NULL;
     const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
     /* modes that slide follow from it, also at the end */
-    if (asks && !event_waits(self) && !is_sliding(self)) forget_motion(self);
+    if (asks && !event_waits(self) && !is_sliding_now(self)) forget_motion(self);
     if (self->state.mode != STEP_MODE) return ERROR; /* by the importer's callback, or an event */
     self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;

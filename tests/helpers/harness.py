@@ -28,6 +28,7 @@ from cosim.fmi.export.co_simulation import LOOK_STEPS
 
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
 SOLVERS = RUNTIME.parent / "solvers"
+INCLUDES = [f"-I{SOLVERS}", f"-I{SOLVERS / 'hybrid'}"]
 HERE = Path(__file__).parents[1] / "runtime"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 # A shared library has FMI's own names; two instances of a model in one program need no others.
@@ -61,7 +62,7 @@ def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Pat
     What is there already, for the other version of the FMI, has the same model and flags.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", "-isystem", HEADERS]
+    include = [f"-I{model}", f"-I{RUNTIME}", *INCLUDES, "-isystem", HEADERS]
     objects = []
     for source in [model / "model.c", *sources(model, version)]:
         target = folder / f"{source.stem}.o"
@@ -85,7 +86,7 @@ def program(
 ) -> Path:
     """Build a C program of this folder with model and runtime, under the sanitizers."""
     objects = compile_objects(model, version, flags, folder)
-    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", "-isystem", HEADERS]
+    include = [f"-I{model}", f"-I{RUNTIME}", *INCLUDES, "-isystem", HEADERS]
     target = folder / name
     source = HERE / f"{name}.c"
     run(

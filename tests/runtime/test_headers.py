@@ -6,14 +6,15 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from helpers.harness import HEADERS, RUNTIME, SOLVERS, STRICT, compiler, sources
+from helpers.harness import HEADERS, INCLUDES, RUNTIME, SOLVERS, STRICT, compiler, sources
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
 MASTER = SOLVERS.parent / "master"
-FILES = [*RUNTIME.iterdir(), *SOLVERS.iterdir(), *MASTER.iterdir()]
+KERNEL = SOLVERS / "hybrid"
+FILES = [*RUNTIME.iterdir(), *SOLVERS.glob("*.h"), *KERNEL.iterdir(), *MASTER.iterdir()]
 SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
-SIZES |= dict.fromkeys(("RELATIONS", "MODES", "EVENTS", "ASSIGNED"), 1)
+SIZES |= dict.fromkeys(("RELATIONS", "MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED"), 1)
 SIZES |= dict.fromkeys(("START_ARG", "START_RES", "START_IW", "START_W"), 4)
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 INCLUDE = re.compile(r'^#include "(\w+)\.h"', re.MULTILINE)
@@ -34,7 +35,7 @@ def compiled(header: Path, include: list[str]) -> subprocess.CompletedProcess[st
     return subprocess.run(call, input=something, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("header", sorted(SOLVERS.glob("*.h")), ids=lambda path: path.name)
+@pytest.mark.parametrize("header", sorted(SOLVERS.rglob("*.h")), ids=lambda path: path.name)
 def test_a_solver_header_compiles_with_nothing_but_sizes(header):
     own = ["-DSETTINGS=2"] if header.name in ("casadi_driver.h", "shapes.h") else []
     done = compiled(header, [*DEFINED, *own])
@@ -43,7 +44,7 @@ def test_a_solver_header_compiles_with_nothing_but_sizes(header):
 
 @pytest.mark.parametrize("header", sorted(MASTER.glob("*.h")), ids=lambda path: path.name)
 def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
-    done = compiled(header, [*DEFINED, f"-I{SOLVERS}"])
+    done = compiled(header, [*DEFINED, *INCLUDES])
     assert done.returncode == 0, done.stderr
 
 
@@ -51,7 +52,7 @@ def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
     ("header", "missing"),
     [
         ("dop853.h", "NX"), ("fixed.h", "NX"), ("problem.h", "NC"), ("lanes.h", "LANES"),
-        ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"), ("crossings.h", "RELATIONS"),
+        ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"), ("hybrid/laws.h", "MODES"),
         ("lanes_start.h", "START_W"),
     ],
 )  # fmt: skip
@@ -64,7 +65,7 @@ def test_a_forgotten_size_is_an_error_and_no_default(header, missing):
 @pytest.mark.parametrize("solver", ["step", "dop853"], indirect=True, scope="session")
 @pytest.mark.parametrize("header", sorted(RUNTIME.glob("*.h")), ids=lambda path: path.name)
 def test_a_header_of_the_runtime_compiles_with_nothing_but_a_model(header, model):
-    done = compiled(header, [f"-I{model}", f"-I{SOLVERS}", f"-isystem{HEADERS}"])
+    done = compiled(header, [f"-I{model}", *INCLUDES, f"-isystem{HEADERS}"])
     assert done.returncode == 0, done.stderr
 
 
@@ -86,7 +87,7 @@ def test_a_circle_is_found(tmp_path):
 @pytest.mark.parametrize("solver", ["step", "dop853"], indirect=True, scope="session")
 def test_every_function_is_declared_in_a_header(model, version):
     """So that the graph of includes is that of calls."""
-    include = [f"-I{model}", f"-I{RUNTIME}", f"-I{SOLVERS}", f"-isystem{HEADERS}"]
+    include = [f"-I{model}", f"-I{RUNTIME}", *INCLUDES, f"-isystem{HEADERS}"]
     for source in sources(model, version):
         done = subprocess.run(
             [compiler(), *STRICT, "-Wmissing-prototypes", *include, "-fsyntax-only", str(source)],

@@ -7,7 +7,7 @@ from pathlib import Path
 import casadi as ca
 import pytest
 from helpers import harness
-from helpers.harness import DISCARD, OK, RUNTIME, SOLVERS, run
+from helpers.harness import DISCARD, INCLUDES, OK, RUNTIME, run
 
 from casadi_models.dae import Model
 from cosim.fmi.export.package import FmuOptions, source_files
@@ -44,7 +44,7 @@ def counted(request, tmp_path_factory):
     for name, content in {**files, "counter.c": COUNTER.encode()}.items():
         (folder / name).write_bytes(content)
     flags = ["-O2", "-fPIC", "-shared", "-fno-builtin-sin", "-Wl,--wrap=sin"]
-    include = [f"-I{folder}", f"-I{RUNTIME}", f"-I{SOLVERS}", f"-I{harness.HEADERS}"]
+    include = [f"-I{folder}", f"-I{RUNTIME}", *INCLUDES, f"-I{harness.HEADERS}"]
     library = folder / "shaken.so"
     run([harness.compiler(), *flags, *include, *folder.glob("*.c"), "-o", library, "-lm"])
     loaded = ctypes.CDLL(str(library))

@@ -26,8 +26,10 @@ def license_texts() -> tuple[Traversable, ...]:
 
 
 def solver_sources() -> tuple[Traversable, ...]:
-    """Return the headers of the explicit solvers, by name."""
-    found = (e for e in (files("cosim._fmu") / "solvers").iterdir() if e.name.endswith(".h"))
+    """Return the headers of the explicit solvers and of the kernel of events, by name."""
+    folder = files("cosim._fmu") / "solvers"
+    entries = (*folder.iterdir(), *(folder / "hybrid").iterdir())
+    found = (entry for entry in entries if entry.name.endswith(".h"))
     return tuple(sorted(found, key=lambda entry: entry.name))
 
 

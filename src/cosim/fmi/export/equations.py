@@ -14,11 +14,11 @@ from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import patched
 from cosim.codegen.functions import CALL, driven_equations, is_large
+from cosim.codegen.hybrid_laws import law_functions
 from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
 from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.fmi.export.co_simulation import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.fmi.export.derivatives import argument_like, sensitivity_functions
-from cosim.fmi.export.events import event_functions
 from cosim.memo import cached_per_thread
 
 LARGEST_SHARE = 5.0  # operations of the detector relative to those of the equations
@@ -74,7 +74,7 @@ def equations_code(
         _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
         *rank_functions(dae),
         *(sensitivity_functions(dae, adjoint=fmi == 3) if derivatives else []),
-        *(event_functions(system) if system else []),
+        *(law_functions(system) if system else []),
     ):
         generator.add(function)
     if solver in FIXED_STEPS:

@@ -1,5 +1,6 @@
 """Events of an FMU: frozen equations, and the functions and tables that the runtime needs."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -8,8 +9,8 @@ from casadi import SX
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.hybrid import Hybrid, hybrid
-from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
+from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.pulses import pulse_parameters, pulse_times
 from cosim.errors import UsageError
 
@@ -55,41 +56,15 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     return replace(system, dae=replace(smooth, outputs=outputs, output_variables=variables))
 
 
-def event_functions(system: Hybrid) -> list[ca.Function]:
-    """Return the functions that fmu/runtime/equations.h declares if there are events."""
-    dae = system.dae
-    alone = [int(own) * r.argument for own, r in zip(system.of_time, system.relations, strict=True)]
-    times = ca.densify(ca.vertcat(SX(0, 1), *alone))
-    violated = [invariant.residual for invariant in dae.invariants]
-    defect = ca.norm_inf(ca.vertcat(*violated)) if violated else SX(0)
-    timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
-    seen = system.watching("seen")
-    symbols = seen.mx_in()
-    arguments, rates, _, _, seconds, sizes, _ = seen.call(symbols, True)
-    span = system.time_bounds
-    over, ends = [*dae.arguments, span.length], [span.low, span.high]
-    bounds = [ca.Function("model_bounds", over, ends, {"cse": True})] if span.relations else []
-    return [
-        ca.Function("model_relations", symbols, [arguments, rates, seconds, sizes]),
-        system.rounding("model_rounding"),
-        ca.Function("model_timed", dae.arguments, timed, {"cse": True}),
-        ca.Function("model_conditions", dae.arguments, [*system.rules, defect], {"cse": True}),
-        *bounds,
-    ]
-
-
 def event_sizes(system: Hybrid | None) -> str:
     """Return the sizes of events for model.h; empty without events."""
     if system is None:
         return ""
-    n = len(system.time_bounds.relations)
-    bounded = f"#define N_BOUNDED {n}\n" if n else ""
-    return f"""#define N_MODES {len(system.relations)}
-#define N_WATCHED {system.of_time.count(False)}
-#define N_EVENTS {len(system.events)}
-#define N_ASSIGNED {sum(len(event.states) for event in system.events)}
-#define N_PULSES {len(fmu_pulses(system.dae))}
-{bounded}"""
+    sizes = law_sizes(system) | {
+        "N_WATCHED": system.of_time.count(False),
+        "N_PULSES": len(fmu_pulses(system.dae)),
+    }
+    return "".join(f"#define {name} {size}\n" for name, size in sizes.items())
 
 
 def event_tables(system: Hybrid | None) -> str:
@@ -99,32 +74,21 @@ def event_tables(system: Hybrid | None) -> str:
     pulses = [*map(repr, fmu_pulses(system.dae).tolist()), "0.0"]
     moving = pulse_parameters(system.dae)
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
-    relations, events, assigned = "", "", list[int]()
-    rows = ", ".join(map(str, system.time_bounds.relations))
-    bounded = f"const int bounded[] = {{{rows}}};\n" if rows else ""
-    for i, relation in enumerate(system.relations):
-        at_zero = relation.at_zero if relation.operation in COMPARISONS else 0
-        kinds = relation.floor, system.of_time[i], system.linear[i], system.of_input[i]
-        facts = ", ".join(str(fact).lower() for fact in (*kinds, at_zero, system.in_laws[i]))
-        relations += f"    {{{literal(system.described(i))}, {facts}}},\n"
-    for event in system.events:
-        message = literal(event.message) if event.message else "NULL"
-        place = f"{len(assigned)}, {len(event.states)}, {str(event.sampled).lower()}"
-        events += f"    {{{literal(event.name)}, {message}, {place}}},\n"
-        assigned += event.states
+    names = [literal(system.described(i)) for i in range(len(system.relations))]
+    rules = [literal(event.name) for event in system.events]
+    messages = [literal(event.message) if event.message else "NULL" for event in system.events]
+    texts = {"relation_names": names, "rule_names": rules, "rule_messages": messages}
     return f"""
-const RelationInfo relations[] = {{
-{relations}    {{NULL, false, false, false, false, 0, false}},
-}};
-
-const EventInfo events[] = {{
-{events}    {{NULL, NULL, 0, 0, false}},
-}};
-
-const int assigned[] = {{{", ".join(map(str, [*assigned, -1]))}}};
+{law_tables(system)}
+{"".join(_texts(name, own) for name, own in texts.items())}
 const double pulses[] = {{{", ".join(pulses)}}};
 const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
-{bounded}"""
+"""
+
+
+def _texts(name: str, texts: Sequence[str]) -> str:
+    lines = "".join(f"    {text},\n" for text in (*texts, "NULL"))
+    return f"const char *const {name}[] = {{\n{lines}}};\n"
 
 
 def literal(text: str) -> str:

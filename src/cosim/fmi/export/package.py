@@ -80,9 +80,8 @@ def pictures(dae: Dae, fmi: int) -> Mapping[str, bytes]:
 
 TOLERANCE = 1e-9  # recommended to importers, whose solvers take it as the error per step
 ABOUT = {"author": "author", "license": "license", "date": "generationDateAndTime"}
-_OF_EVENTS = ("modes.c", "crossing.c", "time_events.c", "events.c")  # empty without events
 _DOP853 = ("dop853.h", "interpolant.h", "ode.h")
-_EVENTS = ("crossings.h",)
+_EVENTS = ("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "search.h")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
 
@@ -252,8 +251,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     if options.names == NameStyle.STRUCTURED:
         variables = structured(variables)
     other_solver = "step" if uses_dop853(dae, solver) else "dop853"
-    empty = (*(() if system else _OF_EVENTS), *(() if has_rank(dae) else ("rank.c",)))
-    empty += () if system and system.time_bounds.relations else ("time_search.c",)
+    empty = (*(() if system else ("modes.c", "events.c")), *(() if has_rank(dae) else ("rank.c",)))
     unused = (f"fmi{5 - fmi}", f"integration_{other_solver}", *empty)
     runtime = {e.name: e.read_bytes() for e in runtime_sources() if not e.name.startswith(unused)}
     generated = equations_code(dae, name, fmi, solver, system, derivatives=options.derivatives)

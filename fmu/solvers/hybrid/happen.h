@@ -1,0 +1,311 @@
+/* One instant: modes, assignments of the rules whose conditions have risen, and what follows.
+ *
+ * All rules that have risen assign at once, from the values before; then the conditions are looked
+ * at again, until none rises: a round each.
+ */
+#ifndef HYBRID_HAPPEN_H
+#define HYBRID_HAPPEN_H
+
+#include "settle.h"
+
+static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period */
+static const double CLOSE = 1e-10;    /* relative distance of events of which ... */
+enum { MOST_CLOSE = 10 };             /* ... so many in succession are no motion, as are ... */
+static const double NO_WAY = 100;     /* ... those between which arguments move so many roundings */
+static const double VIOLATION = 1e-6; /* of a constraint, that an assignment may leave ... */
+static const double WORSE = 10;       /* ... or so many times the one before */
+
+enum { ROOM_OF_INSTANT = 256 }; /* events that are recorded; what has more is an error */
+
+/* A rule that happened, and in which round of its instant, from 1 on. */
+typedef struct {
+    int rule, round;
+} Happened;
+
+/* All that happened at an instant. */
+typedef struct {
+    Ending ending;
+    int count, rounds;
+    bool states_changed, modes_changed;
+    Happened happened[ROOM_OF_INSTANT];
+    double modes[MODES + 1]; /* before */
+    bool zero[MODES + 1];    /* arguments that were 0 before the first assignment */
+} Happening;
+
+/* What a caller wants to know of each round: the values before its assignments. */
+typedef void NoteRound(void *listener, const Point *before, const bool risen[]);
+
+typedef struct {
+    NoteRound *note;
+    void *listener;
+} Listener;
+
+static inline bool decide(const Laws *laws, const Switching *s, const Point *at, Decision *found) {
+    return follow(laws, s, at) && laws->decide(laws->owner, at, found);
+}
+
+/* -- the start -------------------------------------------------------------------------------- */
+
+static inline void modes_of_time(const Laws *laws, const Point *at, double t, double modes[]) {
+    double arguments[MODES + 1], rates[MODES + 1];
+    if (!laws->timed(laws->owner, at, t, arguments, rates)) return;
+    for (int i = 0; i < MODES; i++)
+        if (laws->relations[i].of_time && isfinite(arguments[i]))
+            modes[i] = mode_by_value(laws->relations[i].floor, arguments[i]);
+}
+
+/* The conditions before the start: at a boundary, where only the value has been decisive; of
+ * samples their number, as one may be due at the start itself. */
+static inline Ending begin_events(const Laws *laws, Switching *s, const Point *at) {
+    double *modes = modes_of(at), here[MODES + 1];
+    Decision now, before, literal;
+    Seen seen;
+    if (!decide(laws, s, at, &now) || !look_closely(laws, s, at, &seen))
+        return ending(NO_VALUE, -1);
+    for (int i = 0; i < EVENTS; i++)
+        if (laws->rules[i].ends && now.conditions[i] > 0) return ending(STOPPED, i);
+
+    memcpy(here, modes, sizeof here - sizeof *here);
+    modes_of_time(laws, at, at->t - 8 * DBL_EPSILON * fmax(fabs(at->t), TINY), modes);
+    bool valued = laws->decide(laws->owner, at, &before);
+    for (int i = 0; i < MODES; i++) {
+        const int at_zero = laws->relations[i].at_zero;
+        const bool decisive = seen.arguments[i] == 0 && at_zero != KEEPS && s->state[i] != SLIDES;
+        modes[i] = decisive ? at_zero : here[i];
+    }
+    valued = valued && laws->decide(laws->owner, at, &literal);
+    memcpy(modes, here, sizeof here - sizeof *here);
+    if (!valued) return ending(NO_VALUE, -1);
+    for (int i = 0; i < EVENTS; i++)
+        s->conditions[i] = laws->rules[i].sampled ? fmin(now.conditions[i], before.conditions[i])
+                                                  : literal.conditions[i];
+    return GOING_ON;
+}
+
+/* Conditions at the present time by value, as far as they count samples. */
+static inline void samples_at(const Laws *laws, const Switching *s, const Point *at,
+                              double counts[]) {
+    double *modes = modes_of(at), here[MODES + 1];
+    Decision now = {.conditions = {0}};
+    memcpy(here, modes, sizeof here - sizeof *here);
+    modes_of_time(laws, at, at->t + 8 * DBL_EPSILON * fabs(at->t), modes);
+    const bool valued = decide(laws, s, at, &now);
+    for (int i = 0; i < EVENTS; i++)
+        counts[i] = laws->rules[i].sampled && valued ? now.conditions[i] : s->conditions[i];
+    memcpy(modes, here, sizeof here - sizeof *here);
+}
+
+/* -- an instant ------------------------------------------------------------------------------- */
+
+/* Which arguments are 0, and which relations no longer slide. Returns how far arguments have moved
+ * since the last event, in roundings; -1 without a value. */
+static inline double find_switched(const Laws *laws, Switching *s, const Point *at, int crossing,
+                                   bool zero[], bool decided[]) {
+    double *modes = modes_of(at), inside[MODES + 1], rates[MODES + 1], way = 0;
+    Seen seen;
+    if (!look_closely(laws, s, at, &seen)) return -1;
+    measure(laws, s, modes, &seen, inside, rates);
+    const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
+    for (int i = 0; i < MODES; i++) {
+        const Relation *relation = &laws->relations[i];
+        if (s->state[i] == SLIDES) {
+            const bool moved = is_moved(laws, s, &seen, i);
+            if (!moved && i != crossing && inside[i] > 0) continue;
+            s->state[i] = FREE;
+            modes[i] = (moved ? seen.arguments[i] : modes[i]) > 0 ? 1 : -1;
+            zero[i] = decided[i] = !moved;
+            if (moved) s->beyond[i] = 0;
+        } else if (is_held(laws, s, &seen, i)) {
+            zero[i] = true;
+        } else if (relation->of_time) {
+            zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
+        } else {
+            const double speed = fabs(rates[i]) * scale, gap = inside[i] - s->slack[i];
+            const bool crossed =
+                gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack[i];
+            /* where rates of inputs are unknown, an argument that has passed its boundary against
+             * the known rate has been moved there, and its value decides */
+            const double past = past_boundary(s, &seen, i);
+            const bool beyond = is_beyond(relation->floor, modes[i], past);
+            const bool moved = laws->blind && relation->of_input && beyond &&
+                               rates[i] >= -ROUNDING * seen.sizes[i];
+            zero[i] = (i == crossing || crossed) && !moved;
+            if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
+        }
+    }
+    return way;
+}
+
+static inline bool find_risen(const Laws *laws, const double before[], const double now[],
+                              bool risen[]) {
+    bool any = false;
+    for (int i = 0; i < EVENTS; i++) {
+        risen[i] = now[i] > before[i] && !(laws->rules[i].sampled && now[i] < 0);
+        any |= risen[i];
+    }
+    return any;
+}
+
+/* New values of the states by the rules that happen. What several of them add to a state adds up;
+ * other assignments to one state must be equal. */
+static inline Ending new_values(const Laws *laws, const Decision *at, const bool risen[],
+                                const double x[], double assigned[]) {
+    int by[NX + 1]; /* the last rule that gives a state its value */
+    bool adds[NX + 1];
+    for (int i = 0; i < NX; i++) by[i] = -1;
+    memcpy(assigned, x, NX * sizeof *x);
+    for (int i = 0; i < EVENTS; i++) {
+        const Rule *rule = &laws->rules[i];
+        for (int k = rule->first; risen[i] && k < rule->first + rule->count; k++) {
+            const int state = laws->assigned[k];
+            const double value = at->values[k];
+            if (!isfinite(value)) return (Ending){NOT_FINITE_ASSIGNED, i, -1, state, value};
+            if (by[state] < 0)
+                assigned[state] = value;
+            else if (adds[state] && laws->adds[k])
+                assigned[state] += value - x[state];
+            else if (assigned[state] != value)
+                return (Ending){CONTRADICTS, i, by[state], state, value};
+            adds[state] = (by[state] < 0 || adds[state]) && laws->adds[k];
+            by[state] = i;
+        }
+    }
+    return GOING_ON;
+}
+
+/* Assigns what the rules that happen say; arguments that this moves are no longer 0. */
+static inline Ending assign(const Laws *laws, Switching *s, const Point *at, const Decision *rules,
+                            const bool risen[], double x[], bool zero[]) {
+    double assigned[NX + 1];
+    Seen was, is;
+    Decision after;
+    if (!look_closely(laws, s, at, &was)) return ending(NO_VALUE, -1);
+    Ending found = new_values(laws, rules, risen, x, assigned);
+    if (found.reason != GOES_ON) return found;
+    memcpy(x, assigned, NX * sizeof *x);
+    if (!look_closely(laws, s, at, &is) || !decide(laws, s, at, &after))
+        return ending(NO_VALUE, -1);
+    int first = 0;
+    while (!risen[first]) first++;
+    for (int k = 0; k < DEFECTS; k++) {
+        const double now = after.defects[k];
+        if (now > VIOLATION && now > WORSE * rules->defects[k])
+            return (Ending){VIOLATES, first, k, -1, now};
+    }
+    for (int i = 0; i < MODES; i++) {
+        const bool same = is.arguments[i] == was.arguments[i];
+        zero[i] = same && (zero[i] || s->state[i] == SLIDES);
+        if (s->state[i] == SLIDES) {
+            s->state[i] = FREE;
+            modes_of(at)[i] = modes_of(at)[i] < 0 ? -1 : 1;
+        }
+        if (same) continue;
+        s->state[i] = FREE;
+        s->beyond[i] = 0;
+    }
+    return GOING_ON;
+}
+
+/* The condition of a rule that stays true beyond its boundary: the rule has assigned states on
+ * which the rate of the boundary depends, that rate is 0, and the second one leads further in. */
+static inline Ending reject_staying(const Laws *laws, const Switching *s, const Point *at,
+                                    const bool happened[], const bool zero[]) {
+    Decision now;
+    Seen seen;
+    bool doubt = false;
+    for (int i = 0; i < EVENTS; i++) doubt |= happened[i] && laws->rules[i].barriers > 0;
+    if (!doubt) return GOING_ON;
+    if (!decide(laws, s, at, &now) || !look_closely(laws, s, at, &seen))
+        return ending(NO_VALUE, -1);
+    for (int i = 0; i < EVENTS; i++) {
+        const Rule *rule = &laws->rules[i];
+        if (!happened[i] || !(now.conditions[i] > 0)) continue;
+        for (int k = rule->barrier; k < rule->barrier + rule->barriers; k++) {
+            const int j = laws->barriers[k];
+            const double tiny = ROUNDING * seen.sizes[j];
+            if (zero[j] && s->state[j] != SLIDES && fabs(seen.rates[j]) <= tiny &&
+                modes_of(at)[j] * seen.seconds[j] > tiny)
+                return ending(STAYS_TRUE, i);
+        }
+    }
+    return GOING_ON;
+}
+
+/* Lets rules happen until no condition rises. */
+static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, double x[],
+                             bool zero[], const Listener *listener, Happening *found) {
+    const bool decided[MODES + 1] = {0};
+    bool happened[EVENTS + 1] = {0};
+    for (;;) {
+        Decision rules;
+        bool risen[EVENTS + 1] = {0};
+        if (!decide(laws, s, at, &rules)) return ending(NO_VALUE, -1);
+        const bool any = find_risen(laws, s->conditions, rules.conditions, risen);
+        memcpy(s->conditions, rules.conditions, EVENTS * sizeof *s->conditions);
+        if (!any) return reject_staying(laws, s, at, happened, zero);
+        const int last = found->count ? found->happened[found->count - 1].rule : -1;
+        if (found->rounds++ == MOST_ROUNDS) return ending(TOO_MANY_ROUNDS, last);
+        for (int i = 0; i < EVENTS; i++) {
+            if (!risen[i]) continue;
+            if (found->count == ROOM_OF_INSTANT) return ending(TOO_MANY_ROUNDS, i);
+            happened[i] = true;
+            found->happened[found->count++] = (Happened){i, found->rounds};
+        }
+        if (listener) listener->note(listener->listener, at, risen);
+        Ending ends = assign(laws, s, at, &rules, risen, x, zero);
+        if (ends.reason == GOES_ON) ends = settle(laws, s, at, zero, decided);
+        for (int i = 0; i < EVENTS && ends.reason == GOES_ON; i++)
+            if (risen[i] && laws->rules[i].ends) ends = ending(STOPPED, i);
+        if (ends.reason == STOPPED) s->stopped = 1;
+        if (ends.reason != GOES_ON) return ends;
+    }
+}
+
+/* Events that are ever closer in time are no motion that can be followed. */
+static inline Ending reject_zeno(Switching *s, double t, int rule, double way) {
+    const bool near = t - s->last < CLOSE * time_scale(s, t);
+    s->close = near || (way > 0 && way < NO_WAY) ? s->close + 1 : 0;
+    s->last = t;
+    return s->close <= MOST_CLOSE ? GOING_ON : ending(TOO_CLOSE, rule);
+}
+
+/* All that happens at a point; `crossing` is the relation whose argument is 0 there, or -1. States
+ * and modes change in place; where nothing is due, nothing does, however often it is called. The
+ * caller plans time events anew where modes of time have changed, or one was due: returned in
+ * `replan`. The point's x must be x. */
+static inline void happen(const Laws *laws, Switching *s, const Point *at, double x[], int crossing,
+                          const Listener *listener, Happening *found, bool *replan) {
+    const double t = event_time(laws, s, at->t), *modes = modes_of(at);
+    double before[NX + 1];
+    bool zero[MODES + 1] = {0}, decided[MODES + 1] = {0};
+    found->ending = GOING_ON;
+    found->count = found->rounds = 0;
+    found->states_changed = found->modes_changed = *replan = false;
+    memcpy(before, x, NX * sizeof *x);
+    memcpy(found->modes, modes, MODES * sizeof *modes);
+    if (s->stopped > 0) {
+        found->ending = ending(STOPPED, -1);
+        return;
+    }
+    const bool timed = s->next <= t && s->next != NOT_PLANNED;
+    const double way = find_switched(laws, s, at, crossing, zero, decided);
+    memcpy(found->zero, zero, sizeof zero);
+    found->ending = way < 0 ? ending(NO_VALUE, -1) : settle(laws, s, at, zero, decided);
+    if (found->ending.reason == GOES_ON)
+        found->ending = iterate(laws, s, at, x, zero, listener, found);
+    if (found->ending.reason != GOES_ON && found->ending.reason != STOPPED) return;
+
+    *replan = !(s->next > t);
+    for (int i = 0; i < MODES; i++) {
+        if (modes[i] == found->modes[i]) continue;
+        found->modes_changed = true;
+        *replan |= laws->relations[i].of_time;
+    }
+    found->states_changed = memcmp(before, x, NX * sizeof *x) != 0;
+    const bool any = found->count > 0 || found->modes_changed;
+    if (!any || timed || found->ending.reason == STOPPED) return;
+    const int last = found->count ? found->happened[found->count - 1].rule : -1;
+    found->ending = reject_zeno(s, t, last, way);
+}
+
+#endif

@@ -1,0 +1,88 @@
+/* What a model tells the kernel of events: its relations, its rules, and functions to evaluate
+ * both.
+ *
+ * A relation has an argument and a mode: the sign of the argument, or its floor. Between events the
+ * equations are used with modes that do not change. A rule is an event that the author declared: it
+ * happens when its condition rises, and assigns new values to states.
+ *
+ * The kernel knows no model. Its sizes are macros: NX states, NZ algebraic unknowns, NU inputs of
+ * which the last MODES are modes, EVENTS rules with ASSIGNED assignments in all, DEFECTS
+ * constraints, BOUNDED relations of time alone that have bounds.
+ */
+#ifndef HYBRID_LAWS_H
+#define HYBRID_LAWS_H
+
+#include <float.h>
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+#if !defined NX || !defined NZ || !defined NU
+#error "define NX, NZ and NU: how many states, algebraic unknowns and inputs with modes there are"
+#endif
+#if !defined MODES || !defined EVENTS || !defined ASSIGNED || !defined DEFECTS || !defined BOUNDED
+#error "define MODES, EVENTS, ASSIGNED, DEFECTS and BOUNDED, the sizes of the laws"
+#endif
+
+enum { KEEPS = 2 }; /* `at_zero` of a relation that has the mode of either side there */
+
+typedef struct {
+    bool floor;    /* its mode is the floor of its argument, not the sign */
+    bool of_time;  /* the argument depends on time and parameters alone ... */
+    bool linear;   /* ... and is linear in time */
+    bool of_input; /* it depends on inputs, or on unknowns that may do so */
+    bool in_laws;  /* dx/dt, an unknown or another model depends on its mode */
+    int at_zero;   /* mode of a sign while its argument rests at 0: -1, 0, 1, or KEEPS */
+} Relation;
+
+typedef struct {
+    int first, count;      /* of `assigned` */
+    int barrier, barriers; /* of `barriers`: relations of the condition whose rates it changes */
+    bool sampled;          /* the condition counts samples: from 0 on */
+    bool ends;             /* it ends the run */
+} Rule;
+
+/* A place of a motion; z is a guess, and is solved for, as are the modes in u that slide. */
+typedef struct {
+    double t;
+    const double *x;
+    double *z, *u;
+} Point;
+
+/* Relations at a point: arguments with their first and second time derivatives along a solution,
+ * and sizes beside which a first derivative is rounding. */
+typedef struct {
+    double arguments[MODES + 1], rates[MODES + 1], seconds[MODES + 1], sizes[MODES + 1];
+} Seen;
+
+/* Rules at a point: conditions, what they assign, and how far each constraint is violated. */
+typedef struct {
+    double conditions[EVENTS + 1], values[ASSIGNED + 1], defects[DEFECTS + 1];
+} Decision;
+
+/* The laws of a model, called with their owner. Functions return whether there is a value. */
+typedef struct {
+    void *owner;
+    const Relation *relations;
+    const Rule *rules;
+    const int *assigned; /* states */
+    const bool *adds;    /* whether an assignment adds to its state what does not depend on it */
+    const int *barriers; /* relations */
+    const int *bounded;  /* relations of time whose arguments have bounds, BOUNDED of them */
+    bool blind;          /* rates of inputs are unknown, and a step ends a little beyond an event */
+    bool (*see)(void *owner, const Point *at, Seen *found);
+    bool (*decide)(void *owner, const Point *at, Decision *found);
+    /* how far rounding of all that an argument depends on moves it, relative to 1 */
+    bool (*spread)(void *owner, const Point *at, double moved[]);
+    /* arguments of time alone at a time, and their rates; the others are not set */
+    bool (*timed)(void *owner, const Point *at, double t, double arguments[], double rates[]);
+    /* bounds of such arguments and of two time derivatives, from a time over a length */
+    bool (*bounds)(void *owner, const Point *at, double t, double length, double low[],
+                   double high[]);
+} Laws;
+
+static inline double *modes_of(const Point *at) {
+    return at->u + NU - MODES;
+}
+
+#endif

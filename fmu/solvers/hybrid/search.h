@@ -1,0 +1,189 @@
+/* The first place within a step of a solver where a relation leaves its mode: looked for at several
+ * places, and at the least values between them, so that two crossings of a relation are seen, too.
+ * The step then ends where fresh steps cross; where they do not, it was only touched.
+ */
+#ifndef HYBRID_SEARCH_H
+#define HYBRID_SEARCH_H
+
+#include "settle.h"
+
+enum { PLACES = 9, MOST_HALVINGS = 100, MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
+
+/* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
+   step, and of a part of it. */
+static const double SHALLOW = 0.5, SHALLOW_PART = 0.2;
+
+/* Margins and their rates at a time. What has no value is no event: the solver rejects such steps
+   itself. */
+typedef struct {
+    double t, inside[MODES + 1], rates[MODES + 1];
+} Place;
+
+typedef void LookAt(void *motion, double t, Place *found);
+
+typedef struct {
+    double time;
+    int relation; /* -1: none */
+} Crossing;
+
+static inline int outside(const Place *place) {
+    for (int i = 0; i < MODES; ++i)
+        if (place->inside[i] < 0) return i;
+    return -1;
+}
+
+/* A time at which a margin falls below 0: after it at `low`, no later than `high`. */
+typedef struct {
+    double low, high;
+    int trials;
+} Bounds;
+
+/* The time to try after one with this margin and rate, by Newton's method and at last by halving;
+ * the same time once it is known to rounding. */
+static inline double better_time(Bounds *self, double t, double inside, double rate) {
+    double better = t - inside / rate;
+    if (inside < 0)
+        self->high = t;
+    else
+        self->low = t;
+    if (!(rate < 0 && better >= self->low && better <= self->high) ||
+        ++self->trials > MOST_OF_NEWTON)
+        better = self->low + (self->high - self->low) / 2;
+    return fabs(better - t) <= 2 * DBL_EPSILON * fabs(better) ? t : better;
+}
+
+/* Between a place within all modes and one that is not, to the rounding of time. */
+static inline Crossing narrow(LookAt *look, void *motion, double low, Place high) {
+    Place place;
+    for (int n = 0; n < MOST_HALVINGS; ++n) {
+        const double middle = low + (high.t - low) / 2;
+        if (!(middle > low && middle < high.t)) break;
+        look(motion, middle, &place);
+        if (outside(&place) >= 0)
+            high = place;
+        else
+            low = middle;
+    }
+    return (Crossing){high.t, outside(&high)};
+}
+
+/* May a relation that first falls and then rises have been outside between two places? */
+static inline int may_dip(const Place *a, const Place *b, int i, double shallow) {
+    if (!(a->rates[i] < 0 && b->rates[i] > 0)) return 0;
+    const double h = b->t - a->t, most = fmax(a->inside[i], b->inside[i]);
+    double least = most;
+    for (int k = 1; k < PLACES; ++k) { /* on the cubic */
+        const double s = (double)k / PLACES, r = 1 - s;
+        const double ends = r * r * (1 + 2 * s) * a->inside[i] + s * s * (1 + 2 * r) * b->inside[i];
+        least = fmin(least, ends + h * s * r * (r * a->rates[i] - s * b->rates[i]));
+    }
+    return least < shallow * most;
+}
+
+/* Whether a relation has, or may have, left its mode between two places. */
+static inline int is_suspect(const Place *a, const Place *b) {
+    for (int i = 0; i < MODES; ++i)
+        if (b->inside[i] < 0 || may_dip(a, b, i, SHALLOW)) return 1;
+    return 0;
+}
+
+/* The place where a relation is least. */
+static inline Place bottom(LookAt *look, void *motion, int i, Place a, Place b) {
+    Place place;
+    for (int n = 0; n < MOST_HALVINGS; ++n) {
+        const double middle = a.t + (b.t - a.t) / 2;
+        if (!(middle > a.t && middle < b.t)) break;
+        look(motion, middle, &place);
+        if (place.inside[i] < 0) return place;
+        if (place.rates[i] < 0)
+            a = place;
+        else
+            b = place;
+    }
+    return b;
+}
+
+/* The first crossing after a place, up to a time. */
+static inline Crossing crossing_between(LookAt *look, void *motion, Place before, double end) {
+    const double from = before.t;
+    Place place;
+    if (outside(&before) >= 0) return (Crossing){from, outside(&before)};
+    for (int k = 1; k <= PLACES; ++k) {
+        look(motion, k < PLACES ? from + (end - from) * k / PLACES : end, &place);
+        for (int i = 0; i < MODES && outside(&place) < 0; ++i)
+            if (may_dip(&before, &place, i, SHALLOW_PART)) {
+                const Place least = bottom(look, motion, i, before, place);
+                if (least.inside[i] < 0) place = least;
+            }
+        if (outside(&place) >= 0) return narrow(look, motion, before.t, place);
+        before = place;
+    }
+    return (Crossing){end, -1};
+}
+
+/* -- the end of a step at a crossing ---------------------------------------------------------- */
+
+/* Margins at the end of a fresh step from where the present one began; false where it fails. */
+typedef bool FreshStep(void *motion, double t, Place *found);
+
+typedef enum { CROSSES, TOUCHES, FAILS } Located;
+
+/* The relation that crosses first, near a place: the one that was found, or one that is beyond. */
+static inline int first_at(const Place *place, const double slack[], int found) {
+    double least = INFINITY;
+    int first = found;
+    for (int i = 0; i < MODES; ++i) {
+        const double rate = place->rates[i], inside = place->inside[i] - slack[i];
+        const bool beyond = inside < 8 * DBL_EPSILON * fabs(place->t) * rate;
+        if (!(rate < 0) || !(i == found || beyond) || !(-inside / rate < least)) continue;
+        least = -inside / rate;
+        first = i;
+    }
+    return first;
+}
+
+/* Moves a crossing to the time at which fresh steps cross. */
+static inline Located locate(FreshStep *fresh, void *motion, const double slack[], double begin,
+                             double end, Crossing *crossing) {
+    Bounds bounds = {begin, end, 0};
+    double left = 0, most = 0; /* of the margin, and what rounding makes of it */
+    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
+        const double t = crossing->time;
+        Place place;
+        if (!fresh(motion, t, &place)) return FAILS;
+        const int i = crossing->relation = first_at(&place, slack, crossing->relation);
+        left = place.inside[i] - slack[i];
+        most = slack[i] + 8 * DBL_EPSILON * fabs(t) * fabs(place.rates[i]);
+        crossing->time = better_time(&bounds, t, left, place.rates[i]);
+        if (crossing->time == t) break;
+    }
+    return left <= most ? CROSSES : TOUCHES;
+}
+
+/* A place after a touch at which every relation is within its mode again; false if none is. */
+static inline bool inside_again(LookAt *look, void *motion, double touch, double end,
+                                Place *found) {
+    for (int k = 1; k <= PLACES; ++k) {
+        look(motion, k < PLACES ? touch + (end - touch) * k / PLACES : end, found);
+        if (outside(found) < 0) return true;
+    }
+    return false;
+}
+
+/* The first crossing after a place, up to a time, where fresh steps cross; relation -1: none. */
+static inline Located find_crossing(LookAt *look, FreshStep *fresh, void *motion,
+                                    const double slack[], double begin, Place before, double end,
+                                    Crossing *found) {
+    for (int touches = 0; touches < PLACES; ++touches) {
+        *found = crossing_between(look, motion, before, end);
+        if (found->relation < 0) return CROSSES;
+        const double touch = found->time;
+        const Located how = locate(fresh, motion, slack, begin, end, found);
+        if (how != TOUCHES) return how;
+        if (!inside_again(look, motion, touch, end, &before)) break;
+    }
+    *found = (Crossing){end, -1};
+    return CROSSES;
+}
+
+#endif

@@ -1,0 +1,347 @@
+/* Modes that are consistent at an instant.
+ *
+ * The mode of a relation whose argument is 0 is that of its first time derivative that is not 0;
+ * one that rests there has the value of its operator. If neither side is consistent, the relation
+ * slides: its argument stays 0, and its mode is between -1 and 1.
+ *
+ * Source  Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988.
+ */
+#ifndef HYBRID_SETTLE_H
+#define HYBRID_SETTLE_H
+
+#include "switching.h"
+
+enum { MOST_ROUNDS = 100 }; /* of changes of modes, and of events, at one instant */
+
+static const double EDGE = 1e-9;        /* by which the mode of a new sliding may leave -1 ... 1 */
+static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event */
+static const double NOT_AFFINE = 1e-8;  /* rate of an argument that should stay, relative */
+static const double MOVED = 1e8;        /* roundings by which only an input moves an argument */
+static const double NO_BOUNDARY = 1e30; /* far from any: of time alone, or without a value */
+
+/* Why the kernel cannot go on, or does not want to; sentences are made where names are known. */
+typedef enum {
+    GOES_ON,
+    STOPPED,             /* an event has ended the run; `part`: the rule */
+    NO_VALUE,            /* an expression has no value at the instant */
+    NO_MODES,            /* no consistent modes; `part`: a relation that is 0 */
+    TOO_MANY_ROUNDS,     /* events happen again and again; `part`: the last rule */
+    TOO_CLOSE,           /* events are ever closer in time (Zeno); `part`: the last rule, or -1 */
+    CONTRADICTS,         /* rules `part` and `other` give a state different values; `state` */
+    NOT_FINITE_ASSIGNED, /* rule `part` gives a state no finite value; `state` */
+    VIOLATES,            /* rule `part` violates constraint `other` by `size` */
+    STAYS_TRUE           /* the condition of rule `part` stays true beyond its boundary */
+} Reason;
+
+typedef struct {
+    Reason reason;
+    int part, other, state; /* -1: none */
+    double size;
+} Ending;
+
+static const Ending GOING_ON = {GOES_ON, -1, -1, -1, 0};
+
+static inline Ending ending(Reason reason, int part) {
+    return (Ending){reason, part, -1, -1, 0};
+}
+
+/* Whether an input has moved an argument away that was 0, which no equation tells. */
+static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
+    const double way = fabs(past_boundary(s, seen, i));
+    return laws->relations[i].of_input && !(way <= MOVED * s->slack[i]);
+}
+
+/* Whether the argument of a relation has stayed 0 since its last event. */
+static inline bool is_held(const Laws *laws, const Switching *s, const Seen *seen, int i) {
+    return s->state[i] == HELD && fabs(seen->rates[i]) <= s->stays[i] &&
+           !is_moved(laws, s, seen, i);
+}
+
+/* How far every relation is within its mode, and the rate of that. Rounding is inside. */
+static inline void measure(const Laws *laws, const Switching *s, const double modes[],
+                           const Seen *seen, double inside[], double rates[]) {
+    for (int i = 0; i < MODES; i++) {
+        const double mode = modes[i], value = past_boundary(s, seen, i), slack = s->slack[i];
+        double sign = 0;
+        if (s->state[i] == SLIDES) {
+            const bool jumped = !laws->blind && is_moved(laws, s, seen, i);
+            inside[i] = jumped ? -1 : 1 - fabs(mode) + LEAVING;
+        } else if (laws->relations[i].of_time || !isfinite(value)) {
+            inside[i] = NO_BOUNDARY;
+        } else if (laws->relations[i].floor) {
+            sign = value - mode < mode + 1 - value ? 1 : -1;
+            inside[i] = slack + (sign > 0 ? value - mode : mode + 1 - value);
+        } else {
+            sign = mode != 0 ? mode : value > 0 ? -1 : 1; /* a mode of 0 is that of 0 alone */
+            inside[i] = slack + sign * value;
+            if (is_held(laws, s, seen, i)) inside[i] = fmax(inside[i], slack);
+        }
+        rates[i] = sign == 0 ? 0 : sign * seen->rates[i];
+    }
+}
+
+/* Boundaries are where the author wrote them: what has been inside since its event is free. */
+static inline void note_inside(const Laws *laws, Switching *s, const double modes[],
+                               const double arguments[]) {
+    for (int i = 0; i < MODES; i++) {
+        if (s->state[i] != LEAVES) continue;
+        const double value = arguments[i], mode = modes[i];
+        const double inside =
+            laws->relations[i].floor ? fmin(value - mode, mode + 1 - value) : mode * value;
+        if (!(inside > fabs(s->beyond[i]) + s->slack[i])) continue;
+        s->state[i] = FREE;
+        s->beyond[i] = 0;
+    }
+}
+
+/* -- sliding ---------------------------------------------------------------------------------- */
+
+typedef double Rows[MODES + 1][MODES + 2];
+
+/* Solves n linear equations, the right side being the last column; false if they are singular. */
+static inline bool solve_linear(int n, Rows a) {
+    for (int c = 0; c < n; c++) {
+        int pivot = c;
+        for (int r = c + 1; r < n; r++)
+            if (fabs(a[r][c]) > fabs(a[pivot][c])) pivot = r;
+        if (!(fabs(a[pivot][c]) > 0)) return false;
+        for (int k = 0; k <= n; k++) {
+            const double swapped = a[c][k];
+            a[c][k] = a[pivot][k];
+            a[pivot][k] = swapped;
+        }
+        for (int r = 0; r < n; r++) {
+            if (r == c) continue;
+            const double share = a[r][c] / a[c][c];
+            for (int k = c; k <= n; k++) a[r][k] -= share * a[c][k];
+        }
+    }
+    for (int r = 0; r < n; r++) a[r][n] /= a[r][r];
+    return true;
+}
+
+/* Sets the modes of relations that slide; false where none keep their arguments. The rates of the
+ * arguments are affine in the modes: modes 0 and 1 tell how. */
+static inline bool follow(const Laws *laws, const Switching *s, const Point *at) {
+    double *modes = modes_of(at), sizes[MODES + 1];
+    int which[MODES + 1], n = 0;
+    Seen base, one;
+    Rows a;
+    for (int i = 0; i < MODES; i++)
+        if (s->state[i] == SLIDES) which[n++] = i;
+    if (n == 0) return true;
+
+    for (int k = 0; k < n; k++) modes[which[k]] = 0;
+    if (!laws->see(laws->owner, at, &base)) return false;
+    for (int k = 0; k < n; k++) {
+        a[k][n] = -base.rates[which[k]];
+        sizes[k] = fabs(a[k][n]);
+    }
+    for (int c = 0; c < n; c++) {
+        modes[which[c]] = 1;
+        if (!laws->see(laws->owner, at, &one)) return false;
+        modes[which[c]] = 0;
+        for (int r = 0; r < n; r++) {
+            a[r][c] = one.rates[which[r]] - base.rates[which[r]];
+            sizes[r] += fabs(a[r][c]);
+        }
+    }
+    if (!solve_linear(n, a)) return false;
+    for (int k = 0; k < n; k++) modes[which[k]] = a[k][n];
+    if (!laws->see(laws->owner, at, &one)) return false;
+    for (int k = 0; k < n; k++)
+        if (!(fabs(one.rates[which[k]]) <= NOT_AFFINE * sizes[k])) return false;
+    return true;
+}
+
+/* Relations at a point, whatever slides. */
+static inline bool look_closely(const Laws *laws, const Switching *s, const Point *at, Seen *seen) {
+    return follow(laws, s, at) && laws->see(laws->owner, at, seen);
+}
+
+/* -- one instant ------------------------------------------------------------------------------ */
+
+static inline double mode_by_value(bool floor_, double value) {
+    return floor_ ? floor(value) : value >= 0 ? 1 : -1;
+}
+
+static inline double timed_argument(const Laws *laws, const Point *at, int i, double t) {
+    double arguments[MODES + 1], rates[MODES + 1];
+    return laws->timed(laws->owner, at, t, arguments, rates) ? arguments[i] : NAN;
+}
+
+/* The mode of an argument that is not 0. One of time alone may be due a little later; at a start,
+ * what only rounding is before happens. */
+static inline double apart(const Laws *laws, const Switching *s, const Point *at, const Seen *seen,
+                           int i, double value) {
+    const Relation *relation = &laws->relations[i];
+    if (relation->of_time) {
+        const double t = event_time(laws, s, at->t), rate = seen->rates[i];
+        if (relation->linear)
+            value += rate * (t - at->t);
+        else if (t != at->t)
+            value = timed_argument(laws, at, i, t);
+        const double boundary = relation->floor ? round(value) : 0;
+        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate)) {
+            if (s->next != NOT_PLANNED) return modes_of(at)[i];
+            if (relation->linear) value = relation->floor ? boundary - (rate < 0) : rate;
+        }
+    }
+    return mode_by_value(relation->floor, value);
+}
+
+/* The mode that value and rates require; `zero` tells whether the argument is 0. */
+static inline double required(const Laws *laws, const Switching *s, const Point *at,
+                              const Seen *seen, int i, bool *zero) {
+    const Relation *relation = &laws->relations[i];
+    const bool jumps = relation->of_time && s->due[i] == JUMPS;
+    const double value =
+        jumps ? timed_argument(laws, at, i, event_time(laws, s, at->t)) : past_boundary(s, seen, i);
+    const double boundary = relation->floor ? round(value) : 0, mode = modes_of(at)[i];
+    if (!isfinite(value)) return mode; /* of a branch that is not taken */
+    if (jumps) return mode_by_value(relation->floor, value);
+    if (!*zero && value != boundary) return apart(laws, s, at, seen, i, value);
+    *zero = true;
+    const double tiny = ROUNDING * seen->sizes[i], along[] = {seen->rates[i], seen->seconds[i]};
+    for (int k = 0; k < 2; k++) {
+        if (!(fabs(along[k]) > tiny)) continue;
+        if (relation->floor) return along[k] > 0 ? boundary : boundary - 1;
+        return along[k] > 0 ? 1 : -1;
+    }
+    if (relation->floor) return boundary;
+    return relation->at_zero == KEEPS ? mode : relation->at_zero;
+}
+
+static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
+    double moved[MODES + 1] = {0};
+    if (!laws->spread(laws->owner, at, moved)) return;
+    for (int i = 0; i < MODES; i++) s->slack[i] = isfinite(moved[i]) ? ROUNDING * moved[i] : 0;
+}
+
+/* Ends the sliding of relations whose modes have left -1 ... 1, on the side that the mode tells. */
+static inline bool release(Switching *s, double modes[], bool zero[]) {
+    bool any = false;
+    for (int i = 0; i < MODES; i++) {
+        if (s->state[i] != SLIDES || fabs(modes[i]) <= 1 + EDGE) continue;
+        s->state[i] = FREE;
+        modes[i] = modes[i] > 0 ? 1 : -1;
+        zero[i] = any = true;
+    }
+    return any;
+}
+
+/* What a change of modes has moved is no longer 0 because it was so before. */
+static inline void note_jumps(Switching *s, const Seen *before, const Seen *now, bool zero[]) {
+    for (int i = 0; i < MODES; i++) {
+        const double size = fabs(before->arguments[i]) + fabs(now->arguments[i]);
+        const double way = fabs(now->arguments[i] - before->arguments[i]);
+        if (s->state[i] == SLIDES || !(way > s->slack[i] + ROUNDING * size)) continue;
+        zero[i] = false;
+        s->state[i] = FREE;
+        s->beyond[i] = 0;
+    }
+}
+
+/* Changes the first mode that is not consistent, or lets its relation slide; false without a
+ * value. */
+static inline bool change_one(const Laws *laws, Switching *s, const Point *at, const Seen *seen,
+                              bool zero[], const bool decided[], bool *changed) {
+    double *modes = modes_of(at);
+    for (int i = 0; i < MODES; i++) {
+        if (s->state[i] == SLIDES || decided[i]) continue;
+        bool at_zero = zero[i];
+        const double mode = required(laws, s, at, seen, i, &at_zero);
+        if (mode == modes[i]) continue;
+        *changed = true;
+        modes[i] = mode;
+        if (!at_zero || laws->relations[i].floor || laws->relations[i].of_time) return true;
+        Seen other;
+        if (!look_closely(laws, s, at, &other)) return false;
+        if (required(laws, s, at, &other, i, &at_zero) != mode) {
+            s->state[i] = SLIDES;
+            zero[i] = true;
+        }
+        return true;
+    }
+    return true;
+}
+
+/* Whether an argument that became 0 came to rest beyond it, where its value decides. */
+static inline bool rests_beyond(const Laws *laws, const Switching *s, const Point *at,
+                                const Seen *seen, int i) {
+    if (laws->relations[i].floor || s->state[i] == SLIDES) return false;
+    const double past = modes_of(at)[i] * past_boundary(s, seen, i);
+    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= ROUNDING && past < -ROUNDING;
+}
+
+/* Notes what is 0 where modes are settled, and whether it stays so by definition. */
+static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, const bool zero[]) {
+    for (int i = 0; i < MODES; i++) {
+        const double value = seen->arguments[i], tiny = ROUNDING * seen->sizes[i];
+        s->stays[i] = 0;
+        if (s->state[i] == HELD) s->state[i] = LEAVES;
+        if (!zero[i] || laws->relations[i].of_time || !isfinite(value)) continue;
+        const bool rests = fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= tiny;
+        if (rests) s->stays[i] = tiny;
+        if (s->state[i] != SLIDES) s->state[i] = rests ? HELD : LEAVES;
+        s->beyond[i] = laws->relations[i].floor ? value - round(value) : value;
+    }
+}
+
+/* Finds modes that are consistent with what follows.
+ *
+ * zero: relations whose arguments are 0, whatever rounding makes of them; more may be found.
+ * decided: relations that keep their modes although their arguments are 0. */
+static inline Ending settle(const Laws *laws, Switching *s, const Point *at, bool zero[],
+                            const bool decided[]) {
+    Seen seen, before;
+    for (int trial = 0; trial < MOST_ROUNDS; trial++) {
+        if (!look_closely(laws, s, at, &seen)) return ending(NO_VALUE, -1);
+        note_slack(laws, s, at);
+        for (int i = 0; i < MODES && trial == 0; i++)
+            if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
+        if (trial > 0) note_jumps(s, &before, &seen, zero);
+        before = seen;
+        bool changed = release(s, modes_of(at), zero);
+        if (!changed && !change_one(laws, s, at, &seen, zero, decided, &changed))
+            return ending(NO_VALUE, -1);
+        if (changed) continue;
+        note_zeros(laws, s, &seen, zero);
+        return GOING_ON;
+    }
+    int last = 0;
+    for (int i = 0; i < MODES; i++)
+        if (zero[i]) last = i;
+    return ending(NO_MODES, last);
+}
+
+/* The first modes by the values of arguments alone; comparisons of what has none are false. */
+static inline void guess_modes(const Laws *laws, const Point *at, int count) {
+    double *modes = modes_of(at);
+    Seen seen;
+    const bool defined = laws->see(laws->owner, at, &seen);
+    for (int i = 0; i < count; i++) {
+        const double value = defined ? seen.arguments[i] : NAN;
+        const bool compares = laws->relations[i].at_zero * laws->relations[i].at_zero == 1;
+        if (isfinite(value))
+            modes[i] = mode_by_value(laws->relations[i].floor, value);
+        else
+            modes[i] = compares && !laws->relations[i].floor ? -1 : 1;
+    }
+}
+
+/* The modes of a start, with nothing left from before. */
+static inline Ending begin_modes(const Laws *laws, Switching *s, const Point *at, double span) {
+    bool zero[MODES + 1] = {0};
+    const bool decided[MODES + 1] = {0};
+    memset(s, 0, sizeof *s);
+    s->next = s->last = NOT_PLANNED;
+    s->span = span;
+    for (int i = 0; i < MODES; i++) modes_of(at)[i] = 1;
+    /* arguments may hold the modes of others, most of them of relations before them */
+    for (int i = 1; i <= MODES; i++) guess_modes(laws, at, i);
+    guess_modes(laws, at, MODES);
+    return settle(laws, s, at, zero, decided);
+}
+
+#endif

@@ -1,0 +1,85 @@
+/* What past events leave for later ones. All of it is doubles: a copy of the bytes continues a run.
+ */
+#ifndef HYBRID_SWITCHING_H
+#define HYBRID_SWITCHING_H
+
+#include "laws.h"
+
+/* States of a relation. */
+enum {
+    FREE,
+    LEAVES, /* it was 0 at its event, and has not been inside since */
+    HELD,   /* it is 0 and stays so by definition, as what rests does */
+    SLIDES  /* it stays 0 because its mode makes it so */
+};
+
+typedef struct {
+    double state[MODES + 1];
+    double beyond[MODES + 1]; /* argument of what is not free, which is 0 but for rounding, or for
+                                 what an importer of model exchange steps too far */
+    double stays[MODES + 1];  /* rate up to which an argument that is held stays 0 */
+    double slack[MODES + 1];  /* by which rounding moves an argument */
+    double due[MODES + 1];    /* when a relation of time switches next: a time, NEVER, or JUMPS */
+    double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
+    double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
+    double last;                   /* time of the last event */
+    double close;                  /* events in succession that were close to each other */
+    double span;    /* length of the run, or of the experiment where no end is known */
+    double stopped; /* 1: an event has ended the run */
+    double waits;   /* 1: a time event waits for the importer; 2 + i: a crossing of relation i */
+} Switching;
+
+enum { SWITCHING_SIZE = sizeof(Switching) / sizeof(double) };
+
+_Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it is doubles");
+
+#define NEVER_AGAIN DBL_MAX
+#define NOT_PLANNED (-DBL_MAX)
+#define JUMPS NOT_PLANNED /* due at the next time event, where its value tells its mode */
+
+static const double ROUNDING = 64 * DBL_EPSILON; /* relative size of a number that is 0 */
+static const double SAME_TIME = 1e-9; /* relative distance of times that importers take as one */
+
+/* What differences of times are measured by: 1 s, a shorter run, or the time itself. */
+static inline double time_scale(const Switching *s, double t) {
+    return fmax(s->span > 0 ? fmin(1, s->span) : 1, fabs(t));
+}
+
+static inline double ulp(double t) {
+    return nextafter(fabs(t), INFINITY) - fabs(t);
+}
+
+/* The time of an instant; importers of model exchange may come a little early to a time event. */
+static inline double event_time(const Laws *laws, const Switching *s, double now) {
+    const bool early = laws->blind && s->next != NOT_PLANNED && s->next > now &&
+                       s->next - now <= SAME_TIME * fmax(fabs(now), fabs(s->next));
+    return early ? s->next : now;
+}
+
+/* Whether a relation of time alone switches at a time. */
+static inline bool is_due(const Switching *s, int i, double t) {
+    return (s->due[i] == JUMPS ? s->next : s->due[i]) <= t + 8 * DBL_EPSILON * fabs(t);
+}
+
+static inline bool is_sliding(const Switching *s) {
+    for (int i = 0; i < MODES; i++)
+        if (s->state[i] == SLIDES) return true;
+    return false;
+}
+
+static inline bool any_leaves(const Switching *s) {
+    for (int i = 0; i < MODES; i++)
+        if (s->state[i] == LEAVES) return true;
+    return false;
+}
+
+static inline bool is_beyond(bool floor, double mode, double value) {
+    return floor ? value < mode || value >= mode + 1 : mode * value < 0;
+}
+
+/* The value of an argument in excess of what was 0 at the last event. */
+static inline double past_boundary(const Switching *s, const Seen *seen, int i) {
+    return seen->arguments[i] - s->beyond[i];
+}
+
+#endif

@@ -1,0 +1,130 @@
+/* The laws of a compiled model, for the kernel of events in a native run.
+ *
+ * Generated code provides the functions of relations and rules (see fmu/runtime/equations.h, with
+ * constants c, of which the parameters are the first, for p), the tables of laws.h, and
+ *
+ *     model_inputs(t, u, c) -> (u, du/dt)    inputs that follow a series within a step.
+ */
+#ifndef MODEL_LAWS_H
+#define MODEL_LAWS_H
+
+#include "happen.h"
+#include "plan.h"
+#include "problem.h"
+
+/* A function as CasADi writes it, and its results. */
+typedef struct {
+    Equations *algebraic, *relations, *rounding, *timed, *conditions, *bounds;
+    Equations *inputs; /* NULL where inputs rest within a step */
+} LawFunctions;
+
+static const LawFunctions law_functions;
+
+/* What the laws are called with. */
+typedef struct {
+    const double *c;      /* constants */
+    const double *sizes;  /* of the states, in whose rounding an argument is 0 */
+    const double *slopes; /* of the inputs, at an instant; NULL within a step, where they follow */
+    const double **arg;   /* CasADi's work space */
+    double **res;
+    long long *iw;
+    double *w;
+} LawOwner;
+
+static inline bool call_law(const LawOwner *self, Equations *function, const Point *at,
+                            const double *more, double *first, double *second, double *third,
+                            double *fourth) {
+    self->arg[0] = &at->t;
+    self->arg[1] = at->x;
+    self->arg[2] = at->z;
+    self->arg[3] = at->u;
+    self->arg[4] = self->c;
+    self->arg[5] = more;
+    self->res[0] = first;
+    self->res[1] = second;
+    self->res[2] = third;
+    self->res[3] = fourth;
+    return !function(self->arg, self->res, self->iw, self->w, 0);
+}
+
+/* Inputs and modes at the time of a point, and slopes of the inputs. */
+static inline bool law_inputs(const LawOwner *self, const Point *at, double u[], double slopes[]) {
+    memcpy(u, at->u, NU * sizeof *u);
+    memset(slopes, 0, NU * sizeof *slopes);
+    if (self->slopes || !law_functions.inputs) {
+        if (self->slopes) memcpy(slopes, self->slopes, NU * sizeof *slopes);
+        return true;
+    }
+    self->arg[0] = &at->t;
+    self->arg[1] = at->u;
+    self->arg[2] = self->c;
+    self->res[0] = u;
+    self->res[1] = slopes;
+    return !law_functions.inputs(self->arg, self->res, self->iw, self->w, 0);
+}
+
+/* The algebraic unknowns from their guess. */
+static inline bool solve_law(const LawOwner *self, const Point *at) {
+    double z[NZ + 1];
+    if (NZ == 0) return true;
+    if (!call_law(self, law_functions.algebraic, at, NULL, z, NULL, NULL, NULL)) return false;
+    for (int i = 0; i < NZ; i++)
+        if (!isfinite(z[i])) return false;
+    memcpy(at->z, z, NZ * sizeof *z);
+    return true;
+}
+
+static inline bool law_see(void *owner, const Point *at, Seen *seen) {
+    double u[NU + 1], slopes[NU + 1];
+    const Point now = {at->t, at->x, at->z, u};
+    return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
+           call_law(owner, law_functions.relations, &now, slopes, seen->arguments, seen->rates,
+                    seen->seconds, seen->sizes);
+}
+
+static inline bool law_decide(void *owner, const Point *at, Decision *found) {
+    double u[NU + 1], slopes[NU + 1];
+    const Point now = {at->t, at->x, at->z, u};
+    return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
+           call_law(owner, law_functions.conditions, &now, NULL, found->conditions, found->values,
+                    found->defects, NULL);
+}
+
+static inline bool law_spread(void *owner, const Point *at, double moved[]) {
+    const LawOwner *self = owner;
+    double u[NU + 1], slopes[NU + 1];
+    const Point now = {at->t, at->x, at->z, u};
+    return law_inputs(owner, at, u, slopes) &&
+           call_law(owner, law_functions.rounding, &now, self->sizes, moved, NULL, NULL, NULL);
+}
+
+static inline bool law_timed(void *owner, const Point *at, double t, double arguments[],
+                             double rates[]) {
+    const Point then = {t, at->x, at->z, at->u};
+    return call_law(owner, law_functions.timed, &then, NULL, arguments, rates, NULL, NULL);
+}
+
+static inline bool law_bounds(void *owner, const Point *at, double t, double length, double low[],
+                              double high[]) {
+    const Point then = {t, at->x, at->z, at->u};
+    return call_law(owner, law_functions.bounds, &then, &length, low, high, NULL, NULL);
+}
+
+static inline Laws laws_of_model(LawOwner *owner) {
+    return (Laws){
+        .owner = owner,
+        .relations = relations,
+        .rules = rules,
+        .assigned = assigned,
+        .adds = adds,
+        .barriers = barriers,
+        .bounded = bounded,
+        .see = law_see,
+        .decide = law_decide,
+        .spread = law_spread,
+        .timed = law_timed,
+        .bounds = law_bounds,
+    };
+}
+
+#endif

@@ -1,0 +1,152 @@
+"""The laws of a hybrid model for the kernel of events (fmu/solvers/hybrid): functions and tables."""
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae.expressions import symbols
+from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.relations import replayed
+from cosim.memo import cached_per_thread
+
+_SUMS = {ca.OP_ADD: 1, ca.OP_SUB: -1}
+
+
+def law_functions(system: Hybrid) -> list[ca.Function]:
+    """Return the functions of a model's relations and rules that fmu/runtime/equations.h declares.
+
+    Args:
+        system: Frozen equations.
+    """
+    dae = system.dae
+    pairs = zip(system.of_time, system.relations, strict=True)
+    times = ca.densify(ca.vertcat(SX(0, 1), *(int(own) * r.argument for own, r in pairs)))
+    defects = ca.vertcat(SX(0, 1), *(ca.norm_inf(law.residual) for law in dae.invariants))
+    timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
+    seen = system.watching("seen")
+    given = seen.mx_in()
+    arguments, rates, _, _, seconds, sizes, _ = seen.call(given, True)
+    span = system.time_bounds
+    over, ends = [*dae.arguments, span.length], [span.low, span.high]
+    bounds = [ca.Function("model_bounds", over, ends, {"cse": True})] if span.relations else []
+    decisions = [*system.rules, ca.densify(defects)]
+    return [
+        ca.Function("model_relations", given, [arguments, rates, seconds, sizes]),
+        system.rounding("model_rounding"),
+        ca.Function("model_timed", dae.arguments, timed, {"cse": True}),
+        ca.Function("model_conditions", dae.arguments, decisions, {"cse": True}),
+        *bounds,
+    ]
+
+
+def law_sizes(system: Hybrid) -> dict[str, int]:
+    """Return the sizes of the laws by the names of the kernel's macros."""
+    return {
+        "MODES": len(system.relations),
+        "EVENTS": len(system.events),
+        "ASSIGNED": sum(len(event.states) for event in system.events),
+        "DEFECTS": len(system.dae.invariants),
+        "BOUNDED": len(system.time_bounds.relations),
+    }
+
+
+def law_tables(system: Hybrid, storage: str = "") -> str:
+    """Return the C tables of relations and rules; see fmu/solvers/hybrid/laws.h.
+
+    Args:
+        system: Frozen equations.
+        storage: What precedes each definition, e.g. "static ".
+    """
+    relations = [
+        (r.floor, of_time, linear, of_input, in_laws, r.at_zero)
+        for r, of_time, linear, of_input, in_laws in zip(
+            system.relations, system.of_time, system.linear, system.of_input, system.in_laws,
+            strict=True,
+        )
+    ]  # fmt: skip
+    barriers = _barriers(system)
+    counts = [len(event.states) for event in system.events], [len(own) for own in barriers]
+    first = [list(accumulate(sizes, initial=0)) for sizes in counts]
+    rules = [
+        (first[0][i], counts[0][i], first[1][i], counts[1][i], event.sampled, bool(event.message))
+        for i, event in enumerate(system.events)
+    ]
+    assigned = [state for event in system.events for state in event.states]
+    tables = (
+        _rows(f"{storage}const Relation relations", relations, 6),
+        _rows(f"{storage}const Rule rules", rules, 6),
+        _numbers(f"{storage}const int assigned", assigned),
+        _numbers(f"{storage}const bool adds", _adds(system)),
+        _numbers(f"{storage}const int barriers", [i for own in barriers for i in own]),
+        _numbers(f"{storage}const int bounded", system.time_bounds.relations),
+    )
+    return "\n".join(tables) + "\n"
+
+
+def _rows(head: str, rows: Sequence[tuple[int, ...]], width: int) -> str:
+    """Return an array of structures, which is never empty."""
+    lines = (f"    {{{', '.join(str(int(value)) for value in row)}}},\n" for row in rows)
+    return f"{head}[] = {{\n{''.join(lines)}    {{{', '.join('0' * width)}}},\n}};"
+
+
+def _numbers(head: str, values: Sequence[int]) -> str:
+    """Return an array of numbers, which is never empty."""
+    return f"{head}[] = {{{', '.join(str(int(value)) for value in (*values, 0))}}};"
+
+
+@cached_per_thread(16)
+def _adds(system: Hybrid) -> list[bool]:
+    """Return for each assignment whether it adds to its state what does not depend on it."""
+    states = ca.vertsplit(system.dae.x)
+    return [
+        _share_of(value, states[state]) == 1
+        for event in system.events
+        for state, value in zip(event.states, ca.vertsplit(event.values), strict=True)
+    ]
+
+
+def _share_of(value: SX, state: SX) -> float | None:
+    """Return how often a state is a summand of a value; None if the value depends on it otherwise."""
+    used = list(symbols(value))
+    if not used:
+        return 0.0
+    own = state.element_hash()
+    given = ca.symvar(value)
+
+    def operation(code: int, terms: list[float | None]) -> float | None:
+        if code in _SUMS and None not in terms:
+            return float(terms[0] or 0) + _SUMS[code] * float(terms[1] or 0)
+        return 0.0 if all(term == 0 for term in terms) else None
+
+    found = replayed(
+        ca.Function("value", given, [ca.densify(value)]),
+        lambda argument, _: 1.0 if given[argument].element_hash() == own else 0.0,
+        lambda _: 0.0,
+        operation,
+    )
+    return found[0][0]
+
+
+@cached_per_thread(16)
+def _barriers(system: Hybrid) -> list[list[int]]:
+    """Return for each event the relations of its condition whose rates its assignments change."""
+    dae, constant = system.dae, set(system.constant)
+    unknown, moving = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
+    rates = ca.vertsplit(system.rates(system.arguments, unknown, moving)) if system.relations else []
+    modes, states = ca.vertsplit(system.modes), ca.vertsplit(dae.x)
+    found = list[list[int]]()
+    for event in system.events:
+        moved = ca.vertcat(SX(0, 1), *(states[i] for i in event.states if i not in constant))
+        found.append(
+            [
+                i
+                for i, relation in enumerate(system.relations)
+                if not (relation.floor or system.of_time[i])
+                and ca.depends_on(event.condition, modes[i])
+                and moved.numel()
+                and ca.depends_on(rates[i], moved)
+            ]
+        )
+    return found
