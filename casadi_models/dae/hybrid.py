@@ -182,47 +182,20 @@ class Hybrid:
         """Positions of the relations whose arguments do not depend on time alone."""
         return tuple(i for i, alone in enumerate(self.of_time) if not alone)
 
-    def margins(self, name: str) -> ca.Function:
+    def along_motion(self, name: str) -> ca.Function:
         """Return a function of t, x, z, u, p, du/dt and dx/dt, where z solves its equations.
 
-        Its results are how far the relations of the states are within their modes, and the time
-        derivatives of that; of a relation that slides, how far its mode is within -1 ... 1.
+        Its results are the arguments of the relations and their time derivatives, and the modes
+        with theirs: of a relation that slides, as the equations make them.
         """
         dae = self.dae
         f, w, v = (SX.sym("d", s.numel()) for s in (dae.x, dae.z, dae.u))
-        inside, rates = list[SX](), list[SX]()
-        values, towards = self.arguments, self.rates(self.arguments, w, v, f)
-        leaving = self.rates(self.solved, w, v, f)
-        for i in self.of_states:
-            mode, value = self.modes[i], values[i]
-            sign = mode
-            if i in self.sliding:
-                k = self.sliding.index(i)
-                mode, rate = self.solved[k], leaving[k]
-                inside.append(1 - ca.fabs(mode))
-                rates.append(-ca.sign(mode) * rate)
-                continue
-            if self.relations[i].floor:
-                low, high = value - mode, mode + 1 - value
-                inside.append(ca.fmin(low, high))
-                sign = ca.if_else(low < high, 1, -1)
-            else:
-                inside.append(mode * value)
-            rates.append(sign * towards[i])
-        results = [ca.densify(ca.vertcat(SX(0, 1), *rows)) for rows in (inside, rates)]
-        return self._with_unknown_rates(name, f, w, [v, f], results)
-
-    def deciding(self, name: str) -> ca.Function:
-        """Return a function of t, x, z, u, p and du/dt, where z solves the algebraic equations.
-
-        Its results decide what happens at an event: arguments of the relations and their time
-        derivatives, `rate_sizes`, `rules`, and the largest violated invariant.
-        """
-        dae, violated = self.dae, [invariant.residual for invariant in self.dae.invariants]
-        w, v = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
-        rates, defect = self.rates(self.arguments, w, v), ca.norm_inf(ca.vertcat(0, *violated))
-        results = [self.arguments, rates, self.rate_sizes, *self.rules, defect]
-        return self._with_unknown_rates(name, dae.ode, w, [v], results)
+        modes, rates = SX(self.modes), SX.zeros(len(self.relations))
+        if self.sliding:
+            modes[list(self.sliding)] = self.solved
+            rates[list(self.sliding)] = self.rates(self.solved, w, v, f)
+        results = [self.arguments, self.rates(self.arguments, w, v, f), modes, rates]
+        return self._with_unknown_rates(name, f, w, [v, f], [*map(ca.densify, results)])
 
     def _with_unknown_rates(
         self, name: str, ode: SX, w: SX, others: Sequence[SX], results: Sequence[SX]

@@ -78,10 +78,11 @@ Status handle_instant(Instance *self, int crossing, Outcome *outcome) {
     const Point at = present(self);
     const bool stopped = run_stopped(self);
     const double t = event_time(&laws, &state->switching, at.t);
+    const bool later[ROOM(MODES)] = {0};
     Happening found;
     bool replan;
-    happen(&laws, &state->switching, &at, state->values + FIRST_STATE, crossing, NULL, &found,
-           &replan);
+    happen(&laws, &state->switching, &at, state->values + FIRST_STATE, crossing, later, NULL,
+           &found, &replan);
     *outcome = (Outcome){found.states_changed, found.ending.reason == STOPPED};
     if (stopped) return OK;
     state->stale |= AFTER_START;

@@ -7,7 +7,7 @@
 #include "dop853.h"
 #include "interrupt.h"
 #include "projection.h"
-#include "switch.h"
+#include "watch.h"
 
 enum { MOST_STEPS = 100000 }; /* per output interval */
 
@@ -55,23 +55,24 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
                                      Course *course) {
     const Ode ode = {problem_slope, problem_scale, self};
     Slopes k;
-    double x[NX], end[NX], found[NX], t = grid->times[0];
+    double x[NX], end[NX], t = grid->times[0];
+    Watch *watch = MODES > 0 ? self->watch : NULL;
     Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
-    Step step = {self, t, 0, &accepted, within_accepted, step_afresh, grid->times};
+    Step step = {watch, t, 0, &accepted, within_accepted, step_afresh, grid->times, {0}};
     Place here, ahead;
     const double stop = grid->times[grid->points - 1];
     long long next = 1, trials = 0;
     int rejected = 0;
     memcpy(x, out, sizeof x);
     if (equations_at(self, t, x, k[0], z) || !is_finite(k[0])) return NOT_FINITE;
-    if (RELATIONS && look_afresh(self, t, x, k[END], &here)) return NOT_FINITE;
+    if (watch && look_afresh(watch, t, x, k[END], &here)) return NOT_FINITE;
     double h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
     while (next < grid->points) {
         course->reached = t;
         course->last = h;
         if (halted) return HALTED;
         if (++trials > MOST_STEPS) return TOO_MANY_STEPS;
-        if (RELATIONS && stop - t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
+        if (watch && stop - t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
             memcpy(out + next * NX, x, sizeof x);
             if (z && equations_at(self, stop, x, k[1], z + next * NZ)) return NOT_FINITE;
             ++course->passed;
@@ -96,23 +97,22 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         accepted.h = h;
         accepted.known = 0;
         Crossing crossing = {after, -1};
-        if (RELATIONS) {
+        if (watch) {
             double z_end[NZ + 1];
             step.t = t;
             step.h = after - t;
             if ((NZ > 0 && equations_at(self, after, end, k[END], z_end)) ||
-                look(self, after, end, z_end, k[END], &ahead))
+                look(watch, after, end, z_end, k[END], &ahead))
                 return NOT_FINITE;
-            crossing = crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead);
-            if (crossing.relation >= 0) {
-                if (end_at(&step, &crossing, found)) return NOT_FINITE;
-                if (!(accepted.error <= 1)) { /* what happens just before it was stepped over */
-                    h = (crossing.time - t) * growth(accepted.error, 1);
-                    rejected = 1;
-                    --self->steps;
-                    continue;
-                }
+            if (crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead, &crossing))
+                return NOT_FINITE;
+            if (crossing.relation >= 0 && !(accepted.error <= 1)) {
+                h = (crossing.time - t) * growth(accepted.error, 1); /* a change was stepped over */
+                rejected = 1;
+                --self->steps;
+                continue;
             }
+            if (crossing.relation < 0) let_go(watch, after, end);
             after = crossing.time;
             here = ahead;
         }
@@ -136,13 +136,13 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         if (crossed) {
             double *column = out + next * NX, *unknowns = z ? z + next * NZ : NULL;
             course->reached = after;
-            if (pass_event(self, &crossing, found))
-                return ends_run(self, &crossing, found, column, unknowns);
+            if (pass_event(watch, &crossing, step.fresh))
+                return ends_run(watch, &crossing, step.fresh, column, unknowns);
             t = after;
             rejected = 0;
-            memcpy(x, found, sizeof x);
+            memcpy(x, step.fresh, sizeof x);
             if (equations_at(self, t, x, k[0], NULL) || !is_finite(k[0]) ||
-                look_afresh(self, t, x, k[END], &here))
+                look_afresh(watch, t, x, k[END], &here))
                 return NOT_FINITE;
             h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
             if (grid->times[next] > t) continue;

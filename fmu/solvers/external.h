@@ -3,24 +3,23 @@
  *     run(x0, z0, p, u) -> (xf, zf), one column per output time,
  *
  * p = (c, number of output times, of breaks and of columns of u, relative and absolute tolerance,
- * largest step, nominal values of the states, whether the margin of each relation is 0 at the
- * start, output times, breaks). At a break, the position of an output time, a step ends and a fresh
- * one begins. u has one column, or one per output time that holds on the way there; where it
- * changes is a break, too. None of these numbers is a constant of the library: `cosim_sizes` must
- * be called before CasADi asks for the sizes. A run that fails leaves alone what it does not reach.
+ * largest step, nominal values of the states, output times, breaks). At a break, the position of an
+ * output time, a step ends and a fresh one begins. u has one column, or one per output time that
+ * holds on the way there; where it changes is a break, too. None of these numbers is a constant of
+ * the library: `cosim_sizes` must be called before CasADi asks for the sizes. A run that fails
+ * leaves alone what it does not reach.
  */
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
 
-#define SETTINGS (6 + NX + RELATIONS)
-#include "crossings.h"
+#define SETTINGS (6 + NX)
 #include "shapes.h"
-#include "switch.h"
+#include "watch.h"
 
 /* What the functions below run; generated code fills it. */
 typedef struct {
     Equations *rhs, *project, *watch;
-    WorkSize *rhs_work, *project_work, *watch_work, *switch_work; /* NULL with the function */
+    WorkSize *rhs_work, *project_work, *watch_work; /* NULL with the function */
     int (*integrate)(Problem *self, const Grid *grid, double *out, double *z, Course *course);
 } Solver;
 
@@ -50,13 +49,17 @@ SHARED int cosim_relation(void) {
     return relation;
 }
 
-static _Thread_local double *first_record;
+static _Thread_local double *first_record, *switching;
+static _Thread_local const double *sizes_of_states;
 static _Thread_local long long room, recorded;
 
-/* Where the thread's runs record the events that they go through, and how many fit in there. */
-SHARED void cosim_record(double *rows, long long count) {
+/* Where the thread's runs record the events that they go through, and how many fit in there; what
+ * past events have left; sizes of the states, in whose rounding an argument is 0. */
+SHARED void cosim_events(double *rows, long long count, double *left, const double *sizes) {
     first_record = rows;
     room = count;
+    switching = left;
+    sizes_of_states = sizes;
 }
 
 /* How many events the thread's last run has recorded. */
@@ -69,9 +72,13 @@ static inline void widen(long long *size, long long wanted) {
 }
 
 SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w) {
-    WorkSize *const others[] = {solver.project_work, solver.watch_work, solver.switch_work};
+    WorkSize *const others[] = {solver.project_work, solver.watch_work};
     int failed = solver.rhs_work(sz_arg, sz_res, sz_iw, sz_w);
-    for (int i = 0; i < 3; ++i) {
+    widen(sz_arg, LAWS_ARG);
+    widen(sz_res, LAWS_RES);
+    widen(sz_iw, LAWS_IW);
+    widen(sz_w, LAWS_W);
+    for (int i = 0; i < 2; ++i) {
         long long arg = 0, res = 0, iw = 0, w = 0;
         if (others[i]) failed |= others[i](&arg, &res, &iw, &w);
         widen(sz_arg, arg);
@@ -129,9 +136,8 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const double *x0 = arg[0] ? arg[0] : none, *c = arg[2];
     (void)mem;
     if (!c || !res[0]) return 1;
-    const double *settings = c + NC, *nominal = settings + 6, *begin = nominal + NX;
-    const double *times = begin + RELATIONS;
-    double offsets[RELATIONS + 1] = {0}, stays[RELATIONS + 1], z[NZ + 1], u[NU + 1];
+    const double *settings = c + NC, *nominal = settings + 6, *times = nominal + NX;
+    double z[NZ + 1], u[NU + 1];
     const long long points = (long long)settings[0];
     const int given = arg[3] != NULL;
     const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
@@ -139,7 +145,6 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     Problem problem = {
         .rhs = solver.rhs,
         .project = solver.project,
-        .watch = solver.watch,
         .z = z,
         .u = u,
         .c = c,
@@ -150,15 +155,20 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .relative = settings[3],
         .absolute = settings[4],
         .nominal = nominal,
-        .stays = stays,
-        .offsets = offsets,
-        .relation = -1,
+    };
+    Watch watch = {
+        .problem = &problem,
+        .watch = solver.watch,
+        .owner = {c, sizes_of_states, NULL, problem.arg, problem.res, iw, w},
+        .switching = (Switching *)(void *)switching,
         .records = first_record,
         .last_record = schedule.columns > 1 ? first_record : first_record + room * RECORD,
+        .relation = -1,
     };
+    watch.laws = laws_of_model(&watch.owner);
+    if (solver.watch && switching) problem.watch = &watch;
     memcpy(z, arg[1] ? arg[1] : none, NZ * sizeof *z);
     memcpy(u, schedule.u, NU * sizeof *u);
-    memcpy(stays, begin, RELATIONS * sizeof *stays);
     Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
     const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);
@@ -166,8 +176,8 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         (double)problem.steps, (double)problem.calls, 0, code, course.reached, course.last};
     memcpy(report, seen, sizeof report);
     passed = course.passed;
-    relation = problem.relation;
-    recorded = (problem.records - first_record) / RECORD;
+    relation = watch.relation;
+    recorded = (watch.records - first_record) / RECORD;
     return code != SUCCESS;
 }
 

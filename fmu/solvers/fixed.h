@@ -4,7 +4,7 @@
 
 #include "interrupt.h"
 #include "projection.h"
-#include "switch.h"
+#include "watch.h"
 
 enum { MOST_STAGES = 16 };
 
@@ -62,12 +62,13 @@ static inline int step_shorter(void *made, double t, double *x) {
 
 static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, double *z,
                                   Course *course) {
-    double k[MOST_STAGES][NX], x[NX], found[NX], slope_ahead[NX];
+    double k[MOST_STAGES][NX], x[NX], slope_ahead[NX];
+    Watch *watch = MODES > 0 ? self->watch : NULL;
     Made made = {.problem = self, .end = x, .slope_at_end = slope_ahead};
     Place here, ahead;
     memcpy(x, out, sizeof x);
     if (z && equations_at(self, grid->times[0], x, k[0], z)) return NOT_FINITE;
-    if (RELATIONS && look_afresh(self, grid->times[0], x, made.slope, &here)) return NOT_FINITE;
+    if (watch && look_afresh(watch, grid->times[0], x, made.slope, &here)) return NOT_FINITE;
     double begin = grid->times[0];
     for (long long next = 1; next < grid->points;) {
         const double length = grid->times[next] - begin;
@@ -79,32 +80,33 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             const double t = begin + part * h, end = part + 1 < parts ? t + h : grid->times[next];
             course->reached = t;
             if (halted) return HALTED;
-            if (RELATIONS) {
+            if (watch) {
                 memcpy(made.x, x, sizeof x);
                 memcpy(k[0], made.slope, sizeof made.slope);
             }
-            if (step_of_method(self, t, h, RELATIONS > 0, k, x) || restore(self, end, x))
+            if (step_of_method(self, t, h, watch != NULL, k, x) || restore(self, end, x))
                 return NOT_FINITE;
             ++self->steps;
-            if (!RELATIONS || !is_finite(x)) continue;
+            if (!watch || !is_finite(x)) continue;
             made.t = t;
             made.h = end - t;
-            if (look_afresh(self, end, x, slope_ahead, &ahead)) return NOT_FINITE;
-            Step step = {self, t, made.h, &made, within_made, step_shorter, NULL};
-            Crossing crossing =
-                crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead);
+            if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
+            Step step = {watch, t, made.h, &made, within_made, step_shorter, NULL, {0}};
+            Crossing crossing;
+            if (crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead, &crossing))
+                return NOT_FINITE;
             if (crossing.relation >= 0) {
-                if (end_at(&step, &crossing, found)) return NOT_FINITE;
                 course->reached = crossing.time;
-                if (pass_event(self, &crossing, found))
-                    return ends_run(self, &crossing, found, out + next * NX,
+                if (pass_event(watch, &crossing, step.fresh))
+                    return ends_run(watch, &crossing, step.fresh, out + next * NX,
                                     z ? z + next * NZ : NULL);
                 passed = 1;
                 begin = crossing.time;
-                memcpy(x, found, sizeof x);
-                if (look_afresh(self, begin, x, made.slope, &here)) return NOT_FINITE;
+                memcpy(x, step.fresh, sizeof x);
+                if (look_afresh(watch, begin, x, made.slope, &here)) return NOT_FINITE;
                 continue;
             }
+            let_go(watch, end, x);
             memcpy(made.slope, slope_ahead, sizeof slope_ahead);
             here = ahead;
         }

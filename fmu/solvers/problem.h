@@ -20,7 +20,6 @@ typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, lon
 typedef struct {
     Equations *rhs;     /* (t, x, z guess, u, c) -> (dx/dt, z) */
     Equations *project; /* see projection.h; NULL where nothing is corrected */
-    Equations *watch;   /* see watch.h; NULL without relations */
     double *z, *u;      /* what every call is given: the guess, inputs with modes, ... */
     const double *c;    /* ... and constants */
     const double **arg; /* CasADi's work space */
@@ -30,11 +29,7 @@ typedef struct {
     long long steps, calls;
     double relative, absolute; /* error that each step may have, the latter in nominal values */
     const double *nominal;     /* of the states */
-    double *stays;             /* rates up to which margins stay 0; -1: not 0 at the begin */
-    double *offsets;           /* what they are there by value */
-    int looked_at;
-    int relation;                  /* which one ended the run */
-    double *records, *last_record; /* where the next event is written, and where room ends */
+    void *watch;               /* see watch.h; NULL without relations */
 } Problem;
 
 /* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */

@@ -1,74 +1,104 @@
 /* The relations of the equations, looked at as a solver goes: a step in which one leaves its mode
- * ends exactly there.
+ * ends exactly there, and the kernel of events tells what follows.
  *
- * watch(t, x, z, u, c, dx) -> (inside, rates): how far every relation is within its mode, and the
- * rate of that, at solved unknowns z.
+ * watch(t, x, z, u, c, dx) -> (arguments, rates, modes, rates of modes): of the relations, at
+ * solved unknowns z; modes that follow from an argument that stays 0 are part of the equations.
  */
 #ifndef WATCH_H
 #define WATCH_H
 
-#include "crossings.h"
+#include "model_laws.h"
 #include "projection.h"
+#include "search.h"
+
+enum { RECORD = 1 + 2 * (NX + NZ + MODES) + MODES + EVENTS };
+
+/* What a run with events goes on from. */
+typedef struct {
+    Problem *problem;
+    Equations *watch;
+    Laws laws;
+    LawOwner owner;
+    Switching *switching;
+    double *records, *last_record; /* where the next event is written, and where room ends */
+    int relation;                  /* which one ended the run; -1: none */
+} Watch;
 
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
 typedef struct {
-    Problem *problem;
+    Watch *watch;
     double t, h;
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
     const double *looked; /* the output times before it have been looked at */
+    double fresh[NX];     /* the state at the end of the last fresh step */
 } Step;
 
-/* Margins at a state; what is 0 at the start of a run by definition counts from there. */
-static inline int margins_at(Problem *self, double t, const double *x, double *z, const double *dx,
-                             Place *found) {
-    found->t = t;
-    self->arg[0] = &t;
-    self->arg[1] = x;
-    self->arg[2] = z;
-    self->arg[3] = self->u;
-    self->arg[4] = self->c;
-    self->arg[5] = dx;
-    self->res[0] = found->inside;
-    self->res[1] = found->rates;
-    if (self->watch(self->arg, self->res, self->iw, self->w, 0)) return 1;
-    for (int i = 0; i < RELATIONS; ++i) {
-        if (!self->looked_at && self->stays[i] >= 0) self->offsets[i] = found->inside[i];
-        found->inside[i] -= self->offsets[i];
-    }
-    self->looked_at = 1;
-    return 0;
+static inline int relations_at(const Watch *self, double t, const double *x, double *z,
+                               const double *dx, Seen *seen, double *modes, double *towards) {
+    const Problem *problem = self->problem;
+    problem->arg[0] = &t;
+    problem->arg[1] = x;
+    problem->arg[2] = z;
+    problem->arg[3] = problem->u;
+    problem->arg[4] = problem->c;
+    problem->arg[5] = dx;
+    problem->res[0] = seen->arguments;
+    problem->res[1] = seen->rates;
+    problem->res[2] = modes;
+    problem->res[3] = towards;
+    return self->watch(problem->arg, problem->res, problem->iw, problem->w, 0);
 }
 
-/* The same; what the equations keep at 0 does not leave it, wherever the solver's motion goes. */
-static inline int look(Problem *self, double t, const double *x, double *z, const double *dx,
+/* Whether an argument stays 0 by the equations, wherever the solver's motion goes. */
+static inline int is_kept(const Watch *self, double t, const double *x, int i) {
+    double slopes[NX], solved[NZ + 1], modes[MODES + 1], towards[MODES + 1];
+    Seen exact;
+    return !equations_at(self->problem, t, x, slopes, solved) &&
+           !relations_at(self, t, x, solved, slopes, &exact, modes, towards) &&
+           fabs(exact.rates[i]) <= self->switching->stays[i];
+}
+
+/* Margins at a state whose derivatives and algebraic unknowns are known. Returns 0 with a value. */
+static inline int look(const Watch *self, double t, const double *x, double *z, const double *dx,
                        Place *found) {
-    Place exact = {.t = NAN};
-    double slopes[NX], solved[NZ + 1];
-    if (margins_at(self, t, x, z, dx, found)) return 1;
-    for (int i = 0; i < RELATIONS; ++i) {
-        if (!(self->stays[i] > 0 && found->inside[i] < 0)) continue;
-        if (exact.t != t && (equations_at(self, t, x, slopes, solved) ||
-                             margins_at(self, t, x, solved, slopes, &exact)))
-            return 1;
-        if (fabs(exact.rates[i]) <= self->stays[i]) found->inside[i] = 0;
+    const Switching *s = self->switching;
+    double modes[MODES + 1], towards[MODES + 1];
+    Seen seen;
+    found->t = t;
+    if (relations_at(self, t, x, z, dx, &seen, modes, towards)) return 1;
+    measure(&self->laws, s, modes, &seen, found->inside, found->rates);
+    for (int i = 0; i < MODES; ++i) {
+        if (s->state[i] == SLIDES) found->rates[i] = modes[i] > 0 ? -towards[i] : towards[i];
+        if (s->state[i] == HELD && found->inside[i] < s->slack[i] && is_kept(self, t, x, i))
+            found->inside[i] = s->slack[i];
     }
     return 0;
 }
 
 /* The same where the derivatives and the algebraic unknowns are not known yet. */
-static inline int look_afresh(Problem *self, double t, const double *x, double *dx, Place *found) {
+static inline int look_afresh(const Watch *self, double t, const double *x, double *dx,
+                              Place *found) {
     double z[NZ + 1];
-    return equations_at(self, t, x, dx, z) || look(self, t, x, z, dx, found);
+    return equations_at(self->problem, t, x, dx, z) || look(self, t, x, z, dx, found);
+}
+
+/* Boundaries that an event has displaced are back as soon as a step ends within them. */
+static inline void let_go(const Watch *self, double t, const double *x) {
+    double dx[NX], z[NZ + 1], modes[MODES + 1], towards[MODES + 1];
+    Seen seen;
+    if (!any_leaves(self->switching) || equations_at(self->problem, t, x, dx, z)) return;
+    if (!relations_at(self, t, x, z, dx, &seen, modes, towards))
+        note_inside(&self->laws, self->switching, modes, seen.arguments);
 }
 
 static inline void look_at(const Step *self, double t, double *x, Place *found) {
     double dx[NX], slopes[NX], z[NZ + 1];
     const int lost = self->within(self->motion, t, x, dx) ||
-                     (NZ > 0 && equations_at(self->problem, t, x, slopes, z)) ||
-                     look(self->problem, t, x, z, dx, found);
-    for (int i = 0; lost && i < RELATIONS; ++i) {
+                     (NZ > 0 && equations_at(self->watch->problem, t, x, slopes, z)) ||
+                     look(self->watch, t, x, z, dx, found);
+    for (int i = 0; lost && i < MODES; ++i) {
         found->inside[i] = 1;
         found->rates[i] = 0;
     }
@@ -80,12 +110,21 @@ static inline void look_within(void *accepted, double t, Place *found) {
     look_at(accepted, t, x, found);
 }
 
+static inline bool step_freshly(void *accepted, double t, Place *found) {
+    Step *self = accepted;
+    double dx[NX];
+    return !self->step_to(self->motion, t, self->fresh) &&
+           !look_afresh(self->watch, t, self->fresh, dx, found);
+}
+
 /* The first crossing in an accepted step that ends at a place, from the place where it begins: at
- * the output times in it, whose columns take the states, and between all these places. */
-static inline Crossing crossing_of(Step *self, const double *times, double *columns,
-                                   const Place *begin, const Place *end) {
+ * the output times in it, whose columns take the states, and between all these places. Where there
+ * is one, `fresh` is the state. Returns 0 unless a fresh step fails. */
+static inline int crossing_of(Step *self, const double *times, double *columns, const Place *begin,
+                              const Place *end, Crossing *found) {
     Place before = *begin, place;
     self->looked = times;
+    *found = (Crossing){end->t, -1};
     for (const double *time = times; before.t < end->t; before = place) {
         while (*time <= before.t && *time < end->t) ++time;
         if (*time < end->t) {
@@ -95,49 +134,66 @@ static inline Crossing crossing_of(Step *self, const double *times, double *colu
             place = *end;
         }
         if (!is_suspect(&before, &place)) continue;
-        const Crossing found = crossing_between(look_within, self, before, place.t);
-        if (found.relation >= 0) return found;
-        if (outside(&place) >= 0) return (Crossing){place.t, outside(&place)};
-    }
-    return (Crossing){end->t, -1};
-}
-
-/* The relation that crosses first, near a place: the one that was found, or one that is beyond. */
-static inline int first_at(const Place *place, int found) {
-    double least = INFINITY;
-    int first = found;
-    for (int i = 0; i < RELATIONS; ++i) {
-        const double rate = place->rates[i], delay = -place->inside[i] / rate;
-        const int beyond = place->inside[i] < 8 * DBL_EPSILON * fabs(place->t) * rate;
-        if (!(rate < 0) || !(i == found || beyond) || !(delay < least)) continue;
-        least = delay;
-        first = i;
-    }
-    return first;
-}
-
-/* Ends a step at a crossing: where the ends of such steps cross. */
-static inline int end_at(const Step *self, Crossing *crossing, double *x) {
-    Bounds bounds = {self->t, self->t + self->h, 0};
-    double dx[NX];
-    Place place;
-    for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
-        const double t = crossing->time;
-        if (self->step_to(self->motion, t, x) || look_afresh(self->problem, t, x, dx, &place))
+        const double *slack = self->watch->switching->slack;
+        if (find_crossing(look_within, step_freshly, self, slack, self->t, before, place.t,
+                          found) == FAILS)
             return 1;
-        const int i = crossing->relation = first_at(&place, crossing->relation);
-        crossing->time = better_time(&bounds, t, place.inside[i], place.rates[i]);
-        if (crossing->time == t) break;
+        if (found->relation >= 0) return 0;
     }
+    *found = (Crossing){end->t, -1};
+    return 0;
+}
+
+static inline void append(double **end, const double *values, int count) {
+    memcpy(*end, values, (size_t)count * sizeof **end);
+    *end += count;
+}
+
+/* Goes through the event at a crossing: x becomes the state after it, and what was before and after
+ * is recorded. Returns 0 where the run goes on from there; otherwise all is as before, and the
+ * caller of the run has to go on: where relations slide, time events change, or the run ends. */
+static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
+    Problem *problem = self->problem;
+    double *modes = problem->u + NU - MODES, before[MODES + 1], state[NX], z[NZ + 1];
+    const bool later[MODES + 1] = {0};
+    const Switching saved = *self->switching;
+    const Point at = {crossing->time, x, problem->z, problem->u};
+    Happening found;
+    bool replan;
+    if (self->records == self->last_record) return 1;
+    memcpy(before, modes, sizeof before - sizeof *before);
+    memcpy(state, x, sizeof state);
+    memcpy(z, problem->z, NZ * sizeof *z);
+    happen(&self->laws, self->switching, &at, x, crossing->relation, later, NULL, &found, &replan);
+    if (found.ending.reason != GOES_ON || replan || is_sliding(self->switching)) {
+        *self->switching = saved;
+        memcpy(modes, before, sizeof before - sizeof *before);
+        memcpy(x, state, sizeof state);
+        memcpy(problem->z, z, NZ * sizeof *z);
+        return 1;
+    }
+    double *end = self->records, order[EVENTS + 1] = {0}, zero[MODES + 1];
+    for (int k = 0; k < found.count; ++k) order[found.happened[k].rule] = 1 + k;
+    for (int i = 0; i < MODES; ++i) zero[i] = found.zero[i];
+    append(&end, &crossing->time, 1);
+    append(&end, state, NX);
+    append(&end, z, NZ);
+    append(&end, before, MODES);
+    append(&end, x, NX);
+    append(&end, problem->z, NZ);
+    append(&end, modes, MODES);
+    append(&end, zero, MODES);
+    append(&end, order, EVENTS);
+    self->records = end;
     return 0;
 }
 
 /* Writes the state at a crossing after the last output time that was passed. */
-static inline int ends_run(Problem *self, const Crossing *crossing, const double *x, double *out,
+static inline int ends_run(Watch *self, const Crossing *crossing, const double *x, double *out,
                            double *z) {
     double dx[NX];
     memcpy(out, x, NX * sizeof *x);
-    if (z && equations_at(self, crossing->time, x, dx, z)) return NOT_FINITE;
+    if (z && equations_at(self->problem, crossing->time, x, dx, z)) return NOT_FINITE;
     self->relation = crossing->relation;
     return EVENT;
 }

@@ -100,7 +100,7 @@ static inline void samples_at(const Laws *laws, const Switching *s, const Point 
 /* Which arguments are 0, and which relations no longer slide. Returns how far arguments have moved
  * since the last event, in roundings; -1 without a value. */
 static inline double find_switched(const Laws *laws, Switching *s, const Point *at, int crossing,
-                                   bool zero[], bool decided[]) {
+                                   const bool later[], bool zero[], bool decided[]) {
     double *modes = modes_of(at), inside[MODES + 1], rates[MODES + 1], way = 0;
     Seen seen;
     if (!look_closely(laws, s, at, &seen)) return -1;
@@ -108,7 +108,9 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
-        if (s->state[i] == SLIDES) {
+        if (later[i]) {
+            decided[i] = true;
+        } else if (s->state[i] == SLIDES) {
             const bool moved = is_moved(laws, s, &seen, i);
             if (!moved && i != crossing && inside[i] > 0) continue;
             s->state[i] = FREE;
@@ -233,8 +235,8 @@ static inline Ending reject_staying(const Laws *laws, const Switching *s, const 
 
 /* Lets rules happen until no condition rises. */
 static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, double x[],
-                             bool zero[], const Listener *listener, Happening *found) {
-    const bool decided[MODES + 1] = {0};
+                             const bool later[], bool zero[], const Listener *listener,
+                             Happening *found) {
     bool happened[EVENTS + 1] = {0};
     for (;;) {
         Decision rules;
@@ -253,7 +255,7 @@ static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, do
         }
         if (listener) listener->note(listener->listener, at, risen);
         Ending ends = assign(laws, s, at, &rules, risen, x, zero);
-        if (ends.reason == GOES_ON) ends = settle(laws, s, at, zero, decided);
+        if (ends.reason == GOES_ON) ends = settle(laws, s, at, zero, later);
         for (int i = 0; i < EVENTS && ends.reason == GOES_ON; i++)
             if (risen[i] && laws->rules[i].ends) ends = ending(STOPPED, i);
         if (ends.reason == STOPPED) s->stopped = 1;
@@ -269,12 +271,13 @@ static inline Ending reject_zeno(Switching *s, double t, int rule, double way) {
     return s->close <= MOST_CLOSE ? GOING_ON : ending(TOO_CLOSE, rule);
 }
 
-/* All that happens at a point; `crossing` is the relation whose argument is 0 there, or -1. States
- * and modes change in place; where nothing is due, nothing does, however often it is called. The
- * caller plans time events anew where modes of time have changed, or one was due: returned in
- * `replan`. The point's x must be x. */
+/* All that happens at a point; `crossing` is the relation whose argument is 0 there, or -1; those
+ * that switch `later` keep their modes. States and modes change in place; where nothing is due,
+ * nothing does, however often it is called. The caller plans time events anew where modes of time
+ * have changed, or one was due: returned in `replan`. The point's x must be x. */
 static inline void happen(const Laws *laws, Switching *s, const Point *at, double x[], int crossing,
-                          const Listener *listener, Happening *found, bool *replan) {
+                          const bool later[], const Listener *listener, Happening *found,
+                          bool *replan) {
     const double t = event_time(laws, s, at->t), *modes = modes_of(at);
     double before[NX + 1];
     bool zero[MODES + 1] = {0}, decided[MODES + 1] = {0};
@@ -288,11 +291,11 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
         return;
     }
     const bool timed = s->next <= t && s->next != NOT_PLANNED;
-    const double way = find_switched(laws, s, at, crossing, zero, decided);
+    const double way = find_switched(laws, s, at, crossing, later, zero, decided);
     memcpy(found->zero, zero, sizeof zero);
     found->ending = way < 0 ? ending(NO_VALUE, -1) : settle(laws, s, at, zero, decided);
     if (found->ending.reason == GOES_ON)
-        found->ending = iterate(laws, s, at, x, zero, listener, found);
+        found->ending = iterate(laws, s, at, x, later, zero, listener, found);
     if (found->ending.reason != GOES_ON && found->ending.reason != STOPPED) return;
 
     *replan = !(s->next > t);

@@ -1,6 +1,6 @@
 """The laws of a hybrid model for the kernel of events (fmu/solvers/hybrid): functions and tables."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
 
 import casadi as ca
@@ -73,31 +73,47 @@ def law_tables(system: Hybrid, storage: str = "") -> str:
         (first[0][i], counts[0][i], first[1][i], counts[1][i], event.sampled, bool(event.message))
         for i, event in enumerate(system.events)
     ]
-    assigned = [state for event in system.events for state in event.states]
-    tables = (
-        _rows(f"{storage}const Relation relations", relations, 6),
-        _rows(f"{storage}const Rule rules", rules, 6),
-        _numbers(f"{storage}const int assigned", assigned),
-        _numbers(f"{storage}const bool adds", _adds(system)),
-        _numbers(f"{storage}const int barriers", [i for own in barriers for i in own]),
-        _numbers(f"{storage}const int bounded", system.time_bounds.relations),
-    )
+    numbers = {
+        "int assigned": [state for event in system.events for state in event.states],
+        "bool adds": added(system),
+        "int barriers": [i for own in barriers for i in own],
+        "int bounded": system.time_bounds.relations,
+    }
+    return _tables(relations, rules, numbers, storage)
+
+
+def _tables(
+    relations: Sequence[tuple[int, ...]],
+    rules: Sequence[tuple[int, ...]],
+    numbers: Mapping[str, Sequence[int]],
+    storage: str,
+) -> str:
+    """Return the definitions of the tables; none of them is empty, as C knows no empty array."""
+    tables = [
+        _rows(f"{storage}const Relation relations", relations),
+        _rows(f"{storage}const Rule rules", rules),
+        *(_numbers(f"{storage}const {name}", values) for name, values in numbers.items()),
+    ]
     return "\n".join(tables) + "\n"
 
 
-def _rows(head: str, rows: Sequence[tuple[int, ...]], width: int) -> str:
-    """Return an array of structures, which is never empty."""
-    lines = (f"    {{{', '.join(str(int(value)) for value in row)}}},\n" for row in rows)
-    return f"{head}[] = {{\n{''.join(lines)}    {{{', '.join('0' * width)}}},\n}};"
+def _rows(head: str, rows: Sequence[tuple[int, ...]]) -> str:
+    width = 6  # members of either structure
+    every = [*rows, (0,) * width]
+    lines = (f"    {{{', '.join(str(int(value)) for value in row)}}},\n" for row in every)
+    return f"{head}[] = {{\n{''.join(lines)}}};"
 
 
 def _numbers(head: str, values: Sequence[int]) -> str:
-    """Return an array of numbers, which is never empty."""
     return f"{head}[] = {{{', '.join(str(int(value)) for value in (*values, 0))}}};"
 
 
+_NUMBERS = ("int assigned", "bool adds", "int barriers", "int bounded")
+NO_TABLES = _tables([], [], dict.fromkeys(_NUMBERS, ()), "static ")  # of a smooth model
+
+
 @cached_per_thread(16)
-def _adds(system: Hybrid) -> list[bool]:
+def added(system: Hybrid) -> list[bool]:
     """Return for each assignment whether it adds to its state what does not depend on it."""
     states = ca.vertsplit(system.dae.x)
     return [

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.arrays import Vector
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
-from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled
+from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled, Left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +118,10 @@ class Reached:
     events: NDArray[np.void] | None = None
 
 
-def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reached:
-    """Call an engine with initial values, parameters and constant inputs."""
+def call(
+    engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, left: Left | None = None
+) -> Reached:
+    """Call an engine with initial values, parameters, constant inputs, and what events have left."""
     n, by_casadi, unit = engine.points, engine.direct is None, engine.time_unit
     states, algebraics = (np.empty((n, len(start))) for start in (x0, z0))
     if by_casadi:  # it writes column by column, and no column after a failure
@@ -136,7 +138,7 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     with recording, interruptible(engine.library) as interrupts:
         try:
             with doing("solving", partial(_written_share, states)):
-                filled = _evaluated(engine, x0, z0, p, u, states, algebraics)
+                filled = _evaluated(engine, (x0, z0, p, u), states, algebraics, left)
         except RuntimeError as error:  # CasADi has no narrower type
             reason, counts = _flag(str(error)), engine.counts()
         else:
@@ -161,7 +163,8 @@ def call(engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector) -> Reache
     elif len(states) < n and crossing is None:
         reason = "a state is not finite"
     transposed = states.T, algebraics.T
-    return Reached(*transposed, counts, reason, solve_time, crossing, engine.watches, events)
+    watched = engine.watches and left is not None
+    return Reached(*transposed, counts, reason, solve_time, crossing, watched, events)
 
 
 def finite_rows(rows: Vector) -> int:
@@ -174,11 +177,16 @@ def finite_rows(rows: Vector) -> int:
 
 
 def _evaluated(
-    engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
+    engine: Engine,
+    given: tuple[Vector, Vector, Vector, Vector],
+    states: Vector,
+    algebraics: Vector,
+    left: Left | None,
 ) -> Filled:
     """Fill the results of an engine."""
     if engine.direct is not None:
-        return engine.direct(x0, z0, p, u, states, algebraics)
+        return engine.direct(*given, states, algebraics, left)
+    x0, z0, p, u = given
     parameters = engine.functions.parameters
     if parameters is not None:
         extended = np.empty(parameters.numel_out(0))

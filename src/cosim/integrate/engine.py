@@ -51,8 +51,6 @@ class Problem:
             empty.
         system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
             a relation leaves its mode; engines that cannot do so ignore it.
-        stays: For each relation whose argument is 0 at the start by definition, the rate up to
-            which it stays 0; -1 for others. Empty: for all others.
     """
 
     dae: Dae
@@ -64,7 +62,6 @@ class Problem:
     project: bool = False
     nominal: tuple[float, ...] = ()
     system: Hybrid | None = None
-    stays: tuple[float, ...] = ()
 
     @property
     def grid(self) -> Vector:
@@ -107,16 +104,28 @@ class Filled(NamedTuple):
 
 
 def event_type(system: Hybrid) -> np.dtype[np.void]:
-    """Return how fmu/solvers/switch.h records an event: both sides, and the order of conditions."""
+    """Return how fmu/solvers/watch.h records an event."""
     dae, m = system.dae, len(system.relations)
-    sides = ("x", dae.x.numel()), ("z", dae.z.numel()), ("modes", m), ("zero", m)
+    sides = ("x", dae.x.numel()), ("z", dae.z.numel()), ("modes", m)
     side = np.dtype([(name, float, (size,)) for name, size in sides])
-    order = ("order", float, (len(system.events),))
-    return np.dtype([("time", float), ("before", side), ("after", side), order])
+    more = ("zero", float, (m,)), ("order", float, (len(system.events),))
+    return np.dtype([("time", float), ("before", side), ("after", side), *more])
 
 
-# (x0, z0, p, u, states, algebraics)
-DirectRun = Callable[[Vector, Vector, Vector, Vector, Vector, Vector], Filled]
+class Left(NamedTuple):
+    """What past events have left for an engine that goes through further ones.
+
+    Attributes:
+        switching: `Switching` of the kernel of events, which these events change.
+        sizes: Sizes of the states, in whose rounding an argument is 0, (nx,).
+    """
+
+    switching: Vector
+    sizes: Vector
+
+
+# (x0, z0, p, u, states, algebraics, what past events have left)
+DirectRun = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, Left | None], Filled]
 
 
 @dataclass(frozen=True)

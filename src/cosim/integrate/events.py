@@ -1,53 +1,36 @@
 """`integrate`: from one event to the next, through jumps of inputs and events of the model.
 
-Between events the solver integrates the frozen equations (see `casadi_models.dae.hybrid`). The
-relations are looked at on a grid of times; where one leaves its mode, the time is located on the
-motion of the solver, the modes and states after the event follow, and the solver starts afresh.
+Between events the solver integrates the frozen equations (see `casadi_models.dae.hybrid`). Where a
+relation leaves its mode is located on the motion of the solver; what happens at that instant is the
+matter of the kernel (`integrate.kernel`), and the solver starts afresh.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
-from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid, input_rates
-from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
-from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.pulses import pulse_times
 from cosim.errors import InitialConditionError, SolverError, UsageError
-from cosim.integrate.call import INTERRUPTED, Evaluator, Reached
+from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.initial_values import algebraic_values, input_values
-from cosim.integrate.location import Piece, located, next_of_time, with_input_rates, with_slopes
-from cosim.integrate.modes import (
-    MOST_ROUNDS,
-    Instant,
-    along,
-    begun,
-    blended,
-    hybrid,
-    moved,
-    settled,
-    shift,
-    sliding,
-)
+from cosim.integrate.kernel import Ending, Kernel, Reason, reject
+from cosim.integrate.location import Piece, located, with_input_rates, with_slopes
+from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.memo import cached_per_thread
+from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
-from cosim.model.values import Values
+from cosim.model.values import Values, own_sizes
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
-_ZENO = 1e-10  # distance of events, relative to the time (1 s or the run at least), of which ...
-_MOST_CLOSE = 10  # ... so many in succession are no motion that can be followed, and ...
-_IDLE = 4  # ... one at which nothing happens, but the error of the solver, is worth so many
 
 
 def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
@@ -81,21 +64,6 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     )
 
 
-@cached_per_thread(16)
-def _rules(system: Hybrid) -> Evaluator:
-    """Return a function of t, x, z, u, p: conditions of all events, and their new values."""
-    return Evaluator(ca.Function("rules", system.dae.arguments, [*system.rules], {"cse": True}))
-
-
-@cached_per_thread(16)
-def _residuals(dae: Dae) -> tuple[Evaluator, ...]:
-    """Return functions of t, x, u, p: the residuals of the invariants."""
-    return tuple(
-        Evaluator(law_of_knowns(dae, "residual", ca.densify(law.residual)))
-        for law in dae.invariants
-    )
-
-
 class _Course:
     """A run of a hybrid model on its way over the grid."""
 
@@ -116,28 +84,41 @@ class _Course:
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
-        self.close = 0  # events in succession that are close to each other
         watches = not system.relations or (problem.compiled and solver.watches)
         self.window = len(self.grid) if watches else _FIRST_WINDOW
         self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
         self.stop, self.slides, self.looks = "", False, 1  # looks per grid interval
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
-        at = self._with_inputs(Instant(t, start.x, start.z, start.values.u, start.values.u, modes))
-        self.at = begun(system, at, start.values.p) if system.relations else at
-        conditions = self._conditions_at(self.at)
-        for event, holds in zip(system.events, conditions, strict=True):
-            if event.message and holds:
-                raise UsageError(
-                    f"{self.dae.full_name}: {event.name} '{event.message}' is true at the start "
-                    "already; give a condition that becomes true later"
-                )
-        if system.events:
-            begin = self.at
-            self._happen(self._conditions_before(conditions))
-            self.instants.append((begin, self.at))
+        self.at = self._with_inputs(
+            Instant(t, start.x, start.z, start.values.u, start.values.u, modes)
+        )
+        self.kernel: Kernel | None = None
+        self.due = np.inf  # the next time event
+        if system.relations or system.events:
+            self._begin()
         self._write(self.at.t)
-        self._project(frozenset())
+        self.at = slid_derivatives(self.system, self.at, self.values.p, frozenset())
+
+    def _begin(self) -> None:
+        """Find the modes of the start, and let all happen that happens there."""
+        span = float(self.grid[-1] - self.grid[0])
+        sizes = own_sizes(self.system.dae, self.began)
+        self.kernel = Kernel(self.system, self.values.p, sizes, span)
+        at = self.at
+        ending = self.kernel.begin(at.t, at.x, at.z, at.inputs, at.slopes)
+        if ending.reason is Reason.STOPPED:
+            event = self.system.events[ending.part]
+            raise UsageError(
+                f"{self.dae.full_name}: {event.name} '{event.message}' is true at the start "
+                "already; give a condition that becomes true later"
+            )
+        reject(self.system, at.t, ending, "")
+        self.at = self.kernel.after(at)
+        if self.system.events:
+            self._switch(self.at, frozenset())
+        else:
+            self._plan()
 
     def run(self) -> Motion:
         """Run to the end of the grid, or to an event that ends the run."""
@@ -178,9 +159,9 @@ class _Course:
             Why the solver stopped early; empty if it did not.
         """
         at, grid = self.at, self.grid
-        due, changing = next_of_time(self.system, at, self.values.p, float(grid[-1]))
+        due = self.due
         row = float(grid[grid.searchsorted(due) - 1])
-        if changing and at.t < row and due - row <= 8 * np.spacing(abs(row)):
+        if at.t < row and due - row <= 8 * np.spacing(abs(row)):
             due = row  # only rounding is between them
         series = self._followed()
         ends = series.breaks if series else np.empty(0), self.pulses
@@ -193,15 +174,13 @@ class _Course:
         rows = grid[self.next :][grid[self.next :] < end]
         piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
         self._pass(piece)
-        at = piece.begin
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
             event = found.at
             self._accept(piece, event.t)
-            before = self._conditions_at(at)
             due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
             self.window = max(self.least_window, min(self.window, due_rows))
-            self._switch(event, found.crossing, before)
+            self._switch(event, found.crossing, found.first)
             return ""
         if piece.reason:
             self._accept(piece, np.inf)
@@ -210,15 +189,12 @@ class _Course:
             self.at, self.window = piece.at_end(), self.least_window
             return ""  # a fresh start may succeed
         self._accept(piece, end)
+        piece.let_go()
         self.window *= 2
-        arrived = piece.at_end()
-        before = self._conditions_at(at)
+        arrived = replace(piece.at_end(), t=end)
         if end in (due, jump):
-            if end == jump:
-                following = self._with_inputs(arrived)
-                arrived = following.without_moved(arrived, self.system, self.values.p)
-            crossing = changing if end == due else frozenset[int]()
-            self._switch(replace(arrived, t=end), crossing, before)
+            following = self._with_inputs(arrived) if end == jump else arrived
+            self._switch(following, self._due_relations() if end == due else frozenset())
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)
@@ -242,7 +218,7 @@ class _Course:
             inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks
             looks = np.sort(np.append(times, inner[gaps > gaps.max() / self.looks]))
             own_problem = replace(problem, times=looks.tobytes())
-            start = self.at, self.began, self.values.p
+            start = self.at, self.began, self.values.p, self.kernel
             piece = Piece(self.system, own, own_problem, self.solver, *start)
             self.reached.append(piece.reached)
             steps = (piece.reached.counts.steps or 0) / len(looks)
@@ -254,94 +230,61 @@ class _Course:
     def _pass(self, piece: Piece) -> None:
         """Record the events that the solver went through, and the rows before the last of them."""
         done = 0
-        try:
-            for before, after, which in piece.passed:
-                was, self.at, done = self.at.t, after, done + 1
-                switched = () if which else before.zero | before.switched(after)
-                self._record([self.system.events[i].name for i in which], switched, before.x)
-                self.instants.append((before, after))
-                self._reject_zeno(was)
-        finally:
-            self._accept(piece, self.at.t, done)
+        for before, after, which, zero in piece.passed:
+            self.at, done = after, done + 1
+            switched = () if which else zero | before.switched(after)
+            self._record([self.system.events[i].name for i in which], switched, before.x)
+            self.instants.append((before, after))
+        self._accept(piece, self.at.t, done)
 
-    def _switch(self, at: Instant, crossing: frozenset[int], before: Vector) -> None:
-        """Apply an event: modes, assignments, and what follows from them at the same instant."""
-        if not self.system.relations:
-            self.at = at
+    def _switch(self, at: Instant, crossing: frozenset[int], first: int = -1) -> None:
+        """Let all happen that happens at an instant.
+
+        Args:
+            at: The instant just before, with the inputs just after it.
+            crossing: Relations whose arguments are 0, or that no longer slide.
+            first: The one of them that was located; -1 for none.
+        """
+        if self.kernel is None:
             values = Values(at.x, self.values.p, at.u)
             self.at = replace(at, z=algebraic_values(self.dae, at.t, at.x, values))
             self._write(at.t)
             return
-        begin, x, dt = at, at.x, 0.0
         if self.dae.derived:
-            # where a mode at its edge ends sliding, rates are continuous, and so are derivatives
-            at, dt = self._moved(at, crossing - self.at.sliding)
-        left = crossing & at.sliding
-        for i in left:  # its mode is at the edge
-            modes = at.modes.copy()
-            modes[i] = np.sign(modes[i])
-            at = replace(at, modes=modes, sliding=at.sliding - {i})
-        last, n = self.at, len(self.events)
-        same = at.t - last.t <= 8 * np.spacing(abs(at.t))  # what crossed at the last event is at 0
-        at = replace(at, zero=at.zero | crossing | (last.zero if same else frozenset()))
-        self.at = settled(self.system, at, self.values.p, left)
-        self._happen(before, crossing | begin.switched(self.at), x, dt)
-        if dt:
-            rates = self.at.watched(self.system, self.values.p).ode[0]
-            self.at = replace(self.at, x=moved(self.at.x, self.dae.derived, rates, -dt))
-        self._project(last.sliding if (at.u == last.u).all() else frozenset())
-        self.instants.append((begin, self.at))
-        self._reject_zeno(last.t, 1 if len(self.events) > n else _IDLE)
+            self.at, happened = crossed(self.kernel, self.values.p, at, crossing, first)
+        else:
+            happened = self.kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first)
+            self.at = self.kernel.after(at)
+        names = [self.system.events[i].name for i in happened.events]
+        switched = crossing | at.switched(self.at)
+        self._record(names, switched, at.x)
+        self.instants.append((at, self.at))
+        self._end(happened.ending, switched)
+        if happened.replan:
+            self._plan()
         self._write(self.at.t)
 
-    def _moved(self, at: Instant, zero: Collection[int]) -> tuple[Instant, float]:
-        """Return an instant with derivatives at the moving time of an event, and how it moves."""
-        if not zero:
-            return at, 0.0
-        system, p, i = self.system, self.values.p, min(zero)
-        seen = at.watched(system, p)
-        u = np.concatenate((at.u, at.modes))
-        change = along(system)(at.t, at.x, at.z, u, p, 0.0)[0]
-        dt = shift(float(change[i]), float(seen.rates[0, i]))
-        return replace(at, x=moved(at.x, self.dae.derived, seen.ode[0], dt)), dt
+    def _end(self, ending: Ending, switched: Iterable[int]) -> None:
+        """End the run if an event does so; raise the error of an instant that cannot be followed."""
+        if ending.reason is Reason.STOPPED:
+            self.stop = self.system.events[ending.part].message
+        names = ", ".join(self.system.described(i) for i in sorted(switched))
+        reject(self.system, self.at.t, ending, names or "an event")
 
-    def _project(self, before: frozenset[int]) -> None:
-        """Let the derivatives of the states slide, too, with what did not slide before."""
-        for i in sorted(self.at.sliding - before if self.dae.derived else ()):
-            slid, modes = self.at, self.at.modes.copy()
-            modes[i] = 1.0
-            at, dt = self._moved(replace(slid, modes=modes, sliding=slid.sliding - {i}), {i})
-            rates = slid.watched(self.system, self.values.p).ode[0]
-            self.at = replace(slid, x=moved(at.x, self.dae.derived, rates, -dt))
+    def _plan(self) -> None:
+        """Find the next time event."""
+        assert self.kernel is not None
+        end = float(self.grid[-1])
+        due = self.kernel.plan(self.at.t, self.at.inputs, end)
+        near = due <= end + 8 * np.spacing(abs(end))  # but for rounding
+        self.due = min(due, end) if near else np.inf
 
-    def _happen(
-        self, before: Vector, switched: Iterable[int] = (), x: Vector | None = None, dt: float = 0.0
-    ) -> None:
-        """Let events happen whose conditions have risen, until none is left."""
-        happened = list[str]()
-        start = self.at.x if x is None else x
-        for _ in range(MOST_ROUNDS):
-            now = self._conditions_at(self.at)
-            risen = [
-                i
-                for i, event in enumerate(self.system.events)
-                if now[i] > before[i] and not (event.sampled and now[i] < 0)
-            ]
-            if not risen:
-                break
-            before = now
-            happened += [self.system.events[i].name for i in risen]
-            self.stop = next((m for i in risen if (m := self.system.events[i].message)), "")
-            self.at = self._assigned(risen, dt)
-            if self.stop:
-                break
-        else:
-            raise SolverError(
-                f"{self.dae.full_name}: '{happened[-1]}' happens again and again at "
-                f"{self.at.t:.12g} s, more than {MOST_ROUNDS} times; let its assignments make its "
-                "condition false"
-            )
-        self._record(happened, switched, start)
+    def _due_relations(self) -> frozenset[int]:
+        """Return the relations that switch at the next time event, unless their arguments jump."""
+        assert self.kernel is not None
+        switching = self.kernel.switching
+        near = np.abs(switching.due - switching.next) <= 8 * np.spacing(abs(switching.next))
+        return frozenset(np.flatnonzero(near).tolist())
 
     def _record(self, happened: Sequence[str], switched: Iterable[int], before: Vector) -> None:
         """Record the events of an instant, or the relations of the equations that switch there."""
@@ -351,87 +294,6 @@ class _Course:
         for name in happened:
             place = len(self.instants)
             self.events.append(EventRecord(self.at.t, name, before, self.at.x, place))
-
-    def _assigned(self, which: Sequence[int], dt: float) -> Instant:
-        """Return the instant after the assignments of some events, whose time moves by dt."""
-        at, system, p = self.at, self.system, self.values.p
-        u = np.concatenate((at.u, at.modes))
-        _, new = _rules(system)(at.t, at.x, at.z, u, p)
-        ends = np.cumsum([len(event.states) for event in system.events])
-        x, nx, by = at.x.copy(), self.dae.derived, dict[int, str]()
-        for i in which:
-            states = np.array(system.events[i].states, dtype=int)
-            rows = slice(ends[i] - len(states), ends[i])
-            name = system.events[i].name
-            for state in states[x[states] != new[rows]]:
-                if other := by.get(state):
-                    what = f"'{other}' and '{name}' give {self.dae.states[state].name}"
-                    raise SolverError(
-                        f"{self.dae.full_name}: {what} different values at {at.t:.12g} s; make "
-                        "one event of them, or conditions that exclude each other"
-                    )
-            by |= dict.fromkeys(states.tolist(), name)
-            x[states] = new[rows]
-            if nx:
-                x[nx + states] = along(system)(at.t, at.x, at.z, u, p, dt)[1][rows]
-        if not np.isfinite(x).all():
-            name = system.events[which[0]].name
-            raise SolverError(
-                f"{self.dae.full_name}: '{name}' gives a state no finite value at {at.t:.12g} s; "
-                "assign a finite one"
-            )
-        self._reject_inconsistent(x, which)
-        rates = at.watched(system, p).rates[0]
-        at = replace(at, x=x).without_moved(at, system, p)
-        return settled(system, at, p, frozenset(), np.abs(rates))
-
-    def _reject_inconsistent(self, x: Vector, which: Sequence[int]) -> None:
-        for invariant, law in zip(self.dae.invariants, _residuals(self.dae), strict=True):
-            before, after = (
-                np.abs(law(self.at.t, state, self.at.u, self.values.p)[0]).max()
-                for state in (self.at.x, x)
-            )
-            if after > 1e-6 and after > 10 * before:
-                name = self.system.events[which[0]].name
-                raise SolverError(
-                    f"{self.dae.full_name}: '{name}' at {self.at.t:.12g} s leaves states that "
-                    f"violate: {invariant.meaning} (by {after:.2g}); assign consistent values"
-                )
-
-    def _reject_zeno(self, previous: float, weight: int = 1) -> None:
-        t = self.at.t
-        near = t - previous < _ZENO * max(min(1.0, self.grid[-1] - self.grid[0]), abs(t))
-        self.close = self.close + weight if near else 0
-        if self.close > _MOST_CLOSE:
-            name = self.events[-1].name if self.events else "events"
-            raise SolverError(
-                f"{self.dae.full_name}: '{name}' happens ever faster before {t:.12g} s (Zeno); "
-                "end the run before with a stop condition, or let the motion rest there"
-            )
-
-    def _conditions_at(self, at: Instant) -> Vector:
-        if not self.system.events:
-            return np.empty(0)
-        u = np.concatenate((at.u, at.modes))
-        return _rules(self.system)(at.t, at.x, at.z, u, self.values.p)[0]
-
-    def _conditions_before(self, conditions: Vector) -> Vector:
-        """Return the conditions before the start: at a boundary that of the value alone holds.
-
-        Of samples it is their number: one is due at the start itself.
-        """
-        sampled = np.array([event.sampled for event in self.system.events], dtype=bool)
-        seen, modes = self.at.watched(self.system, self.values.p).arguments[0], self.at.modes.copy()
-        for i, relation in enumerate(self.system.relations):
-            if seen[i] == 0 and relation.operation in COMPARISONS:
-                modes[i] = relation.at_zero
-        before = self._conditions_at(replace(self.at, modes=modes))
-        if not sampled.any():
-            return before
-        near = np.abs(seen - np.round(seen)) <= 8 * np.spacing(np.abs(seen))
-        due = near & np.array(self.system.floors, dtype=bool)
-        earlier = replace(self.at, modes=np.where(due, np.round(seen) - 1, self.at.modes))
-        return np.where(sampled, np.minimum(conditions, self._conditions_at(earlier)), before)
 
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""

@@ -1,4 +1,4 @@
-"""Where the relations of a hybrid model leave their modes: by time alone, or along a motion."""
+"""Where the relations of a hybrid model leave their modes along the motion of a solver."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid, input_rates, with_rates
-from casadi_models.dae.time_search import TimeSearch
 from cosim.arrays import Vector
 from cosim.errors import SolverError
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.modes import Instant, Watched, guards, hybrid, stillness, watch
+from cosim.integrate.kernel import Kernel
+from cosim.integrate.modes import Instant, Watched, hybrid, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import Solver
-from cosim.model.values import Values, own_sizes
+from cosim.model.values import Values
 
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
 _MOST_TRIALS = 40
@@ -36,12 +36,14 @@ class Located(NamedTuple):
     """The first event of a piece.
 
     Attributes:
-        at: The instant just before it, with the relations whose arguments are 0 there.
-        crossing: Those of them that become so there, or no longer slide.
+        at: The instant just before it.
+        crossing: Relations whose arguments become 0 there, or that no longer slide.
+        first: The one of them that was located.
     """
 
     at: Instant
     crossing: frozenset[int]
+    first: int
 
 
 class Passed(NamedTuple):
@@ -50,11 +52,13 @@ class Passed(NamedTuple):
     Attributes:
         before, after: Its instant.
         events: Positions of the model's events that happened there, in their order.
+        zero: Relations whose arguments were 0.
     """
 
     before: Instant
     after: Instant
     events: list[int]
+    zero: frozenset[int]
 
 
 class Piece:
@@ -70,6 +74,7 @@ class Piece:
         begin: Where it begins.
         began: States at the start of the run, (nx,).
         p: Parameters.
+        kernel: What past events have left; None without relations.
     """
 
     def __init__(
@@ -81,8 +86,10 @@ class Piece:
         begin: Instant,
         began: Vector,
         p: Vector,
+        kernel: Kernel | None,
     ) -> None:
         self.system, self.own, self.begin, self.began, self.p = system, own, begin, began, p
+        self.kernel = kernel
         self.problem, self.solver = problem, solver
         z = begin.z
         if own.sliding and own.dae.derived and problem.inputs:
@@ -93,8 +100,7 @@ class Piece:
                 )
         if own.sliding and own.dae.algebraics:
             z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
-        self._note_zeros()
-        watched = replace(problem, system=own, stays=tuple(self.stays.tolist()))
+        watched = replace(problem, system=own)
         self.reached = self._run(watched, problem.grid, begin.x, z)
         n = self.reached.states.shape[1]
         self.times = problem.grid[:n]
@@ -107,38 +113,23 @@ class Piece:
         self.passed = [] if events is None or not len(events) else self._passed(events)
         if self.passed:
             self.begin = self.passed[-1].after
-            self._note_zeros()
         self.u, _ = self._inputs(self.times)  # in the modes after these events
-
-    def _note_zeros(self) -> None:
-        """Note what is 0 by definition at the begin, up to which rate it stays 0, and noise."""
-        sizes = own_sizes(self.system.dae, self.began)
-        self.noise = self.begin.noise(self.system, self.p, sizes)
-        self.offsets, self.stays = np.zeros_like(self.noise), np.full_like(self.noise, -1.0)
-        zero = self.begin.zero & frozenset(self.system.of_states) - self.begin.sliding
-        self.stays[list(zero)] = 0.0
-        near = sorted(i for i in zero if not self.system.floors[i])
-        if near:
-            row = self.begin.watched(self.system, self.p)
-            self.offsets[near] = row.arguments[0, near]
-            self.stays[near] = stillness(row)[near]
 
     def _passed(self, events: NDArray[np.void]) -> list[Passed]:
         """Return events from their records; see `event_type`."""
         times, inputs = events["time"].tolist(), self._own_inputs(events["time"])
 
         def instants(side: NDArray[np.void]) -> list[Instant]:
-            zeros = [frozenset(compress(count(), row)) for row in side["zero"].tolist()]
-            rows = zip(times, side["x"], side["z"], *inputs, side["modes"], zeros, strict=True)
-            return [
-                Instant(t, x, z, u, du, modes, zero=zero) for t, x, z, u, du, modes, zero in rows
-            ]
+            rows = zip(times, side["x"], side["z"], *inputs, side["modes"], strict=True)
+            return [Instant(t, x, z, u, du, modes) for t, x, z, u, du, modes in rows]
 
-        sides = instants(events["before"]), instants(events["after"])
-        return [
-            Passed(before, after, [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)])
-            for before, after, order in zip(*sides, events["order"].tolist(), strict=True)
+        zeros = [frozenset(compress(count(), row)) for row in events["zero"].tolist()]
+        orders = [
+            [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)]
+            for order in events["order"].tolist()
         ]
+        sides = instants(events["before"]), instants(events["after"])
+        return [Passed(*row) for row in zip(*sides, orders, zeros, strict=True)]
 
     def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:
         u, _ = self._inputs(times[:1])
@@ -156,7 +147,9 @@ class Piece:
             states = np.hstack((ahead[0], found.states))
             return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))
         problem = replace(problem, times=times.tobytes())
-        found = scaled_call(problem, self.solver, InitialState(x, z, values, self.began))
+        left = self.kernel and self.kernel.left
+        start = InitialState(x, z, values, self.began, left)
+        found = scaled_call(problem, self.solver, start)
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
@@ -184,10 +177,8 @@ class Piece:
         if solved is not None:
             modes[list(slid)] = solved
         (u,), (du,) = self._own_inputs(np.array([t]))
-        return replace(
-            self.begin, t=float(t), x=x, z=z[: len(self.begin.z)], u=u, du=du, modes=modes,
-            zero=self._still_zero(t),
-        )  # fmt: skip
+        z = z[: len(self.begin.z)]
+        return replace(self.begin, t=float(t), x=x, z=z, u=u, du=du, modes=modes)
 
     def _own_inputs(self, times: Vector) -> list[Vector]:
         """Return inputs without modes, and their slopes, one row per time."""
@@ -213,28 +204,27 @@ class Piece:
         """Return how far every relation is within its mode, and the rates of that, (n, m).
 
         Of a relation that slides, how far its mode is within -1 ... 1. Relations of time alone,
-        whose times are known, are left out: infinite.
+        whose times are known, are left out: far within.
         """
-        values = seen.arguments - self.offsets
-        inside, towards = guards(self.system, self.begin.modes, values, seen.rates)
-        inside = np.where(self._held(towards), np.maximum(inside, 0.0), inside)
+        assert self.kernel is not None
         slid = list(self.own.sliding)
-        inside[:, slid] = 1 - np.abs(seen.solved)
+        modes = np.tile(self.begin.modes, (len(seen.arguments), 1))
+        modes[:, slid] = seen.solved
+        inside, towards = self.kernel.margins(seen.arguments, seen.rates, modes)
+        inside -= self.noise
         towards[:, slid] = -np.sign(seen.solved) * seen.solved_rates
-        inside[:, list(self.system.of_time)] = np.inf
-        towards[:, list(self.system.of_time)] = 0.0
         return inside, towards
 
-    def _held(self, rates: Vector) -> NDArray[np.bool_]:
-        """Tell at which rates, (n, m), arguments stay 0 that were so at the begin."""
-        return (self.stays > 0) & (np.abs(rates) <= self.stays)
+    @property
+    def noise(self) -> Vector:
+        """By how much rounding moves the arguments, (m,)."""
+        assert self.kernel is not None
+        return self.kernel.switching.slack
 
-    def _still_zero(self, t: float) -> frozenset[int]:
-        """Return the relations whose arguments have stayed 0 from the begin to a time."""
-        if not (self.stays > 0).any():
-            return frozenset(self.own.sliding)
-        rows = self._held(self.seen.rates[: self.times.searchsorted(t, "right")])
-        return frozenset([*self.own.sliding, *np.flatnonzero(rows.all(axis=0)).tolist()])
+    def let_go(self) -> None:
+        """Let go of boundaries that an event has displaced, if the end is within them."""
+        if self.kernel is not None and len(self.times) > 1:
+            self.kernel.note_inside(self.begin.modes, self.seen.arguments[-1])
 
     def interpolated(self, k: int, shares: Vector) -> Watched:
         """Return the relations within an interval, on the cubic through its ends."""
@@ -245,11 +235,10 @@ class Piece:
     def within(self, k: int) -> "Piece":
         """Return the same motion in one interval, at more times."""
         begin = self.instant(self.times[k], self.x[k], self.z[k])
-        if k == 0:
-            begin = replace(begin, zero=self.begin.zero)
         times = np.linspace(self.times[k], self.times[k + 1], len(_INNER) + 2)
         problem = replace(self.problem, times=times.tobytes())
-        return Piece(self.system, self.own, problem, self.solver, begin, self.began, self.p)
+        known = self.solver, begin, self.began, self.p, self.kernel
+        return Piece(self.system, self.own, problem, *known)
 
     def state_at(self, k: int, t: float) -> tuple[Vector, Vector] | None:
         """Return states and unknowns at a time after the k-th one, by the solver."""
@@ -327,8 +316,6 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
     if piece.reached.watched:
         return _crossed(piece)
     inside, towards = piece.margins(piece.seen)
-    zero = [i for i in piece.begin.zero if i not in piece.own.sliding]
-    inside[0, zero] = 0.0
     inside += piece.noise
     outside = inside[1:] < 0
     with np.errstate(invalid="ignore"):
@@ -441,8 +428,7 @@ def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Locat
     tolerance = 8 * np.spacing(abs(t)) * np.abs(towards[0])
     near = np.flatnonzero((np.abs(inside[0]) <= tolerance) & (towards[0] < 0))
     zero = frozenset(near.tolist()) | {i}
-    at = piece.instant(t, x, seen.unknowns[0], seen.solved[0])
-    return Located(replace(at, zero=zero | at.zero), zero)
+    return Located(piece.instant(t, x, seen.unknowns[0], seen.solved[0]), zero, i)
 
 
 def _polished(
@@ -464,15 +450,3 @@ def _polished(
             break  # rounding, or the cubic is not the motion
         at, row, seen = new, on_cubic, found
     return at, row, z, seen
-
-
-@cached_per_thread(16)
-def _time_search(system: Hybrid) -> TimeSearch:
-    return TimeSearch(system)
-
-
-def next_of_time(
-    system: Hybrid, at: Instant, p: Vector, end: float
-) -> tuple[float, frozenset[int]]:
-    """Return the next time at which relations of time alone switch, and which; see `TimeSearch`."""
-    return _time_search(system).first(at.t, [*at.u.tolist(), *at.modes.tolist()], p.tolist(), end)

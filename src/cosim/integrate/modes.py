@@ -1,17 +1,6 @@
-"""Modes of a hybrid model at an instant, and the jumps of derivatives of a run across an event.
+"""Relations of a hybrid model along a motion, and the instants of a run."""
 
-Where an argument g(t, x, p) reaches 0, the time of the event moves by
-
-    dt = -(g_x s + g_p q) / (dg/dt),    s = dx along the direction q of the parameters
-
-and the derivative after the event is  R_x (s + f dt) + R_p q + R_t dt - f+ dt, where R are the new
-values of the states, and f and f+ their time derivatives before and after it.
-
-Source  Hiskens & Pai, Trajectory sensitivity analysis of hybrid systems, IEEE Trans. CAS I 47
-        (2000) 204-220.
-"""
-
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import casadi as ca
@@ -21,7 +10,6 @@ from casadi import MX, SX
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.hybrid import hybrid as frozen
-from casadi_models.dae.relations import COMPARISONS
 from cosim.arrays import Vector
 from cosim.codegen.functions import symbols_like
 from cosim.codegen.initialization import algebraic_function
@@ -29,12 +17,8 @@ from cosim.errors import SolverError
 from cosim.integrate.call import Evaluator, call_on_arrays
 from cosim.memo import cached_per_thread
 
-MOST_ROUNDS = 100  # of event iteration at one instant
 _BLOCK = 32  # columns of one evaluation
 _FEW = 2  # columns that are evaluated one by one
-_ROUNDING = 64 * np.finfo(float).eps  # relative size of a rate below which it is taken as 0
-_TIMES = 8 * np.finfo(float).eps  # relative distance of times that rounding may make of equal ones
-_EDGE = 1e-9  # by which the mode of a relation that slides may leave -1 ... 1
 
 
 @cached_per_thread(16)
@@ -141,11 +125,6 @@ def watch(
     return Watched(*(result[:n] for result in results), *empty)
 
 
-@cached_per_thread(16)
-def _spread(system: Hybrid) -> Evaluator:
-    return Evaluator(system.rounding("spread"))
-
-
 @dataclass(frozen=True)
 class Instant:
     """A hybrid run at an instant, after all that happens there.
@@ -156,8 +135,7 @@ class Instant:
         u: Inputs of the model.
         du: Their slopes.
         modes: Modes of the relations; of one that slides, its value there.
-        sliding: Relations whose arguments stay 0.
-        zero: Relations whose arguments are exactly 0 here, whatever rounding makes of them.
+        sliding: Relations whose arguments stay 0 because their modes make them so.
     """
 
     t: float
@@ -167,185 +145,25 @@ class Instant:
     du: Vector
     modes: Vector
     sliding: frozenset[int] = frozenset()
-    zero: frozenset[int] = frozenset()
+
+    @property
+    def inputs(self) -> Vector:
+        """Inputs with modes."""
+        return np.concatenate((self.u, self.modes))
+
+    @property
+    def slopes(self) -> Vector:
+        """Their time derivatives; 0 of modes."""
+        return np.concatenate((self.du, np.zeros(len(self.modes))))
 
     def switched(self, later: "Instant") -> frozenset[int]:
         """Return the relations that have another mode later, without those that slide."""
         changed = (self.modes != later.modes).nonzero()[0].tolist()
         return frozenset(changed) - self.sliding - later.sliding
 
-    def noise(self, system: Hybrid, p: Vector, sizes: Vector) -> Vector:
-        """Return what rounding of states of some sizes makes of the arguments, (m,)."""
-        u = np.concatenate((self.u, self.modes))
-        (found,) = _spread(system)(self.t, self.x, self.z, u, p, sizes)
-        noise: Vector = _ROUNDING * np.nan_to_num(found, posinf=0.0)
-        return noise
-
-    def without_moved(self, before: "Instant", system: Hybrid, p: Vector) -> "Instant":
-        """Return the same where what was 0, or slid, has not stayed so since a jump began."""
-        if not (self.zero or self.sliding):
-            return self
-        was, now = (at.watched(system, p).arguments[0] for at in (before, self))
-        same = frozenset(np.flatnonzero(was == now).tolist())
-        return replace(self, zero=self.zero & same, sliding=self.sliding & same)
-
     def watched(self, system: Hybrid, p: Vector) -> Watched:
         """Evaluate the relations here, in the present modes."""
         own = sliding(system, self.sliding)
         z = np.concatenate((self.z, np.zeros(own.dae.z.numel() - len(self.z))))
-        u = np.concatenate((self.u, self.modes))
-        du = np.concatenate((self.du, np.zeros(len(self.modes))))
-        return watch(own, np.array([self.t]), (self.x[None], z[None], u[None], du[None]), p)
-
-
-def begun(system: Hybrid, at: Instant, p: Vector) -> Instant:
-    """Return an instant with the modes of its values and of what follows from them."""
-    modes = np.ones(len(system.relations))
-    # arguments may hold the modes of others, most of them of relations before them
-    for count in [*range(1, len(modes) + 1), len(modes)]:
-        row = replace(at, modes=modes.copy()).watched(system, p)
-        modes[:count] = literal_modes(system, row.arguments[0])[:count]
-    apart = row.arguments[0] - np.where(system.floors, np.round(row.arguments[0]), 0.0)
-    near = np.abs(apart) <= _TIMES * np.abs(at.t * np.nan_to_num(row.rates[0]))
-    due = {i for i, line in enumerate(system.linear) if line and near[i]}  # but for rounding
-    return settled(system, replace(at, modes=modes, zero=at.zero | due), p, frozenset())
-
-
-def settled(
-    system: Hybrid, at: Instant, p: Vector, decided: frozenset[int], sizes: Vector | None = None
-) -> Instant:
-    """Return an instant with modes that are consistent with what follows.
-
-    The mode of a relation whose argument is 0 is that of the first time derivative that is not. If
-    neither mode is consistent, the relation slides (Filippov).
-
-    Args:
-        system: Frozen equations.
-        at: The instant; its modes are those before it.
-        p: Parameters.
-        decided: Relations that keep their mode here although their arguments are 0.
-        sizes: Rates of the arguments (m,) in whose rounding a rate is 0; as for all rates if None.
-
-    Raises:
-        SolverError: No modes are consistent.
-    """
-    for trial in range(MOST_ROUNDS):
-        row = at.watched(system, p)
-        at = replace(at, z=row.unknowns[0, : len(at.z)])
-        if not trial:
-            resting = {i for i in at.zero if _rests_beyond(system, at, row, i)}
-            at = replace(at, zero=at.zero - resting)
-        modes, slides = at.modes.copy(), set(at.sliding)
-        for place, i in enumerate(sorted(at.sliding)):
-            modes[i] = row.solved[0, place]
-            if abs(modes[i]) > 1 + _EDGE:
-                slides.discard(i)
-                modes[i] = np.sign(modes[i])
-        if slides != at.sliding:
-            at = replace(at, modes=modes, sliding=frozenset(slides))
-            continue
-        at = replace(at, modes=modes)
-        free = (i for i in range(len(modes)) if i not in at.sliding and i not in decided)
-        scales = _ROUNDING * (row.rate_sizes[0] if sizes is None else sizes)
-        tried = (_changed(system, at, row, i, p, scales[i]) for i in free)
-        changed = next((other for other in tried if other is not at), None)
-        if changed is None:
-            return at
-        at = changed
-    raise SolverError(
-        f"{system.dae.full_name}: no consistent modes at {at.t:.12g} s after {MOST_ROUNDS} trials "
-        f"({', '.join(system.described(i) for i in sorted(at.zero))})"
-    )
-
-
-def _rests_beyond(system: Hybrid, at: Instant, row: Watched, i: int) -> bool:
-    """Tell whether an argument that became 0 came to rest beyond it, where its value decides."""
-    if system.relations[i].floor or i in at.sliding:
-        return False
-    fastest = max(abs(row.rates[0, i]), abs(row.seconds[0, i]))
-    return bool(fastest <= _ROUNDING and at.modes[i] * row.arguments[0, i] < -_ROUNDING)
-
-
-def _changed(system: Hybrid, at: Instant, row: Watched, i: int, p: Vector, scale: float) -> Instant:
-    """Return the instant with another mode of a relation, or with that relation sliding."""
-    mode, zero = _consistent(system, at, row, i, scale)
-    if mode == at.modes[i]:
-        return at
-    modes = at.modes.copy()
-    modes[i] = mode
-    other = replace(at, modes=modes)
-    if zero and not system.relations[i].floor:
-        back, _ = _consistent(system, other, other.watched(system, p), i, scale)
-        if back != mode:
-            return replace(other, sliding=at.sliding | {i})
-    return other
-
-
-def _consistent(
-    system: Hybrid, at: Instant, row: Watched, i: int, scale: float
-) -> tuple[float, bool]:
-    """Return the mode that values and rates require, and whether the argument is 0."""
-    relation, argument = system.relations[i], float(row.arguments[0, i])
-    if not np.isfinite(argument):  # of a branch that is not taken
-        return float(at.modes[i]), False
-    boundary = float(np.round(argument)) if relation.floor else 0.0
-    if i not in at.zero and argument != boundary:
-        mode = np.floor(argument) if relation.floor else np.sign(argument)
-        return float(mode), False
-    for rate in (row.rates[0, i], row.seconds[0, i]):
-        if abs(rate) > scale:
-            up = bool(rate > 0)
-            return (boundary - (not up) if relation.floor else 2.0 * up - 1.0), True
-    if relation.floor:
-        return boundary, True
-    stays = relation.at_zero if relation.operation in COMPARISONS else at.modes[i]
-    return float(stays), True
-
-
-def stillness(row: Watched) -> Vector:
-    """Return the rates of arguments that are but rounding, (m,), of one row; 0 if they move."""
-    still = _ROUNDING * row.rate_sizes[0]
-    return np.where(np.maximum(np.abs(row.rates[0]), np.abs(row.seconds[0])) <= still, still, 0.0)
-
-
-def literal_modes(system: Hybrid, arguments: Vector) -> Vector:
-    """Return the modes by value: 1, or the integer, on a boundary; NaN makes comparisons false."""
-    modes = np.where(system.floors, np.floor(arguments), np.where(arguments >= 0, 1.0, -1.0))
-    compares = np.array([r.operation in COMPARISONS for r in system.relations], dtype=bool)
-    return np.where(np.isfinite(arguments), modes, np.where(compares, -1.0, 1.0))
-
-
-def guards(system: Hybrid, modes: Vector, values: Vector, rates: Vector) -> tuple[Vector, Vector]:
-    """Return how far each argument is within the range of its mode, and the rate of that.
-
-    Args:
-        system: Frozen equations.
-        modes: Present modes, (m,).
-        values, rates: Arguments and their time derivatives, one row per time, (n, m).
-    """
-    low, high = values - modes, modes + 1 - values
-    nearer = low < high
-    inside = np.where(system.floors, np.where(nearer, low, high), modes * values)
-    towards = np.where(system.floors, np.where(nearer, rates, -rates), modes * rates)
-    return inside, towards
-
-
-@cached_per_thread(16)
-def along(system: Hybrid) -> Evaluator:
-    """Return `along(t, x, z, u, p, dt) -> changes` of relations' arguments and events' values."""
-    dt = SX.sym("dt")
-    values = ca.vertcat(SX(0, 1), *(event.values for event in system.events))
-    results = [system.along(rows, dt) for rows in (system.arguments, values)]
-    return Evaluator(ca.Function("along", [*system.dae.arguments, dt], results))
-
-
-def shift(g: float, rate: float) -> float:
-    """Return by how much the time of an event moves; 0 where it only touches its boundary."""
-    return -g / rate if rate and np.isfinite(g / rate) else 0.0
-
-
-def moved(x: Vector, nx: int, rates: Vector, dt: float) -> Vector:
-    """Return states whose derivatives, after the first nx, are taken at a time moved by dt."""
-    found = x.copy()
-    found[nx : 2 * nx] += rates[:nx] * dt
-    return found
+        rows = self.x[None], z[None], self.inputs[None], self.slopes[None]
+        return watch(own, np.array([self.t]), rows, p)

@@ -16,7 +16,7 @@ from casadi_models.dae import Dae, Variable
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.call import INTERRUPTED, Reached, call
-from cosim.integrate.engine import Engine, Problem
+from cosim.integrate.engine import Engine, Left, Problem
 from cosim.integrate.solvers import engine_of
 from cosim.memo import cached_per_thread
 from cosim.model.solver import AdaptiveSolver, Solver
@@ -176,12 +176,14 @@ class InitialState:
         z: Algebraic unknowns, (nz,).
         values: Parameters, and the inputs at that time.
         began: States at which the run began, (nx,), if this is a jump of an input; None if not.
+        left: What past events have left, for engines that go through further ones.
     """
 
     x: Vector
     z: Vector
     values: Values
     began: Vector | None = None
+    left: Left | None = None
 
 
 def scaled_call(problem: Problem, solver: Solver, start: InitialState) -> Reached:
@@ -195,7 +197,7 @@ def scaled_call(problem: Problem, solver: Solver, start: InitialState) -> Reache
     """
     if not isinstance(solver, AdaptiveSolver):
         numbers = start.x, start.z, start.values.p, start.values.u
-        return call(engine_of(problem, solver), *numbers)
+        return call(engine_of(problem, solver), *numbers, start.left)
     nominal = Nominal.declared(problem.dae)
     if solver.absolute_tolerance is None:
         x0 = start.x if start.began is None else start.began
@@ -204,7 +206,7 @@ def scaled_call(problem: Problem, solver: Solver, start: InitialState) -> Reache
     x, z = sizes.columns
     p = np.concatenate((start.values.p, more)) if more.size else start.values.p
     numbers = start.x / x.ravel(), start.z / z.ravel(), p, start.values.u
-    reached = call(engine, *numbers)
+    reached = call(engine, *numbers, start.left)
     started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
     if engine.restart is not None and not started:
         t, values = problem.grid[0], start.values

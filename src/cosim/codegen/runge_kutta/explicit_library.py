@@ -16,6 +16,7 @@ from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key, generated, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
+from cosim.codegen.kernel_library import NO_LAWS, LawText
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients, numbers, sums
 from cosim.codegen.runge_kutta.tableau import Tableau
 
@@ -23,22 +24,15 @@ _sizing = Lock()
 
 
 class WatchText(NamedTuple):
-    """How a solver looks at relations, and goes through events; see fmu/solvers.
+    """How a solver looks at relations, and goes through events; see fmu/solvers/watch.h.
 
     Attributes:
-        watch: `watch(t, x, z, u, c, dx) -> (inside, rates)`.
-        decide: `decide(t, x, z, u, c)`, see switch.h; None if events are left to the caller.
-        sizes: Of the tables.
-        tables: C text of the tables of relations and events.
+        watch: `watch(t, x, z, u, c, dx) -> (arguments, rates, modes, rates of modes)`.
+        laws: The laws of the model for the kernel of events.
     """
 
-    watch: ca.Function | None = None
-    decide: ca.Function | None = None
-    sizes: tuple[int, int, int] = (0, 0, 0)
-    tables: str = "static const Switches switches = {NULL, NULL, NULL, NULL, NULL};"
-
-
-NO_EVENTS = WatchText()
+    watch: ca.Function | None
+    laws: LawText
 
 
 class MethodText(NamedTuple):
@@ -53,7 +47,7 @@ def explicit_library(
     name: str,
     method: MethodText,
     project: ca.Function | None = None,
-    events: WatchText = NO_EVENTS,
+    events: WatchText | None = None,
 ) -> str:
     """Return the path of a compiled solver.
 
@@ -63,25 +57,25 @@ def explicit_library(
         method: Its C text: `dop853_method` or `fixed_step_method`.
         project: `project(t, x, u, c) -> (x, change)`, applied after each step; None for no
             projection.
-        events: What it watches.
+        events: What it watches; None for a smooth model.
 
     Raises:
         MissingTool: There is no compiler, or it fails.
         UsageError: `rhs` calls a library function whose C code is not available.
     """
-    rhs, *others = map(dense, filter(None, (rhs, project, events.watch, events.decide)))
-    sizes = {macro: rhs.numel_in(i) for i, macro in enumerate(("NX", "NZ", "NU", "NC"), start=1)}
-    sizes["RELATIONS"] = events.watch.numel_out(0) if events.watch else 0
-    sizes |= zip(("MODES", "EVENTS", "ASSIGNED"), events.sizes, strict=True)
-    before = "".join(f"#define {macro} {size}\n" for macro, size in sizes.items())
-    after = _solver_text(method, project, events)
+    watch, laws = events or WatchText(None, NO_LAWS)
+    rhs, *others = map(dense, filter(None, (rhs, project, watch)))
+    names = enumerate(("NX", "NZ", "NU", "NC"), start=1)
+    sizes = "".join(f"#define {macro} {rhs.numel_in(i)}\n" for i, macro in names)
+    before = f"{sizes}{laws.sizes}"
+    after = _solver_text(method, project, watch, laws)
 
     def generate() -> str:
-        return f"{before}{generated('equations', rhs, *others)}\n{after}"
+        return f"{before}{generated('equations', rhs, *others, *laws.functions)}\n{after}"
 
-    details = before + after + "".join(function.serialize() for function in others)
+    details = "".join((before, after, *(f.serialize() for f in (*others, *laws.functions))))
     key = cache_key(f"explicit {name}", rhs, details.encode())
-    return str(cached_library(key, generate, sources_beside(rhs, *others)))
+    return str(cached_library(key, generate, sources_beside(rhs, *others, *laws.functions)))
 
 
 def explicit_function(
@@ -91,8 +85,8 @@ def explicit_function(
 
     Args:
         points: Number of output times; p = (c, points, breaks, columns, relative and absolute
-            tolerance, largest step, nominal values of the states, `stays` of `Problem`, output
-            times, positions of the breaks).
+            tolerance, largest step, nominal values of the states, output times, positions of the
+            breaks).
         breaks: Number of output times at which a step ends and the method restarts.
         columns: Columns of u: 1, or one for each output time, valid on the interval up to it.
     """
@@ -137,17 +131,18 @@ def fixed_step_method(tableau: Tableau) -> MethodText:
 
 
 def _solver_text(
-    method: MethodText, project: ca.Function | None, events: WatchText = NO_EVENTS
+    method: MethodText, project: ca.Function | None, watch: ca.Function | None, laws: LawText
 ) -> str:
     """Return the code around the generated functions."""
-    others = {"project": project, "watch": events.watch, "decide": events.decide}
+    others = {"project": project, "watch": watch}
     own = ["rhs", *(name if function else "NULL" for name, function in others.items())]
     works = (name if name == "NULL" else f"{name}_work" for name in own)
-    calls = ", ".join((*own[:3], *works, f"integrate_{method.steps}"))
+    calls = ", ".join((*own, *works, f"integrate_{method.steps}"))
     parts = (
+        laws.tables,
         solver_source(f"{method.steps}.h", "external.h"),
+        laws.calls,
         method.coefficients,
         f"static const Solver solver = {{{calls}}};\n",
-        events.tables,
     )
     return "\n".join(parts)

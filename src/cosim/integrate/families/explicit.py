@@ -14,8 +14,8 @@ from cosim.arrays import Vector
 from cosim.codegen.casadi_patches import REPORT
 from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import algebraic_function, projection_step
+from cosim.codegen.kernel_library import law_text
 from cosim.codegen.runge_kutta.explicit_library import (
-    NO_EVENTS,
     MethodText,
     WatchText,
     dop853_method,
@@ -24,7 +24,15 @@ from cosim.codegen.runge_kutta.explicit_library import (
     work_space,
 )
 from cosim.integrate.call import call_on_arrays
-from cosim.integrate.engine import Engine, EngineFunctions, Filled, Problem, event_type, reported
+from cosim.integrate.engine import (
+    Engine,
+    EngineFunctions,
+    Filled,
+    Left,
+    Problem,
+    event_type,
+    reported,
+)
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver
@@ -73,9 +81,7 @@ def explicit_engine(
     columns = len(grid) if problem.piecewise else 1
     library = ctypes.CDLL(path)
     nominal = problem.nominal or (1.0,) * len(dae.states)
-    watched = system.of_states if system else ()
-    stays = (problem.stays[i] if problem.stays else -1.0 for i in watched)
-    numbers = (len(grid), len(breaks), columns, *settings, *nominal, *stays)
+    numbers = (len(grid), len(breaks), columns, *settings, *nominal)
     known = np.concatenate((numbers, grid, breaks))
 
     def make() -> EngineFunctions:
@@ -111,7 +117,7 @@ def _compiled(
     ode, _ = function(t, x, solved, inputs_at(dae, inputs, t, u), c)
     projection = _projection(dae, inputs, c.numel()) if project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
-    events = _events(system, inputs, c.numel()) if system else NO_EVENTS
+    events = _events(system, inputs, c.numel()) if system else None
     return explicit_library(rhs, name, method, projection, events), constants
 
 
@@ -122,30 +128,9 @@ def _events(system: Hybrid, inputs: InputSeries | None, constants: int) -> Watch
     t, x, z, u, c, dx = symbols = [MX.sym("argument", size) for size in sizes]
     now = inputs_at(dae, inputs, t, u)
     slopes = MX.zeros(u.numel()) if inputs is None else ca.densify(ca.jtimes(now, t, 1))
-    p = c[: dae.p.numel()]
-    margins = system.margins("margins")(t, x, z, now, p, slopes, dx)
-    watch = ca.Function("watch", symbols, [*margins])
-    if system.sliding or dae.derived:  # what follows an event is not known from one evaluation
-        return WatchText(watch)
-    solved = algebraic_function(dae)(t, x, z, now, p) if dae.algebraics else z
-    results = system.deciding("deciding")(t, x, solved, now, p, slopes)
-    decide = ca.Function("decide", symbols[:5], [*results, solved])
-    assigned = [state for event in system.events for state in event.states]
-    columns = {"watched": system.of_states, "floors": system.floors, "assigned": assigned}
-    tables = [
-        f"static const int {name}[] = {{{', '.join(str(int(row)) for row in (*rows, -1))}}};"
-        for name, rows in columns.items()
-    ]
-    rules = [
-        f"{{{len(event.states)}, {int(event.sampled)}, {int(bool(event.message))}}}, "
-        for event in system.events
-    ]
-    tables += [
-        f"static const Rule rules[] = {{{''.join(rules)}{{0, 0, 0}}}};",
-        "static const Switches switches = {decide, watched, floors, rules, assigned};",
-    ]
-    sizes = len(system.relations), len(system.events), len(assigned)
-    return WatchText(watch, decide, sizes, "\n".join(tables))
+    seen = system.along_motion("seen")(t, x, z, now, c[: dae.p.numel()], slopes, dx)
+    moving = ca.Function("model_inputs", [t, u, c], [now, slopes]) if inputs is not None else None
+    return WatchText(ca.Function("watch", symbols, [*seen]), law_text(system, moving))
 
 
 def _projection(dae: Dae, inputs: InputSeries | None, constants: int) -> ca.Function:
@@ -172,7 +157,6 @@ class DirectCall:
         self, library: ctypes.CDLL, constants: ca.Function, known: Vector, system: Hybrid | None
     ) -> None:
         self._run, self._constants, self._library = library.run, constants, library
-        self._relations = system.of_states if system else ()
         self._events = None
         if system is not None:
             record = event_type(system)
@@ -184,9 +168,16 @@ class DirectCall:
         self._extended = np.concatenate((self._c, known))
 
     def __call__(
-        self, x0: Vector, z0: Vector, p: Vector, u: Vector, states: Vector, algebraics: Vector
+        self,
+        x0: Vector,
+        z0: Vector,
+        p: Vector,
+        u: Vector,
+        states: Vector,
+        algebraics: Vector,
+        left: Left | None,
     ) -> Filled:
-        """Fill states and algebraic unknowns, (n, nx) and (n, nz)."""
+        """Fill states and algebraic unknowns, (n, nx) and (n, nz); `left` changes at events."""
         if p.tobytes() != self._p:  # evaluate the constants once
             call_on_arrays(self._constants.buffer(), [p], [self._c])
             self._extended[: len(self._c)] = self._c
@@ -197,10 +188,13 @@ class DirectCall:
             arguments[i] = array.ctypes.data if array.size else None
         for i, array in enumerate((states, algebraics)):
             results[i] = array.ctypes.data if array.size else None
-        library, events = self._library, self._events
-        if events is not None:
-            place = ctypes.c_void_p(events.ctypes.data)
-            library.cosim_record(place, ctypes.c_longlong(len(events)))
+        library, events = self._library, self._events if left else None
+        if events is not None and left is not None:
+            count = ctypes.c_longlong(len(events))
+            places = (ctypes.c_void_p(a.ctypes.data) for a in (events, left.switching, left.sizes))
+            library.cosim_events(next(places), count, *places)
+        else:
+            library.cosim_events(None, ctypes.c_longlong(0), None, None)
         failed = self._run(arguments, results, integers, doubles, 0)
         passed = None if events is None else events[: library.cosim_recorded()].copy()
         if not failed:
@@ -210,7 +204,7 @@ class DirectCall:
             return Filled(False, library.cosim_passed(), None, passed)
         numbers = (ctypes.c_double * REPORT)()
         library.cosim_report(numbers)
-        crossing = numbers[4], self._relations[relation]
+        crossing = numbers[4], relation
         return Filled(True, library.cosim_passed(), crossing, passed)
 
 

@@ -1,0 +1,92 @@
+"""The kernel of events (fmu/solvers/hybrid) with the laws of a model, as a compiled library."""
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from casadi_models.dae.hybrid import Hybrid
+from cosim.codegen.c_sources import solver_source
+from cosim.codegen.casadi_library import cache_key, generated, sources_beside
+from cosim.codegen.compiler import cached_library
+from cosim.codegen.functions import dense
+from cosim.codegen.hybrid_laws import NO_TABLES, law_functions, law_sizes, law_tables
+from cosim.codegen.initialization import algebraic_function
+from cosim.memo import cached_per_thread
+
+_FUNCTIONS = ("algebraic", "relations", "rounding", "timed", "conditions", "bounds", "inputs")
+
+
+class LawText(NamedTuple):
+    """C text of a model's laws, around headers of fmu/solvers.
+
+    Attributes:
+        functions: CasADi's functions, whose code comes first.
+        sizes: Definitions of sizes, before the headers.
+        tables: Tables of relations and rules, after laws.h.
+        calls: The definition of the functions that the kernel calls, after model_laws.h.
+    """
+
+    functions: list[ca.Function]
+    sizes: str
+    tables: str
+    calls: str
+
+    @property
+    def digest(self) -> bytes:
+        """What identifies it."""
+        texts = (self.sizes, self.tables, self.calls, *(f.serialize() for f in self.functions))
+        return "".join(texts).encode()
+
+
+NO_LAWS = LawText(
+    [],
+    "".join(f"#define {name} 0\n" for name in ("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED"))
+    + "".join(f"#define LAWS_{name} 1\n" for name in ("ARG", "RES", "IW", "W")),
+    solver_source("laws.h") + NO_TABLES,
+    "static const LawFunctions law_functions = {0};\n",
+)  # of a smooth model
+
+
+@cached_per_thread(16)
+def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
+    """Return the C text of a model's laws.
+
+    Args:
+        system: Frozen equations.
+        inputs: `model_inputs(t, u, c) -> (u, du/dt)` if inputs follow a series within a step.
+    """
+    functions = [algebraic_function(system.dae), *law_functions(system)]
+    functions = [dense(f) for f in (*functions, *([] if inputs is None else [inputs]))]
+    known = {function.name() for function in functions}
+    names = (f"model_{name}" for name in _FUNCTIONS)
+    calls = ", ".join(name if name in known else "NULL" for name in names)
+    sizes = law_sizes(system)
+    for size in ("arg", "res", "iw", "w"):
+        most = max(getattr(function, f"sz_{size}")() for function in functions)
+        sizes[f"LAWS_{size.upper()}"] = most + 1
+    return LawText(
+        functions,
+        "".join(f"#define {name} {size}\n" for name, size in sizes.items()),
+        solver_source("laws.h") + law_tables(system, "static "),
+        f"static const LawFunctions law_functions = {{{calls}}};\n",
+    )
+
+
+@cached_per_thread(16)
+def kernel_library(system: Hybrid) -> str:
+    """Return the path of the kernel's library for a model, from the cache if possible.
+
+    Raises:
+        MissingTool: There is no compiler, or it fails.
+        UsageError: The laws call a library function whose C code is not available.
+    """
+    dae, text = system.dae, law_text(system)
+    sizes = {"NX": dae.x.numel(), "NZ": dae.z.numel(), "NU": dae.u.numel(), "NC": dae.p.numel()}
+    before = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + text.sizes
+    after = text.tables + solver_source("instants.h") + text.calls
+
+    def generate() -> str:
+        return f"{before}{generated('laws', *text.functions)}\n{after}"
+
+    key = cache_key("kernel", text.functions[0], text.digest, after.encode())
+    return str(cached_library(key, generate, sources_beside(*text.functions)))

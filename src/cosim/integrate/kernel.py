@@ -1,0 +1,348 @@
+"""`Kernel`: the kernel of events in C (fmu/solvers/hybrid), called at the instants of a run."""
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_models.dae.hybrid import Hybrid
+from cosim.arrays import Vector
+from cosim.codegen.kernel_library import kernel_library
+from cosim.errors import SolverError
+from cosim.integrate.engine import Left
+from cosim.integrate.modes import Instant
+from cosim.memo import cached_per_thread
+
+_DOUBLE, _LONG = ctypes.c_double, ctypes.c_longlong
+_PLACE = ctypes.c_void_p
+_NOTE = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(_DOUBLE)] * 4)
+_ARRAYS = ("x", "z", "u", "slopes", "c", "sizes", "switching", "modes", "zero", "order", "later")
+NEVER = float(np.finfo(float).max)  # the time of an event that does not come
+
+
+class _Call(ctypes.Structure):
+    """`Call` of fmu/solvers/instants.h."""
+
+    _fields_ = (
+        *((name, _DOUBLE) for name in ("t", "span")),
+        *((name, _PLACE) for name in _ARRAYS),
+        ("note", _NOTE),
+        *((name, _LONG) for name in ("reason", "part", "other", "state")),
+        ("size", _DOUBLE),
+        *((name, _LONG) for name in ("replan", "rounds")),
+    )
+
+
+class Reason(IntEnum):
+    """`Reason` of fmu/solvers/hybrid/settle.h."""
+
+    GOES_ON = 0
+    STOPPED = 1
+    NO_VALUE = 2
+    NO_MODES = 3
+    TOO_MANY_ROUNDS = 4
+    TOO_CLOSE = 5
+    CONTRADICTS = 6
+    NOT_FINITE_ASSIGNED = 7
+    VIOLATES = 8
+    STAYS_TRUE = 9
+
+
+class State(IntEnum):
+    """States of a relation; see fmu/solvers/hybrid/switching.h."""
+
+    FREE = 0
+    LEAVES = 1
+    HELD = 2
+    SLIDES = 3
+
+
+class Ending(NamedTuple):
+    """How an instant ended: `Ending` of fmu/solvers/hybrid/settle.h.
+
+    Attributes:
+        reason: Why the run does not go on, or `GOES_ON`.
+        part, other: Positions of events or relations; -1 for none.
+        state: Position of a state; -1 for none.
+        size: Size of a violation.
+    """
+
+    reason: Reason
+    part: int
+    other: int
+    state: int
+    size: float
+
+
+class Happening(NamedTuple):
+    """What happened at an instant.
+
+    Attributes:
+        ending: How it ended.
+        events: Positions of the events that happened, in their order.
+        zero: Relations whose arguments were 0.
+        replan: Whether the next time event has to be found anew.
+    """
+
+    ending: Ending
+    events: list[int]
+    zero: frozenset[int]
+    replan: bool
+
+
+Listener = Callable[[Vector, Vector, Vector, list[int]], None]  # x, z, u before; events of a round
+
+
+@dataclass
+class Switching:
+    """What past events leave for later ones: `Switching` of fmu/solvers/hybrid/switching.h.
+
+    Attributes:
+        numbers: All of it.
+        modes: How many relations there are.
+    """
+
+    numbers: Vector
+    modes: int
+
+    def _row(self, i: int) -> Vector:
+        return self.numbers[i * (self.modes + 1) :][: self.modes]
+
+    @property
+    def states(self) -> Vector:
+        """A `State` of each relation, (m,)."""
+        return self._row(0)
+
+    @property
+    def slack(self) -> Vector:
+        """By how much rounding moves each argument, (m,)."""
+        return self._row(3)
+
+    @property
+    def due(self) -> Vector:
+        """When relations of time alone switch next, s, (m,)."""
+        return self._row(4)
+
+    @property
+    def next(self) -> float:
+        """The next time event, s; `NEVER` if there is none."""
+        return float(self.numbers[-6])
+
+    @property
+    def sliding(self) -> frozenset[int]:
+        """Relations whose arguments stay 0 because their modes make them so."""
+        return frozenset(np.flatnonzero(self.states == State.SLIDES).tolist())
+
+    def copy(self) -> "Switching":
+        """Return a copy that later events do not change."""
+        return Switching(self.numbers.copy(), self.modes)
+
+
+@cached_per_thread(16)
+def _library(system: Hybrid) -> tuple[ctypes.CDLL, int]:
+    """Return the library of a model, and how many numbers its `Switching` has."""
+    library = ctypes.CDLL(kernel_library(system))
+    sizes = (_LONG * 7)()
+    library.cosim_kernel_sizes(sizes)
+    dae = system.dae
+    numels = [column.numel() for column in (dae.x, dae.z, dae.u)]
+    own = [ctypes.sizeof(_Call), sizes[1], *numels, len(system.relations), len(system.events)]
+    assert list(sizes) == own, "the library of events belongs to another model"
+    return library, sizes[1]
+
+
+class Kernel:
+    """The kernel of events for a run; it has work space of its own.
+
+    Args:
+        system: Frozen equations.
+        p: Parameters, SI.
+        sizes: Sizes of the states, in whose rounding an argument is 0, (nx,).
+        span: Length of the run, s.
+
+    Raises:
+        MissingTool, UsageError: See `kernel_library`.
+    """
+
+    def __init__(self, system: Hybrid, p: Vector, sizes: Vector, span: float) -> None:
+        self.system = system
+        self._library, count = _library(system)
+        dae, m = system.dae, len(system.relations)
+        self._arrays = {
+            "x": np.zeros(dae.x.numel() + 1),
+            "z": np.zeros(dae.z.numel() + 1),
+            "u": np.zeros(dae.u.numel() + 1),
+            "slopes": np.zeros(dae.u.numel() + 1),
+            "c": np.append(p, 0.0),
+            "sizes": np.append(sizes, 0.0),
+            "switching": np.zeros(count),
+            "modes": np.zeros(m + 1),
+            "zero": np.zeros(m + 1),
+            "later": np.zeros(m + 1),
+            "order": np.zeros(len(system.events) + 1),
+        }
+        self.switching = Switching(self._arrays["switching"], m)
+        self._call = _Call(span=span)
+        for name, array in self._arrays.items():
+            setattr(self._call, name, array.ctypes.data)
+
+    def _pass(self, t: float, x: Vector, z: Vector, u: Vector, slopes: Vector) -> None:
+        self._call.t = t
+        for name, values in (("x", x), ("z", z), ("u", u), ("slopes", slopes)):
+            self._arrays[name][: len(values)] = values
+
+    @property
+    def values(self) -> tuple[Vector, Vector, Vector]:
+        """States, algebraic unknowns, and inputs with modes, after the last call."""
+        x, z, u = (self._arrays[name][:-1].copy() for name in ("x", "z", "u"))
+        return x, z, u
+
+    def begin(self, t: float, x: Vector, z: Vector, u: Vector, slopes: Vector) -> Ending:
+        """Find the modes of a start; `values` holds them.
+
+        Args:
+            t: Time, s.
+            x, z: States, and a guess of the algebraic unknowns.
+            u, slopes: Inputs with modes, and their time derivatives.
+        """
+        self._pass(t, x, z, u, slopes)
+        self._library.cosim_begin(ctypes.byref(self._call))
+        return self._ending()
+
+    def happen(
+        self,
+        t: float,
+        x: Vector,
+        z: Vector,
+        u: Vector,
+        slopes: Vector,
+        crossing: int = -1,
+        listener: Listener | None = None,
+        later: frozenset[int] = frozenset(),
+    ) -> Happening:
+        """Let all happen that happens at an instant; `values` holds what follows.
+
+        Args:
+            t, x, z, u, slopes: See `begin`.
+            crossing: A relation whose argument is 0 there; -1 for none.
+            listener: Called in each round with the values before it, and its events.
+            later: Relations that keep their modes, although their arguments are 0.
+        """
+        self._pass(t, x, z, u, slopes)
+        sizes = [len(self._arrays[name]) - 1 for name in ("z", "u", "x", "order")]
+
+        def note(*places: "ctypes._Pointer[ctypes.c_double]") -> None:
+            before = [
+                np.ctypeslib.as_array(place, (size,)).copy()
+                for place, size in zip(places, sizes, strict=True)
+            ]
+            z, u, x, risen = before
+            assert listener is not None
+            listener(x, z, u, np.flatnonzero(risen).tolist())
+
+        self._arrays["later"][:] = 0.0
+        self._arrays["later"][list(later)] = 1.0
+        self._call.note = _NOTE(note) if listener else _NOTE()
+        self._library.cosim_happen(ctypes.byref(self._call), _LONG(crossing))
+        order, zero = self._arrays["order"][:-1], self._arrays["zero"][:-1]
+        events = [i for _, i in sorted((n, i) for i, n in enumerate(order.tolist()) if n)]
+        zeros = frozenset(np.flatnonzero(zero).tolist())
+        return Happening(self._ending(), events, zeros, bool(self._call.replan))
+
+    @property
+    def left(self) -> Left:
+        """What past events have left, for an engine."""
+        return Left(self.switching.numbers, self._arrays["sizes"])
+
+    def after(self, at: Instant) -> Instant:
+        """Return what an instant has become by the last call."""
+        x, z, u = self.values
+        return replace(at, x=x, z=z, modes=u[len(at.u) :], sliding=self.switching.sliding)
+
+    def plan(self, t: float, u: Vector, end: float) -> float:
+        """Return the time of the next time event up to an end, s; `NEVER` if there is none."""
+        self._call.t = t
+        self._arrays["u"][:-1] = u
+        self._library.cosim_plan(ctypes.byref(self._call), _DOUBLE(end))
+        return self.switching.next
+
+    def margins(self, arguments: Vector, rates: Vector, modes: Vector) -> tuple[Vector, Vector]:
+        """Return how far each relation is within its mode, and the rate of that, (n, m) each.
+
+        Args:
+            arguments, rates: Of the relations, one row per time, (n, m).
+            modes: Their modes, (n, m) or (m,).
+        """
+        rows = [np.ascontiguousarray(a) for a in (arguments, rates, np.broadcast_to(modes, arguments.shape))]
+        inside, towards = np.empty_like(rows[0]), np.empty_like(rows[0])
+        places = (_PLACE(a.ctypes.data) for a in (*rows, inside, towards))
+        self._library.cosim_margins(ctypes.byref(self._call), _LONG(len(inside)), *places)
+        return inside, towards
+
+    def note_inside(self, modes: Vector, arguments: Vector) -> None:
+        """Let go of boundaries that an event has displaced, where arguments are inside again."""
+        rows = [np.ascontiguousarray(a) for a in (modes, arguments)]
+        places = (_PLACE(a.ctypes.data) for a in rows)
+        self._library.cosim_note_inside(ctypes.byref(self._call), *places)
+
+    def _ending(self) -> Ending:
+        call = self._call
+        return Ending(Reason(call.reason), call.part, call.other, call.state, call.size)
+
+
+def reject(system: Hybrid, t: float, ending: Ending, switched: str) -> None:
+    """Raise the error of an instant that a run cannot go on from.
+
+    Args:
+        system: Frozen equations.
+        t: Time, s.
+        ending: How the instant ended.
+        switched: What switched there, if no event did.
+
+    Raises:
+        SolverError: Unless the run goes on, or an event has ended it.
+    """
+    part = ending.part
+    event = f"'{system.events[part].name}'" if part >= 0 and system.events else f"'{switched}'"
+    state = system.dae.states[ending.state].name if ending.state >= 0 else ""
+    match ending.reason:
+        case Reason.NO_VALUE:
+            text = f"the equations have no value at the event at {t:.12g} s"
+        case Reason.NO_MODES:
+            text = f"no consistent modes at {t:.12g} s ({system.described(part)})"
+        case Reason.TOO_MANY_ROUNDS:
+            text = (
+                f"{event} happens again and again at {t:.12g} s, more than 100 times; let its "
+                "assignments make its condition false"
+            )
+        case Reason.TOO_CLOSE:
+            text = (
+                f"{event} happens ever faster before {t:.12g} s (Zeno); end the run before with a "
+                "stop condition, or let the motion rest there"
+            )
+        case Reason.CONTRADICTS:
+            other = f"'{system.events[ending.other].name}'"
+            text = (
+                f"{other} and {event} give {state} different values at {t:.12g} s; make one event "
+                "of them, or conditions that exclude each other"
+            )
+        case Reason.NOT_FINITE_ASSIGNED:
+            text = f"{event} gives {state} no finite value at {t:.12g} s; assign a finite one"
+        case Reason.VIOLATES:
+            meaning = system.dae.invariants[ending.other].meaning
+            text = (
+                f"{event} at {t:.12g} s leaves states that violate: {meaning} "
+                f"(by {ending.size:.2g}); assign consistent values"
+            )
+        case Reason.STAYS_TRUE:
+            text = (
+                f"the condition of {event} stays true after {t:.12g} s, so that it cannot happen "
+                "again; let the motion rest there by a mode or a contact"
+            )
+        case _:
+            return
+    raise SolverError(f"{system.dae.full_name}: {text}")
