@@ -153,7 +153,8 @@ static bool any_due(Instance *self) {
     const Laws laws = laws_of(self);
     double inside[ROOM(MODES)], rates[ROOM(MODES)];
     Seen seen;
-    if (look_now(self, &seen) != OK) return false;
+    const Point at = present(self);
+    if (!look_closely(&laws, s, &at, &seen)) return true;
     measure(&laws, s, self->state.values + FIRST_MODE, &seen, inside, rates);
     for (int i = 0; i < MODES; i++) {
         const double value = seen.arguments[i];

@@ -311,7 +311,6 @@ double typical_step(Instance *self) {
 }
 
 bool integrate_to(Instance *self, double end) {
-    if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     const State *state = &self->state;
     const double *u = state->values + FIRST_INPUT;
     SolverMemory *memory = &self->state.memory;
@@ -325,6 +324,7 @@ bool integrate_to(Instance *self, double end) {
 #if HAS_EVENTS
     if (!goes_on && !start_over(self)) return false;
 #endif
+    if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     Problem problem = {
         .fmu = self,
         .tolerance = fmax(OF_TOLERANCE * state->tolerance, TIGHTEST),

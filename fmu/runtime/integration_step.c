@@ -136,7 +136,7 @@ bool integrate_to(Instance *self, double end) {
     const double *time = &self->state.values[TIME];
     double length = fmin(end - *time, LARGEST_STEP);
     int relation = -1;
-    if (refresh(self, ALGEBRAICS) != OK || !start_over(self)) return false;
+    if (!start_over(self) || refresh(self, ALGEBRAICS) != OK) return false;
     for (int n = 0; n < MOST_TRIALS && *time + length > *time; n++) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;

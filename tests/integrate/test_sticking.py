@@ -83,7 +83,7 @@ def test_the_sample_at_the_start_is_taken_however_rare_samples_are(period, tmp_p
 def test_two_events_do_not_give_one_variable_two_values(backend, tmp_path):
     model = cosim.Model("two", stop_time=2.0)
     d = model.discrete("d", "1", 0.0, "value")
-    model.when(model.t > 1, {d: d + 1}, name="first")
+    model.when(model.t > 1, {d: 2 * d + 1}, name="first")
     model.when(2 * model.t > 2, {d: d + 10}, name="second")
     dae = model.freeze()
     file = cosim.export_fmu(dae, tmp_path / "two.fmu")

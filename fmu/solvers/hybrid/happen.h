@@ -103,13 +103,15 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
                                    const bool later[], bool zero[], bool decided[]) {
     double *modes = modes_of(at), inside[MODES + 1], rates[MODES + 1], way = 0;
     Seen seen;
-    if (!look_closely(laws, s, at, &seen)) return -1;
+    if (!look_or_release(laws, s, at, zero, &seen)) return -1;
     measure(laws, s, modes, &seen, inside, rates);
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         if (later[i]) {
             decided[i] = true;
+        } else if (zero[i]) {
+            continue; /* it has just been released */
         } else if (s->state[i] == SLIDES) {
             const bool moved = is_moved(laws, s, &seen, i);
             if (!moved && i != crossing && inside[i] > 0) continue;

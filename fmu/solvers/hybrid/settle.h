@@ -159,6 +159,36 @@ static inline bool look_closely(const Laws *laws, const Switching *s, const Poin
     return follow(laws, s, at) && laws->see(laws->owner, at, seen);
 }
 
+/* Ends the sliding of relations whose arguments no mode keeps at 0 any more, as where a friction
+ * force vanishes: they go where their rates lead. Returns whether there are any. */
+static inline bool release_unkept(const Laws *laws, Switching *s, const Point *at, bool zero[]) {
+    double *modes = modes_of(at);
+    bool any = false;
+    Seen without, with;
+    for (int i = 0; i < MODES; i++)
+        if (s->state[i] == SLIDES) modes[i] = 0;
+    if (!laws->see(laws->owner, at, &without)) return false;
+    for (int i = 0; i < MODES; i++) {
+        if (s->state[i] != SLIDES) continue;
+        modes[i] = 1;
+        if (!laws->see(laws->owner, at, &with)) return false;
+        modes[i] = 0;
+        const double change = fabs(with.rates[i] - without.rates[i]);
+        if (change > ROUNDING * (without.sizes[i] + fabs(without.rates[i]))) continue;
+        s->state[i] = FREE;
+        modes[i] = without.rates[i] < 0 ? -1 : 1;
+        zero[i] = any = true;
+    }
+    return any;
+}
+
+/* Relations at an instant, where some may no longer slide. */
+static inline bool look_or_release(const Laws *laws, Switching *s, const Point *at, bool zero[],
+                                   Seen *seen) {
+    return look_closely(laws, s, at, seen) ||
+           (release_unkept(laws, s, at, zero) && look_closely(laws, s, at, seen));
+}
+
 /* -- one instant ------------------------------------------------------------------------------ */
 
 static inline double mode_by_value(bool floor_, double value) {
@@ -296,7 +326,7 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
                             const bool decided[]) {
     Seen seen, before;
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
-        if (!look_closely(laws, s, at, &seen)) return ending(NO_VALUE, -1);
+        if (!look_or_release(laws, s, at, zero, &seen)) return ending(NO_VALUE, -1);
         note_slack(laws, s, at);
         for (int i = 0; i < MODES && trial == 0; i++)
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;

@@ -52,17 +52,21 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
     """Return the C text of a model's laws.
 
     Args:
-        system: Frozen equations.
+        system: Frozen equations. Where relations slide by these, there are tables only: events are
+            left to the caller of a run.
         inputs: `model_inputs(t, u, c) -> (u, du/dt)` if inputs follow a series within a step.
     """
-    functions = [algebraic_function(system.dae), *law_functions(system)]
-    functions = [dense(f) for f in (*functions, *([] if inputs is None else [inputs]))]
+    functions = list[ca.Function]()
+    if not system.sliding:
+        laws = system.blended()
+        functions = [algebraic_function(laws.dae), *law_functions(laws)]
+        functions = [dense(f) for f in (*functions, *([] if inputs is None else [inputs]))]
     known = {function.name() for function in functions}
     names = (f"model_{name}" for name in _FUNCTIONS)
     calls = ", ".join(name if name in known else "NULL" for name in names)
     sizes = law_sizes(system)
     for size in ("arg", "res", "iw", "w"):
-        most = max(getattr(function, f"sz_{size}")() for function in functions)
+        most = max((getattr(f, f"sz_{size}")() for f in functions), default=0)
         sizes[f"LAWS_{size.upper()}"] = most + 1
     return LawText(
         functions,

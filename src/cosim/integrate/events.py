@@ -251,7 +251,8 @@ class _Course:
             self._write(at.t)
             return
         if self.dae.derived:
-            self.at, happened = crossed(self.kernel, self.values.p, at, crossing, first)
+            slid = self.at.sliding if (at.u == self.at.u).all() else frozenset[int]()
+            self.at, happened = crossed(self.kernel, self.values.p, at, crossing, first, slid)
         else:
             happened = self.kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first)
             self.at = self.kernel.after(at)

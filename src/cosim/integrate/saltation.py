@@ -40,7 +40,12 @@ def _along(system: Hybrid) -> Evaluator:
 
 
 def crossed(
-    kernel: Kernel, p: Vector, at: Instant, crossing: frozenset[int], first: int
+    kernel: Kernel,
+    p: Vector,
+    at: Instant,
+    crossing: frozenset[int],
+    first: int,
+    slid: frozenset[int],
 ) -> tuple[Instant, Happening]:
     """Let all happen that happens at an instant, with the derivatives of the states.
 
@@ -50,12 +55,15 @@ def crossed(
         at: The instant just before.
         crossing: Relations whose arguments are 0, or that no longer slide.
         first: One of them; -1 for none.
+        slid: Relations that have slid before along the same inputs.
 
     Raises:
         SolverError: Events happen at one time, and the derivatives depend on their order.
     """
     if len(crossing) < 2:
-        return _one(kernel, p, at, first if first >= 0 else min(crossing, default=-1), frozenset())
+        i = first if first >= 0 else min(crossing, default=-1)
+        found, happened = _one(kernel, p, at, i, frozenset())
+        return slid_derivatives(kernel.system, found, p, slid), happened
     switching, order = kernel.switching.numbers.copy(), sorted(crossing)
     other, _ = _in_order(kernel, p, at, order[::-1])
     kernel.switching.numbers[:] = switching
@@ -70,7 +78,7 @@ def crossed(
             "one time, and what follows depends on their order: there are one-sided derivatives "
             "only; change an initial value or a parameter a little"
         )
-    return found, happened
+    return slid_derivatives(kernel.system, found, p, slid), happened
 
 
 def _in_order(
@@ -117,7 +125,7 @@ def _one(
     after = replace(after, x=x)
     if dt:
         after = replace(after, x=_moved(system, p, after, -dt))
-    return slid_derivatives(system, after, p, at.sliding), happened
+    return after, happened
 
 
 def _at_moving_time(system: Hybrid, p: Vector, at: Instant, i: int) -> tuple[Instant, float]:

@@ -160,7 +160,9 @@ class DirectCall:
         self._events = None
         if system is not None:
             record = event_type(system)
-            self._events = np.empty(1 + _ROOM_FOR_EVENTS // record.itemsize, record)
+            room = 1 + _ROOM_FOR_EVENTS // record.itemsize
+            # others need what only the caller knows
+            self._events = np.empty(0 if system.sliding or system.dae.derived else room, record)
         library.cosim_passed.restype = library.cosim_recorded.restype = ctypes.c_longlong
         self._work = work_space(library)
         self._p: bytes | None = None
