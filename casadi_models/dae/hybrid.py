@@ -79,6 +79,17 @@ class Hybrid:
         return tuple(ca.depends_on(relation.argument, given) for relation in self.relations)
 
     @cached_property
+    def resting(self) -> tuple[int, ...]:
+        """Positions of the relations that rest where inputs do: nothing else moves them."""
+        constant = self.constant
+        moving = [x for i, x in enumerate(ca.vertsplit(self.dae.x)) if i not in constant]
+        others = ca.vertcat(self.dae.t, self.dae.z, *moving)
+        every = enumerate(zip(self.relations, self.of_input, strict=True))
+        return tuple(
+            i for i, (r, driven) in every if driven and not ca.depends_on(r.argument, others)
+        )
+
+    @cached_property
     def paths(self) -> frozenset[str]:
         """Inputs along which states may slide: arguments of signs depend on both."""
         arguments = [r.argument for r in self.relations if not r.floor]
@@ -447,12 +458,16 @@ def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae
 def _affine(laws: SX, mode: SX, taken: bool) -> SX:
     """Return laws that are affine in a mode: convex combinations of its two sides (Filippov).
 
+    A mode of exactly 0 is that of rest, where the laws have their own value.
+
     Args: See `_polynomial`.
     """
     curved = ca.which_depends(laws, mode, 2, True) if ca.depends_on(laws, mode) else []
     for row in (i for i, bent in enumerate(curved) if bent):  # as where `fabs` has the same mode
         sides = [(ca.substitute(laws[row], mode, SX(s)), (1 + s * mode) / 2) for s in (1, -1)]
+        rest = ca.substitute(laws[row], mode, SX(0))
         if taken:
             sides = [(SX.binary(ca.OP_IF_ELSE_ZERO, share, law), share) for law, share in sides]
-        laws[row] = sum(share * law for law, share in sides)
+        blend = sum(share * law for law, share in sides)
+        laws[row] = ca.if_else(mode == 0, rest, blend) if taken else blend
     return laws

@@ -86,7 +86,7 @@ Status handle_instant(Instance *self, int crossing, Outcome *outcome) {
     *outcome = (Outcome){found.states_changed, found.ending.reason == STOPPED};
     if (stopped) return OK;
     state->stale |= AFTER_START;
-    log_happening(self, &found);
+    if (state->before.known >= 0) log_happening(self, &found); /* again is once */
     if (found.states_changed || found.modes_changed) restart_solver(self);
     const Status status =
         refuse_ending(self, ERROR, &found.ending, relation_that_switched(self, &found));
@@ -159,16 +159,48 @@ static bool any_due(Instance *self) {
     for (int i = 0; i < MODES; i++) {
         const double value = seen.arguments[i];
         if (inside[i] < 0) return true;
-        if (s->state[i] == FREE && value == (relations[i].floor ? round(value) : 0)) return true;
+        if (value == (relations[i].floor ? round(value) : 0) && s->state[i] != SLIDES &&
+            !is_held(&laws, s, &seen, i))
+            return true;
     }
     return false;
 }
 
+void remember_instant(Instance *self) {
+    State *state = &self->state;
+    Before *before = &state->before;
+    before->known = 1;
+    before->time = state->values[TIME];
+    before->switching = state->switching;
+    memcpy(before->x, state->values + FIRST_STATE, NX * sizeof *before->x);
+    memcpy(before->modes, state->values + FIRST_MODE, MODES * sizeof *before->modes);
+    memcpy(before->inputs, state->values + FIRST_INPUT, (NU - MODES) * sizeof *before->inputs);
+}
+
+/* Undo the event at a communication point if the importer has set other inputs there since: it
+   happens with these. */
+static bool undo_instant(Instance *self) {
+    State *state = &self->state;
+    const Before *before = &state->before;
+    const double *inputs = state->values + FIRST_INPUT;
+    if (before->known == 0 || before->time != state->values[TIME] ||
+        memcmp(before->inputs, inputs, (NU - MODES) * sizeof *inputs) == 0)
+        return false;
+    state->switching = before->switching;
+    memcpy(state->values + FIRST_STATE, before->x, NX * sizeof *before->x);
+    memcpy(state->values + FIRST_MODE, before->modes, MODES * sizeof *before->modes);
+    state->stale |= AFTER_START;
+    return true;
+}
+
 bool start_over(Instance *self) {
     Outcome outcome = {.ends = run_stopped(self)};
+    const bool again = !outcome.ends && undo_instant(self);
+    self->state.before.known = again ? -1 : 0;
     if (outcome.ends) return false;
-    const bool due = next_event(self) == NOT_PLANNED || event_waits(self) || any_due(self);
+    const bool due = again || next_event(self) == NOT_PLANNED || event_waits(self) || any_due(self);
     if (due && handle_instant(self, take_waiting(self), &outcome) != OK) return false;
+    self->state.before.known = 0;
     return !outcome.ends && refresh(self, ALGEBRAICS) == OK;
 }
 

@@ -27,6 +27,9 @@ double end_with_event(const Instance *self, double end);
 
 bool run_stopped(const Instance *self);
 
+/* Keep what was before an event at a communication point, as other inputs may be set there. */
+void remember_instant(Instance *self);
+
 /* What inputs and parameters that have just been set make happen before a step of co-simulation, or
    an event that the importer has not handled; false where it fails or ends the run. */
 bool start_over(Instance *self);

@@ -278,7 +278,8 @@ static bool show(const Problem *self, const SolverMemory *memory, double *end) {
 enum { WENT_ON, HAPPENED, WAITS, FAILED };
 
 /* All that happens where the last step ended, if anything does; then the solver starts afresh. */
-static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, double ahead) {
+static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, double end,
+                      double ahead) {
     Instance *fmu = self->fmu;
     if (memory->crossing == 0 && next_event(fmu) > memory->until) return WENT_ON;
     Outcome outcome;
@@ -287,6 +288,7 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
         memset(memory, 0, sizeof *memory);
         return WAITS;
     }
+    if (memory->until >= end && memory->crossing == 0) remember_instant(fmu);
     if (handle_instant(fmu, (int)memory->crossing - 1, &outcome) != OK || outcome.ends)
         return FAILED;
     if (refresh(fmu, ALGEBRAICS) != OK) return FAILED;
@@ -343,7 +345,8 @@ bool integrate_to(Instance *self, double end) {
         double until = ahead;
 #if HAS_EVENTS
         end = end_with_event(self, end);
-        const int how = memory->until <= end ? pass_event(&ode, &problem, memory, ahead) : WENT_ON;
+        const int how =
+            memory->until <= end ? pass_event(&ode, &problem, memory, end, ahead) : WENT_ON;
         if (how == FAILED) return false;
         if (how == WAITS) return true;
         if (how == HAPPENED) continue;

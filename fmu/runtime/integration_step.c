@@ -141,6 +141,7 @@ bool integrate_to(Instance *self, double end) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
             if (leave_to_importer(self, relation)) return true;
+            if (*time >= end && relation < 0) remember_instant(self);
             if (handle_instant(self, relation, &outcome) != OK || outcome.ends) return false;
             relation = -1;
             continue;

@@ -112,6 +112,7 @@
 #define relation_names INSIDE_NAME(MODEL_PREFIX, relation_names)
 #define relations INSIDE_NAME(MODEL_PREFIX, relation_table)
 #define release_snapshot INSIDE_NAME(MODEL_PREFIX, release_snapshot)
+#define remember_instant INSIDE_NAME(MODEL_PREFIX, remember_instant)
 #define reset INSIDE_NAME(MODEL_PREFIX, reset)
 #define restart_solver INSIDE_NAME(MODEL_PREFIX, restart_solver)
 #define restore INSIDE_NAME(MODEL_PREFIX, restore)

@@ -13,7 +13,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 6 };
+enum { LAYOUT_VERSION = 7 };
 
 typedef struct {
     uint64_t magic;
@@ -93,6 +93,7 @@ static bool plausible(const Instance *self, const State *state) {
 #if HAS_EVENTS
     const double waits = state->switching.waits;
     if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
+    if (!all_finite((const double *)&state->before, BEFORE_SIZE)) return false;
     if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {

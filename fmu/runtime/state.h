@@ -62,6 +62,17 @@ enum { WATCH_SIZE = sizeof(Watch) / sizeof(double) };
 
 _Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubles");
 
+#if HAS_EVENTS
+/* The instance before an event at a communication point; all of it doubles. */
+typedef struct {
+    double known; /* 1: there was one; -1: it is happening again */
+    double time, x[ROOM(NX)], modes[ROOM(MODES)], inputs[ROOM(NU)];
+    Switching switching;
+} Before;
+
+enum { BEFORE_SIZE = sizeof(Before) / sizeof(double) };
+#endif
+
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */
 typedef struct {
@@ -75,6 +86,7 @@ typedef struct {
 #endif
 #if HAS_EVENTS
     Switching switching;
+    Before before;
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double stop_time;              /* infinite where none was given */

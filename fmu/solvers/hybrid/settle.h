@@ -121,7 +121,7 @@ static inline bool solve_linear(int n, Rows a) {
 }
 
 /* Sets the modes of relations that slide; false where none keep their arguments. The rates of the
- * arguments are affine in the modes: modes 0 and 1 tell how. */
+ * arguments are affine in the modes: both sides tell how. A mode of exactly 0 is that of rest. */
 static inline bool follow(const Laws *laws, const Switching *s, const Point *at) {
     double *modes = modes_of(at), sizes[MODES + 1];
     int which[MODES + 1], n = 0;
@@ -131,7 +131,7 @@ static inline bool follow(const Laws *laws, const Switching *s, const Point *at)
         if (s->state[i] == SLIDES) which[n++] = i;
     if (n == 0) return true;
 
-    for (int k = 0; k < n; k++) modes[which[k]] = 0;
+    for (int k = 0; k < n; k++) modes[which[k]] = -1;
     if (!laws->see(laws->owner, at, &base)) return false;
     for (int k = 0; k < n; k++) {
         a[k][n] = -base.rates[which[k]];
@@ -140,14 +140,14 @@ static inline bool follow(const Laws *laws, const Switching *s, const Point *at)
     for (int c = 0; c < n; c++) {
         modes[which[c]] = 1;
         if (!laws->see(laws->owner, at, &one)) return false;
-        modes[which[c]] = 0;
+        modes[which[c]] = -1;
         for (int r = 0; r < n; r++) {
-            a[r][c] = one.rates[which[r]] - base.rates[which[r]];
+            a[r][c] = (one.rates[which[r]] - base.rates[which[r]]) / 2;
             sizes[r] += fabs(a[r][c]);
         }
     }
     if (!solve_linear(n, a)) return false;
-    for (int k = 0; k < n; k++) modes[which[k]] = a[k][n];
+    for (int k = 0; k < n; k++) modes[which[k]] = a[k][n] == 1 ? DBL_MIN : a[k][n] - 1;
     if (!laws->see(laws->owner, at, &one)) return false;
     for (int k = 0; k < n; k++)
         if (!(fabs(one.rates[which[k]]) <= NOT_AFFINE * sizes[k])) return false;
@@ -166,13 +166,13 @@ static inline bool release_unkept(const Laws *laws, Switching *s, const Point *a
     bool any = false;
     Seen without, with;
     for (int i = 0; i < MODES; i++)
-        if (s->state[i] == SLIDES) modes[i] = 0;
+        if (s->state[i] == SLIDES) modes[i] = -1;
     if (!laws->see(laws->owner, at, &without)) return false;
     for (int i = 0; i < MODES; i++) {
         if (s->state[i] != SLIDES) continue;
         modes[i] = 1;
         if (!laws->see(laws->owner, at, &with)) return false;
-        modes[i] = 0;
+        modes[i] = -1;
         const double change = fabs(with.rates[i] - without.rates[i]);
         if (change > ROUNDING * (without.sizes[i] + fabs(without.rates[i]))) continue;
         s->state[i] = FREE;

@@ -167,7 +167,8 @@ class _Course:
         ends = series.breaks if series else np.empty(0), self.pulses
         later = (times[times.searchsorted(at.t, "right") :] for times in ends)
         jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
-        end = min(due, jump, float(grid[-1]), pulse)
+        rest = self._next_rest(series, min(due, jump, float(grid[-1]), pulse))
+        end = min(due, jump, float(grid[-1]), pulse, rest)
         last = min(self.next + min(self.window, _MOST_LOOKS // self.looks), len(grid) - 1)
         if grid[last] < end:
             end = float(grid[last])
@@ -192,13 +193,30 @@ class _Course:
         piece.let_go()
         self.window *= 2
         arrived = replace(piece.at_end(), t=end)
-        if end in (due, jump):
-            following = self._with_inputs(arrived) if end == jump else arrived
+        if end in (due, jump, rest):
+            following = self._with_inputs(arrived) if end in (jump, rest) else arrived
             self._switch(following, self._due_relations() if end == due else frozenset())
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)
         return ""
+
+    def _next_rest(self, series: InputSeries | None, end: float) -> float:
+        """Return when an input comes to rest where a relation of inputs is 0, s, before an end.
+
+        There, nothing moves the relation any more, and it has the value of its operator.
+        """
+        at, which = self.at, list(self.system.resting)
+        if series is None or not which:
+            return np.inf
+        begin, stop = series.rests.searchsorted((at.t, end), "right")
+        for t in series.rests[begin:stop].tolist():
+            u, du = with_slopes(self.dae, series.around(t), self.values.u, np.array([t]))
+            seen = replace(at, t=t, u=u[0], du=du[0], sliding=frozenset[int]())
+            values = seen.watched(self.system, self.values.p).arguments[0, which]
+            if (values == np.where(np.array(self.system.floors)[which], np.round(values), 0)).any():
+                return float(t)
+        return np.inf
 
     def _followed(self) -> InputSeries | None:
         """Return the input series, with rates where states slide along inputs."""

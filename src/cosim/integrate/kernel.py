@@ -169,7 +169,7 @@ class Kernel:
     """
 
     def __init__(self, system: Hybrid, p: Vector, sizes: Vector, span: float) -> None:
-        self.system = system
+        self.system, self.span = system, span
         self._library, count = _library(system)
         dae, m = system.dae, len(system.relations)
         self._arrays = {

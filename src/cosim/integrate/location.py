@@ -90,6 +90,7 @@ class Piece:
     ) -> None:
         self.system, self.own, self.begin, self.began, self.p = system, own, begin, began, p
         self.kernel = kernel
+        self.span = kernel.span if kernel else 1.0
         self.problem, self.solver = problem, solver
         z = begin.z
         if own.sliding and own.dae.derived and problem.inputs:
@@ -243,7 +244,7 @@ class Piece:
     def state_at(self, k: int, t: float) -> tuple[Vector, Vector] | None:
         """Return states and unknowns at a time after the k-th one, by the solver."""
         times = np.array([self.times[k], t])
-        if t - times[0] <= _SAME_TIME * max(1.0, abs(t)):  # no solver can take such a step
+        if t - times[0] <= _SAME_TIME * max(min(1.0, self.span), abs(t)):  # too short a step
             return self.x[k] + (t - times[0]) * self.rates(k)[0], self.z[k]
         found = self._run(self.problem, times, self.x[k], self.z[k])
         if found.states.shape[1] < 2:
