@@ -4,6 +4,7 @@ Source  Glocker, Set-Valued Force Laws, Springer 2001 (Newton's law for several 
         Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083-1138 (friction).
 """
 
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ from casadi import SX
 from casadi_models.dae import Model
 
 _CLOSING = 1e-12  # m/s; a gap that closes faster does so by motion, not by rounding of an impact
+_MOST_CONTACTS = 6  # of one impact, whose sets of pushing contacts are tried one by one
 _NEVER_ZERO = 1e-100  # m/s; below every velocity, and its square is not zero
 _BACKWARD = 1e-3  # of the slow speed; at this speed backward, sliding has ended
 
@@ -28,7 +30,8 @@ def impact(
 ) -> None:
     """Declare the event at which contacts close: speeds jump by Newton's law.
 
-    With the gap speeds g = W^T u, impulses P along W make g+ = -e g:  M (u+ - u) = W P. The kinetic
+    With the gap speeds g = W^T u, impulses P along W make g+ = -e g:  M (u+ - u) = W P. They push: a
+    contact that opens faster than that has none (P >= 0, g+ + e g >= 0, one of them 0). The kinetic
     energy does not grow for restitutions of 0 to 1; with several contacts, give all the same one.
     Nothing holds bodies together: one that comes to rest under a load ends the run (Zeno).
 
@@ -43,7 +46,8 @@ def impact(
         name: For messages and `Trajectory.events`.
 
     Raises:
-        ValueError: The restitution is a number outside 0 to 1, or a shape does not fit.
+        ValueError: The restitution is a number outside 0 to 1, a shape does not fit, or there are
+            more than 6 contacts.
     """
     e, m, w = SX(restitution), SX(mass), SX(directions)
     n = speeds.numel()
@@ -54,12 +58,37 @@ def impact(
             f"'{name}': {n} speeds, but a mass matrix of shape {m.shape} and directions of shape "
             f"{w.shape}; give ({n}, {n}) and ({n}, contacts)"
         )
-    if not (e.is_constant() or model.bound(e, 0.0, 1.0)):
-        e += ca.floor(ca.sqrt(e * (1 - e)))  # 0 within 0 to 1, outside no number
+    known = e.is_constant() or model.bound(e, 0.0, 1.0)
+    wrong = SX(0) if known else ca.floor(ca.sqrt(e * (1 - e)))  # 0 within 0 to 1, else no number
+    if w.size2() > _MOST_CONTACTS:
+        raise ValueError(
+            f"'{name}': {w.size2()} contacts; an impact has at most {_MOST_CONTACTS} at once, so "
+            "declare one for each group of contacts that close together"
+        )
     along = ca.solve(m, w)
-    impulses = ca.solve(w.T @ along, -(1 + e) * (w.T @ speeds))
+    impulses = _pushing(w.T @ along, (1 + e) * (w.T @ speeds)) + wrong
     closes = ca.logic_and(condition, ca.mmin(w.T @ speeds) < -_CLOSING)
     model.when(closes, _values(speeds, speeds + along @ impulses), name=name)
+
+
+def _pushing(matrix: SX, offset: SX) -> SX:
+    """Return P with P >= 0, r = matrix P + offset >= 0, and P_i r_i = 0.
+
+    The solution is unique, as the matrix is positive definite: of the sets of contacts that push,
+    the one that violates the inequalities least.
+    """
+    k = offset.numel()
+    found, least = SX.zeros(k), ca.fmax(0, ca.mmax(-offset))
+    for size in range(1, k + 1):
+        for chosen in combinations(range(k), size):
+            rows, others = list(chosen), [i for i in range(k) if i not in chosen]
+            impulses = SX.zeros(k)
+            impulses[rows] = ca.solve(matrix[rows, rows], -offset[rows])
+            left = (matrix @ impulses + offset)[others]
+            violated = ca.mmax(ca.vertcat(0, -impulses[rows], -left))
+            found = ca.if_else(violated < least, impulses, found)
+            least = ca.fmin(violated, least)
+    return found
 
 
 def friction(

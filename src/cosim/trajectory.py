@@ -227,7 +227,7 @@ class Trajectory:
         """Return the run at other times within its span.
 
         A run of `cosim.simulate` is computed again at these times by its solver. Any other run is
-        interpolated between its samples by polynomials of degree 5.
+        interpolated between its samples by polynomials of degree 5, never across an event.
 
         Args:
             times: One time, or an array (m,) in increasing order, s.
@@ -252,7 +252,10 @@ class Trajectory:
             if len(distinct) < requested.size:
                 found = replace(found, time=requested, values=found.values[places])
         else:
-            values, _ = resample(self.time, self.values, np.atleast_1d(requested))
+            own = self.with_events()  # with rows at events whose values are known
+            doubled = set(own.time[1:][np.diff(own.time) == 0].tolist())
+            breaks = np.array([e.time for e in self.events if e.time not in doubled])
+            values, _ = resample(own.time, own.values, np.atleast_1d(requested), breaks)
             found = replace(self, time=np.atleast_1d(requested), values=values)
         return found.final if requested.ndim == 0 else found
 

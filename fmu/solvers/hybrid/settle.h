@@ -245,7 +245,9 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
 static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
     double moved[MODES + 1] = {0};
     if (!laws->spread(laws->owner, at, moved)) return;
-    for (int i = 0; i < MODES; i++) s->slack[i] = isfinite(moved[i]) ? ROUNDING * moved[i] : 0;
+    /* never 0: what is at its boundary is inside, and a change of the sign shows that it leaves */
+    for (int i = 0; i < MODES; i++)
+        s->slack[i] = DBL_MIN + (isfinite(moved[i]) ? ROUNDING * moved[i] : 0);
 }
 
 /* Ends the sliding of relations whose modes have left -1 ... 1, on the side that the mode tells. */

@@ -88,7 +88,7 @@ def _evaluated(
         solved,
         prepared.places,
         limits=checked,
-        margins=watches_singularity,
+        margins=checked,
         compiled=problem.compiled,
     )
     seen.table.setflags(write=False)  # a result need not copy it
@@ -99,14 +99,14 @@ def _evaluated(
     if watches_singularity:
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
-            n, reason = singular
+            n, reason, _ = singular
         elif singular is not None:  # an explicit formulation goes on, with a warning
-            found.append(Breach(*singular))
+            found.append(singular)
     if checked:
-        found += breaches(dae, grid[:n], seen.first_invalid[: len(dae.limits)])
-        found.sort()
-        if found and prepared.on_invalid is OnInvalid.STOP and found[0].position < n:
-            n, reason = found[0]
+        found += breaches(dae, solved, seen, n)
+        found.sort(key=lambda breach: breach.time)
+        if found and prepared.on_invalid is OnInvalid.STOP:
+            n, reason, _ = found[0]
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
@@ -259,7 +259,7 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
         compile_time=time_compiling() - compiling or None,
         invalid=tuple(breach.text for breach in invalid),
         note=_note(prepared),
-        invalid_from=float(motion.time[invalid[0].position]) if invalid else None,
+        invalid_from=invalid[0].time if invalid else None,
         stop=f"{stop} from {time[-1]:.12g} s on" if stop else None,
         stop_time=float(time[-1]) if stop else None,
     )

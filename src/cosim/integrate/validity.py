@@ -22,25 +22,86 @@ STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in n
 
 
 class Breach(NamedTuple):
-    """Position of the first output time that is not valid, and the reason."""
+    """The first output time that is not valid: its position, the reason, and the exact time, s."""
 
     position: int
     text: str
+    time: float
 
 
-def breaches(dae: Dae, time: Vector, first_invalid: Sequence[int]) -> list[Breach]:
+def breaches(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
     """Return when each validity condition of the model is violated for the first time.
+
+    A violation is located between output times, where the margin of its condition passes 0 or may
+    do so and return, on the cubic through the states and their rates.
 
     Args:
         dae: The model.
-        time: Output times, s, (n,).
-        first_invalid: Position of that time for each condition; n or more if it always holds.
+        solved: Result of the solver.
+        seen: Its margins.
+        n: Number of output times to check.
     """
-    return [
-        Breach(i, f"from {time[i]:g} s on it is no longer true that {meaning}")
-        for i, (_, meaning) in zip(first_invalid, dae.limits, strict=True)
-        if i < len(time)
-    ]
+    found = list[Breach]()
+    for i, (_, meaning) in enumerate(dae.limits):
+        margin = seen.margins[:n, i]
+        for k in _doubtful(margin):
+            when = float(solved.time[0]) if k < 0 else _first_outside(dae, solved, seen, i, k)
+            if when is not None:
+                text = f"from {when:g} s on it is no longer true that {meaning}"
+                found.append(Breach(k + 1, text, when))
+                break
+    return found
+
+
+def _doubtful(margin: Vector) -> list[int]:
+    """Return the intervals in which a margin may be 0 or less, up to the first that ends so.
+
+    Args:
+        margin: At the output times, (n,); what is not a number is not valid.
+
+    Returns:
+        Positions of their begins; -1 for the first output time itself.
+    """
+    outside = ~(margin > 0)
+    first = int(np.argmax(outside)) if outside.any() else len(margin)
+    if first == 0:
+        return [-1] if len(margin) else []
+    inside = margin[:first]
+    falls = np.diff(inside) < 0
+    turns = 1 + np.flatnonzero(falls[:-1] & ~falls[1:])  # rows with least values
+    before, least, after = inside[turns - 1], inside[turns], inside[turns + 1]
+    # a parabola through three rows reaches at most so far below the least of them
+    near = turns[least <= (before - least) + (after - least)]
+    return sorted({*(near - 1).tolist(), *near.tolist(), *([first - 1] if first < len(margin) else [])})
+
+
+def _first_outside(dae: Dae, solved: Solved, seen: Observed, limit: int, k: int) -> float | None:
+    """Return when a margin is 0 first in an interval between output times, s; None if it is not."""
+    law, ends = _margin(dae, limit), slice(k, k + 2)
+    u = np.broadcast_to(solved.u, (len(solved.u), len(solved.time)))[:, ends]
+    states, unknowns, time = solved.states[:, ends], seen.unknowns[ends].T, solved.time[ends]
+    rates = np.array(equations(dae)(time[None], states, unknowns, u, solved.p)[0])
+    curve = _curve(time - time[0], states, rates)
+    low, high = 0.0, float(time[1] - time[0])
+    for _ in range(2 * _ZOOMS):  # to the rounding of time
+        s = np.linspace(low, high, _POINTS)
+        x: Vector = (s[:, None] ** np.arange(len(curve)) @ curve).T
+        margin = np.array(law((time[0] + s)[None], x, unknowns[:, 0], u[:, 0], solved.p)).ravel()
+        outside = ~(margin > 0)
+        if outside.any():
+            first = int(np.argmax(outside))
+            low, high = float(s[max(first - 1, 0)]), float(s[first])
+        else:
+            least = int(np.argmin(margin))
+            low, high = float(s[max(least - 1, 0)]), float(s[min(least + 1, _POINTS - 1)])
+    if outside.any():
+        return float(time[0]) + high
+    return float(time[1]) if not seen.margins[k + 1, limit] > 0 else None
+
+
+@cached_per_thread(32)
+def _margin(dae: Dae, limit: int) -> ca.Function:
+    return ca.Function("margin", dae.arguments, [dae.margins[limit]], {"cse": True})
 
 
 def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: float) -> list[Breach]:
@@ -68,6 +129,7 @@ def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: floa
             i,
             f"from {time[i]:g} s on the step of {step:g} s is too long: half the step changes "
             f"{dae.states[row].name} by {change[row, i] * nominal[row, 0]:.2g}",
+            float(time[i]),
         )
     ]
 
@@ -122,14 +184,16 @@ def with_singularity_margin(dae: Dae) -> Dae:
 
 
 def times_between(dae: Dae, grid: Vector) -> Vector:
-    """Return output times with further times between, to detect singular configurations and events.
+    """Return output times with further times between, to detect what happens there.
 
     Args:
-        dae: The model; without events and the monitor of its constraints, nothing is added.
+        dae: The model; without events, validity conditions and the monitor of its constraints,
+            nothing is added.
         grid: Output times, s, (n,).
     """
-    # explicit formulations fail there
-    if not (dae.has_conditioned_multipliers or hybrid(dae)) or len(grid) < 2:
+    # explicit formulations fail in singular configurations
+    watched = dae.has_conditioned_multipliers or dae.limits or hybrid(dae)
+    if not watched or len(grid) < 2:
         return grid
     span = float(grid[-1] - grid[0])
     gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
@@ -163,7 +227,7 @@ PROJECTION = 'pass it with drift_control="projection" (--drift-control projectio
 
 def first_singular_configuration(
     dae: Dae, solved: Solved, seen: Observed, n: int
-) -> tuple[int, str] | None:
+) -> Breach | None:
     """Return how many output times lie before the first singular configuration, and a message.
 
     Args:
@@ -183,11 +247,12 @@ def first_singular_configuration(
         return None
     conditioned = dae.has_conditioned_multipliers
     remedy = PROJECTION if conditioned else "use a formulation with multipliers"
-    return first.position + 1, (
+    text = (
         f"singular configuration at {first.when:.4g} s ({CONSTRAINT_CONDITION} "
         f"{1 / max(first.distance, 1e-16):.0e}), where the motion has several continuations; "
         f"{remedy}"
     )
+    return Breach(first.position + 1, text, first.when)
 
 
 def singular_configurations(

@@ -70,7 +70,9 @@ def summary_rows(
     return rows
 
 
-def resample(time: Vector, values: Vector, at: Vector) -> tuple[Vector, Vector]:
+def resample(
+    time: Vector, values: Vector, at: Vector, breaks: Vector | None = None
+) -> tuple[Vector, Vector]:
     """Return samples at other times by local polynomials of degree 5.
 
     A time that occurs twice is a jump: its first sample ends the piece before, its second one
@@ -80,12 +82,18 @@ def resample(time: Vector, values: Vector, at: Vector) -> tuple[Vector, Vector]:
         time: Sample times in increasing order, s, (n,), n > 0.
         values: Samples, (n, columns).
         at: Times within the samples, s, (m,).
+        breaks: Times of further jumps, s: no polynomial holds samples of both sides. A sample at
+            such a time begins the piece after it.
 
     Returns:
         Values, (m, columns), and the largest change that degree 3 would make to each column, an
         estimate of the error.
+
+    Raises:
+        ParameterError: There is no sample between two breaks around a requested time.
     """
-    five, three = (_local(time, values, at, points) for points in (6, 4))
+    breaks = np.empty(0) if breaks is None else np.unique(breaks)
+    five, three = (_local(time, values, at, points, breaks) for points in (6, 4))
     with np.errstate(invalid="ignore"):  # infinity less infinity
         gap = np.abs(five - three)
     return five, gap.max(axis=0, initial=0.0)
@@ -119,11 +127,20 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
     return clipped
 
 
-def _local(time: Vector, values: Vector, at: Vector, points: int) -> Vector:
+def _local(time: Vector, values: Vector, at: Vector, points: int, breaks: Vector) -> Vector:
     """Interpolate by polynomials through as many points around each time (Neville)."""
-    begins = np.flatnonzero(np.diff(time, prepend=-np.inf) == 0)  # of pieces, after a jump
-    edges = np.array([0, *begins, len(time)])
+    jumps = np.flatnonzero(np.diff(time, prepend=-np.inf) == 0)
+    edges = np.unique(np.concatenate(([0], jumps, np.searchsorted(time, breaks), [len(time)])))
     below = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
+    side = np.searchsorted(breaks, at, side="right")
+    below += np.searchsorted(breaks, time[below], side="right") < side  # samples after the break
+    last = np.minimum(below, len(time) - 1)
+    lost = (below > last) | (np.searchsorted(breaks, time[last], side="right") != side)
+    if lost.any():
+        raise ParameterError(
+            f"there is no row between two events around {at[lost][0]:g} s; give a smaller "
+            "output_interval"
+        )
     piece = np.searchsorted(edges, below, side="right") - 1
     result = np.empty((len(at), values.shape[1]))
     for p in np.unique(piece):
