@@ -1,4 +1,4 @@
-"""The laws of a hybrid model for the kernel of events (fmu/solvers/hybrid): functions and tables."""
+"""The laws of a model for the kernel of events (fmu/solvers/hybrid): functions and tables."""
 
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
@@ -73,7 +73,7 @@ def law_tables(system: Hybrid, storage: str = "") -> str:
         (first[0][i], counts[0][i], first[1][i], counts[1][i], event.sampled, bool(event.message))
         for i, event in enumerate(system.events)
     ]
-    numbers = {
+    numbers: dict[str, Sequence[int]] = {
         "int assigned": [state for event in system.events for state in event.states],
         "bool adds": added(system),
         "int barriers": [i for own in barriers for i in own],
@@ -124,7 +124,7 @@ def added(system: Hybrid) -> list[bool]:
 
 
 def _share_of(value: SX, state: SX) -> float | None:
-    """Return how often a state is a summand of a value; None if the value depends on it otherwise."""
+    """Return how often a state is a summand of a value; None if that depends on it otherwise."""
     used = list(symbols(value))
     if not used:
         return 0.0
@@ -150,7 +150,9 @@ def _barriers(system: Hybrid) -> list[list[int]]:
     """Return for each event the relations of its condition whose rates its assignments change."""
     dae, constant = system.dae, set(system.constant)
     unknown, moving = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
-    rates = ca.vertsplit(system.rates(system.arguments, unknown, moving)) if system.relations else []
+    rates = (
+        ca.vertsplit(system.rates(system.arguments, unknown, moving)) if system.relations else []
+    )
     modes, states = ca.vertsplit(system.modes), ca.vertsplit(dae.x)
     found = list[list[int]]()
     for event in system.events:

@@ -7,7 +7,6 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
@@ -277,7 +276,8 @@ class Kernel:
             arguments, rates: Of the relations, one row per time, (n, m).
             modes: Their modes, (n, m) or (m,).
         """
-        rows = [np.ascontiguousarray(a) for a in (arguments, rates, np.broadcast_to(modes, arguments.shape))]
+        each = arguments, rates, np.broadcast_to(modes, arguments.shape)
+        rows = [np.ascontiguousarray(a) for a in each]
         inside, towards = np.empty_like(rows[0]), np.empty_like(rows[0])
         places = (_PLACE(a.ctypes.data) for a in (*rows, inside, towards))
         self._library.cosim_margins(ctypes.byref(self._call), _LONG(len(inside)), *places)
@@ -292,6 +292,30 @@ class Kernel:
     def _ending(self) -> Ending:
         call = self._call
         return Ending(Reason(call.reason), call.part, call.other, call.state, call.size)
+
+
+def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, frozenset[int]]:
+    """Return a state with consistent modes, and the relations whose arguments are 0 there.
+
+    Args:
+        system: Frozen equations; its events do not happen.
+        at: The state; its modes are ignored.
+        p: Parameters.
+
+    Raises:
+        SolverError: No modes are consistent.
+        MissingTool, UsageError: See `kernel_library`.
+    """
+    plain = replace(system, events=())
+    nominal = np.array([variable.nominal for variable in system.dae.states])
+    kernel = Kernel(plain, p, nominal, 1.0)
+    reject(plain, at.t, kernel.begin(at.t, at.x, at.z, at.inputs, at.slopes), "")
+    at = kernel.after(at)
+    found = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes)  # what is 0 but for rounding
+    reject(plain, at.t, found.ending, "")
+    at = kernel.after(at)
+    small = np.abs(at.watched(plain, p).arguments[0]) <= kernel.switching.slack
+    return at, frozenset(np.flatnonzero(small).tolist()) & frozenset(plain.of_states)
 
 
 def reject(system: Hybrid, t: float, ending: Ending, switched: str) -> None:

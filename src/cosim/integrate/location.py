@@ -148,7 +148,7 @@ class Piece:
             states = np.hstack((ahead[0], found.states))
             return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))
         problem = replace(problem, times=times.tobytes())
-        left = self.kernel and self.kernel.left
+        left = None if self.kernel is None else self.kernel.left
         start = InitialState(x, z, values, self.began, left)
         found = scaled_call(problem, self.solver, start)
         if found.events is None or not len(found.events):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from casadi import MX, SX
+from casadi import MX
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid

@@ -113,10 +113,10 @@ def _one(
         before, given = derivative.copy(), set[int]()
         ends = np.cumsum([0, *(len(event.states) for event in system.events)])
         for event in events:
-            for row, state in enumerate(system.events[event].states, start=ends[event]):
-                adds = state in given and added(system)[row]
-                derivative[state] = change[row] + (derivative - before)[state] * adds
-                given.add(state)
+            for row, place in enumerate(system.events[event].states, start=int(ends[event])):
+                adds = place in given and added(system)[row]
+                derivative[place] = change[row] + (derivative - before)[place] * adds
+                given.add(place)
 
     happened = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, i, note, later)
     after = kernel.after(at)

@@ -1,6 +1,6 @@
 """Checks of a run: validity conditions, step sizes, and singular configurations."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -72,7 +72,8 @@ def _doubtful(margin: Vector) -> list[int]:
     before, least, after = inside[turns - 1], inside[turns], inside[turns + 1]
     # a parabola through three rows reaches at most so far below the least of them
     near = turns[least <= (before - least) + (after - least)]
-    return sorted({*(near - 1).tolist(), *near.tolist(), *([first - 1] if first < len(margin) else [])})
+    last = [first - 1] if first < len(margin) else []
+    return sorted({*(near - 1).tolist(), *near.tolist(), *last})
 
 
 def _first_outside(dae: Dae, solved: Solved, seen: Observed, limit: int, k: int) -> float | None:
@@ -225,9 +226,7 @@ class SingularConfiguration(NamedTuple):
 PROJECTION = 'pass it with drift_control="projection" (--drift-control projection)'
 
 
-def first_singular_configuration(
-    dae: Dae, solved: Solved, seen: Observed, n: int
-) -> Breach | None:
+def first_singular_configuration(dae: Dae, solved: Solved, seen: Observed, n: int) -> Breach | None:
     """Return how many output times lie before the first singular configuration, and a message.
 
     Args:

@@ -27,8 +27,9 @@ from cosim.fmi.run.instance import (
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.initial_values import algebraic_values
 from cosim.integrate.initial_values import start_values as consistent_start
+from cosim.integrate.kernel import settled
 from cosim.integrate.keywords import requested
-from cosim.integrate.modes import Instant, begun, blended, hybrid, sliding
+from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.outputs import recorded_columns
 from cosim.integrate.run import run
 from cosim.memo import cached_per_thread
@@ -143,10 +144,7 @@ def _followed(
         return dae, values.u, {}
     z, still = algebraic_values(dae, time, x, values), np.zeros(len(values.u))
     at = Instant(time, x, z, values.u, still, np.ones(len(system.relations)))
-    arguments = np.abs(at.watched(system, values.p).arguments[0])
-    noise = at.noise(system, values.p, np.array([v.nominal for v in dae.states]))
-    zero = frozenset(i for i in system.of_states if arguments[i] <= noise[i])
-    at = begun(system, replace(at, zero=zero), values.p)
+    at, zero = settled(system, at, values.p)
     u, n = np.concatenate((values.u, at.modes)), len(values.u)
     edges = {n + i: system.described(i) for i in zero - at.sliding if not system.floors[i]}
     return _without_events(system, at.sliding), u, edges
