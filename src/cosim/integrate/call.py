@@ -121,7 +121,7 @@ class Reached:
 def call(
     engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, left: Left | None = None
 ) -> Reached:
-    """Call an engine with initial values, parameters, constant inputs, and what events have left."""
+    """Call an engine with initial values, parameters and inputs, and what events have left."""
     n, by_casadi, unit = engine.points, engine.direct is None, engine.time_unit
     states, algebraics = (np.empty((n, len(start))) for start in (x0, z0))
     if by_casadi:  # it writes column by column, and no column after a failure

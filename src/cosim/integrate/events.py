@@ -284,7 +284,7 @@ class _Course:
         self._write(self.at.t)
 
     def _end(self, ending: Ending, switched: Iterable[int]) -> None:
-        """End the run if an event does so; raise the error of an instant that cannot be followed."""
+        """End the run if an event does so; raise the error of an instant without a result."""
         if ending.reason is Reason.STOPPED:
             self.stop = self.system.events[ending.part].message
         names = ", ".join(self.system.described(i) for i in sorted(switched))
