@@ -32,7 +32,8 @@ def impact(
 
     With the gap speeds g = W^T u, impulses P along W make g+ = -e g:  M (u+ - u) = W P. They push:
     a contact that opens faster than that has none (P >= 0, g+ + e g >= 0, one of them 0). The
-    kinetic energy does not grow for restitutions of 0 to 1; with several contacts, give all the same one.
+    kinetic energy does not grow for restitutions of 0 to 1; with several contacts, give all the
+    same one.
     Nothing holds bodies together: one that comes to rest under a load ends the run (Zeno).
 
     Args:
