@@ -12,13 +12,18 @@
 #include "plan.h"
 #include "problem.h"
 
-/* A function as CasADi writes it, and its results. */
+/* Generated code fills it. */
 typedef struct {
     Equations *algebraic, *relations, *rounding, *timed, *conditions, *bounds;
-    Equations *inputs; /* NULL where inputs rest within a step */
-} LawFunctions;
+    Equations *inputs;              /* NULL where inputs rest within a step */
+    const Relation *relation_table; /* tables: see Laws */
+    const Rule *rules;
+    const int *assigned;
+    const bool *adds;
+    const int *barriers, *bounded;
+} ModelLaws;
 
-static const LawFunctions law_functions;
+static const ModelLaws model_laws;
 
 /* What the laws are called with. */
 typedef struct {
@@ -51,7 +56,7 @@ static inline bool call_law(const LawOwner *self, Equations *function, const Poi
 static inline bool law_inputs(const LawOwner *self, const Point *at, double u[], double slopes[]) {
     memcpy(u, at->u, NU * sizeof *u);
     memset(slopes, 0, NU * sizeof *slopes);
-    if (self->slopes || !law_functions.inputs) {
+    if (self->slopes || !model_laws.inputs) {
         if (self->slopes) memcpy(slopes, self->slopes, NU * sizeof *slopes);
         return true;
     }
@@ -60,14 +65,14 @@ static inline bool law_inputs(const LawOwner *self, const Point *at, double u[],
     self->arg[2] = self->c;
     self->res[0] = u;
     self->res[1] = slopes;
-    return !law_functions.inputs(self->arg, self->res, self->iw, self->w, 0);
+    return !model_laws.inputs(self->arg, self->res, self->iw, self->w, 0);
 }
 
 /* The algebraic unknowns from their guess. */
 static inline bool solve_law(const LawOwner *self, const Point *at) {
     double z[NZ + 1];
     if (NZ == 0) return true;
-    if (!call_law(self, law_functions.algebraic, at, NULL, z, NULL, NULL, NULL)) return false;
+    if (!call_law(self, model_laws.algebraic, at, NULL, z, NULL, NULL, NULL)) return false;
     for (int i = 0; i < NZ; i++)
         if (!isfinite(z[i])) return false;
     memcpy(at->z, z, NZ * sizeof *z);
@@ -78,7 +83,7 @@ static inline bool law_see(void *owner, const Point *at, Seen *seen) {
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
-           call_law(owner, law_functions.relations, &now, slopes, seen->arguments, seen->rates,
+           call_law(owner, model_laws.relations, &now, slopes, seen->arguments, seen->rates,
                     seen->seconds, seen->sizes);
 }
 
@@ -86,7 +91,7 @@ static inline bool law_decide(void *owner, const Point *at, Decision *found) {
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
-           call_law(owner, law_functions.conditions, &now, NULL, found->conditions, found->values,
+           call_law(owner, model_laws.conditions, &now, NULL, found->conditions, found->values,
                     found->defects, NULL);
 }
 
@@ -95,30 +100,30 @@ static inline bool law_spread(void *owner, const Point *at, double moved[]) {
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return law_inputs(owner, at, u, slopes) &&
-           call_law(owner, law_functions.rounding, &now, self->sizes, moved, NULL, NULL, NULL);
+           call_law(owner, model_laws.rounding, &now, self->sizes, moved, NULL, NULL, NULL);
 }
 
 static inline bool law_timed(void *owner, const Point *at, double t, double arguments[],
                              double rates[]) {
     const Point then = {t, at->x, at->z, at->u};
-    return call_law(owner, law_functions.timed, &then, NULL, arguments, rates, NULL, NULL);
+    return call_law(owner, model_laws.timed, &then, NULL, arguments, rates, NULL, NULL);
 }
 
 static inline bool law_bounds(void *owner, const Point *at, double t, double length, double low[],
                               double high[]) {
     const Point then = {t, at->x, at->z, at->u};
-    return call_law(owner, law_functions.bounds, &then, &length, low, high, NULL, NULL);
+    return call_law(owner, model_laws.bounds, &then, &length, low, high, NULL, NULL);
 }
 
 static inline Laws laws_of_model(LawOwner *owner) {
     return (Laws){
         .owner = owner,
-        .relations = relations,
-        .rules = rules,
-        .assigned = assigned,
-        .adds = adds,
-        .barriers = barriers,
-        .bounded = bounded,
+        .relations = model_laws.relation_table,
+        .rules = model_laws.rules,
+        .assigned = model_laws.assigned,
+        .adds = model_laws.adds,
+        .barriers = model_laws.barriers,
+        .bounded = model_laws.bounded,
         .see = law_see,
         .decide = law_decide,
         .spread = law_spread,

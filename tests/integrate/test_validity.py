@@ -29,7 +29,7 @@ def test_run_beyond_a_limit_says_when_and_why():
     run = cosim.simulate(falling_ball())
     assert run.complete
     assert run.stats["invalid"] == [
-        "from 0.46 s on it is no longer true that the ball is above the ground"
+        "from 0.451524 s on it is no longer true that the ball is above the ground"
     ]
 
 

@@ -108,6 +108,7 @@ def _numbers(head: str, values: Sequence[int]) -> str:
     return f"{head}[] = {{{', '.join(str(int(value)) for value in (*values, 0))}}};"
 
 
+TABLES = ("relations", "rules", "assigned", "adds", "barriers", "bounded")
 _NUMBERS = ("int assigned", "bool adds", "int barriers", "int bounded")
 NO_TABLES = _tables([], [], dict.fromkeys(_NUMBERS, ()), "static ")  # of a smooth model
 

@@ -9,7 +9,7 @@ from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key, generated, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
-from cosim.codegen.hybrid_laws import NO_TABLES, law_functions, law_sizes, law_tables
+from cosim.codegen.hybrid_laws import NO_TABLES, TABLES, law_functions, law_sizes, law_tables
 from cosim.codegen.initialization import algebraic_function
 from cosim.memo import cached_per_thread
 
@@ -22,19 +22,18 @@ class LawText(NamedTuple):
     Attributes:
         functions: CasADi's functions, whose code comes first.
         sizes: Definitions of sizes, before the headers.
-        tables: Tables of relations and rules, after laws.h.
-        calls: The definition of the functions that the kernel calls, after model_laws.h.
+        tables: Tables of relations and rules, and the definition of all that the kernel needs,
+            after model_laws.h.
     """
 
     functions: list[ca.Function]
     sizes: str
     tables: str
-    calls: str
 
     @property
     def digest(self) -> bytes:
         """What identifies it."""
-        texts = (self.sizes, self.tables, self.calls, *(f.serialize() for f in self.functions))
+        texts = (self.sizes, self.tables, *(f.serialize() for f in self.functions))
         return "".join(texts).encode()
 
 
@@ -42,8 +41,7 @@ NO_LAWS = LawText(
     [],
     "".join(f"#define {name} 0\n" for name in ("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED"))
     + "".join(f"#define LAWS_{name} 1\n" for name in ("ARG", "RES", "IW", "W")),
-    solver_source("laws.h") + NO_TABLES,
-    "static const LawFunctions law_functions = {0};\n",
+    f"{NO_TABLES}static const ModelLaws model_laws = {{0}};\n",
 )  # of a smooth model
 
 
@@ -63,7 +61,7 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
         functions = [dense(f) for f in (*functions, *([] if inputs is None else [inputs]))]
     known = {function.name() for function in functions}
     names = (f"model_{name}" for name in _FUNCTIONS)
-    calls = ", ".join(name if name in known else "NULL" for name in names)
+    members = ", ".join((*(n if n in known else "NULL" for n in names), *TABLES))
     sizes = law_sizes(system)
     for size in ("arg", "res", "iw", "w"):
         most = max((getattr(f, f"sz_{size}")() for f in functions), default=0)
@@ -71,8 +69,7 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
     return LawText(
         functions,
         "".join(f"#define {name} {size}\n" for name, size in sizes.items()),
-        solver_source("laws.h") + law_tables(system, "static "),
-        f"static const LawFunctions law_functions = {{{calls}}};\n",
+        f"{law_tables(system, 'static ')}static const ModelLaws model_laws = {{{members}}};\n",
     )
 
 
@@ -87,7 +84,7 @@ def kernel_library(system: Hybrid) -> str:
     dae, text = system.dae, law_text(system)
     sizes = {"NX": dae.x.numel(), "NZ": dae.z.numel(), "NU": dae.u.numel(), "NC": dae.p.numel()}
     before = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + text.sizes
-    after = text.tables + solver_source("instants.h") + text.calls
+    after = solver_source("instants.h") + text.tables
 
     def generate() -> str:
         return f"{before}{generated('laws', *text.functions)}\n{after}"

@@ -104,7 +104,7 @@ def _evaluated(
             found.append(singular)
     if checked:
         found += breaches(dae, solved, seen, n)
-        found.sort(key=lambda breach: breach.time)
+        found.sort(key=lambda breach: (breach.position, breach not in coarse, breach.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
             n, reason, _ = found[0]
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants

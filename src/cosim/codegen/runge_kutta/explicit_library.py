@@ -139,9 +139,8 @@ def _solver_text(
     works = (name if name == "NULL" else f"{name}_work" for name in own)
     calls = ", ".join((*own, *works, f"integrate_{method.steps}"))
     parts = (
-        laws.tables,
         solver_source(f"{method.steps}.h", "external.h"),
-        laws.calls,
+        laws.tables,
         method.coefficients,
         f"static const Solver solver = {{{calls}}};\n",
     )

@@ -1,0 +1,209 @@
+/* Steps the kernel of events without an integrator: a body between a wall, dry friction and a
+ * clock.
+ *
+ *     x' = v, v' = load - friction sign(v); when x < 0: v = -v/2, hits = hits + 1
+ *     a second wall at the same place adds a hit, too; floor(t) is a clock
+ */
+#include <assert.h>
+#include <stdio.h>
+
+#define NX 3
+#define NZ 0
+#define NU 4
+#define MODES 4
+#define EVENTS 2
+#define ASSIGNED 3
+#define DEFECTS 0
+#define BOUNDED 0
+#include "happen.h"
+#include "plan.h"
+#include "search.h"
+
+enum { SIGN, WALL, SECOND, CLOCK };
+
+typedef struct {
+    double load, friction;
+} Body;
+
+static const Relation relations[] = {
+    {false, false, false, false, true, 0},   /* sign(v) */
+    {false, false, false, false, false, -1}, /* x < 0 */
+    {false, false, false, false, false, -1}, /* 2 x < 0 */
+    {true, true, true, false, false, KEEPS}, /* floor(t) */
+};
+static const Rule rules[] = {{0, 2, 0, 1, false, false}, {2, 1, 1, 0, false, false}};
+static const int assigned[] = {1, 2, 2}, barriers[] = {WALL}, bounded[] = {0};
+static const bool adds[] = {false, true, true};
+
+static bool see(void *owner, const Point *at, Seen *found) {
+    const Body *body = owner;
+    const double v = at->x[1], a = body->load - body->friction * at->u[SIGN];
+    const double arguments[] = {v, -at->x[0], -2 * at->x[0], at->t};
+    const double rates[] = {a, -v, -2 * v, 1}, seconds[] = {0, -a, -2 * a, 0};
+    const double sizes[] = {fabs(a) + 1, fabs(v) + 1, 2 * fabs(v) + 2, 0};
+    memcpy(found->arguments, arguments, sizeof arguments);
+    memcpy(found->rates, rates, sizeof rates);
+    memcpy(found->seconds, seconds, sizeof seconds);
+    memcpy(found->sizes, sizes, sizeof sizes);
+    return isfinite(v);
+}
+
+static bool decide_rules(void *owner, const Point *at, Decision *found) {
+    (void)owner;
+    found->conditions[0] = at->u[WALL] > 0;
+    found->conditions[1] = at->u[SECOND] > 0;
+    found->values[0] = -at->x[1] / 2;
+    found->values[1] = found->values[2] = at->x[2] + 1;
+    return true;
+}
+
+static bool spread(void *owner, const Point *at, double moved[]) {
+    (void)owner, (void)at;
+    for (int i = 0; i < MODES; i++) moved[i] = 1;
+    return true;
+}
+
+static bool timed(void *owner, const Point *at, double t, double arguments[], double rates[]) {
+    (void)owner, (void)at;
+    for (int i = 0; i < MODES; i++) arguments[i] = rates[i] = 0;
+    arguments[CLOCK] = t;
+    rates[CLOCK] = 1;
+    return true;
+}
+
+static Laws laws_of(Body *body) {
+    return (Laws){body,  relations, rules,        assigned, adds,  barriers, bounded,
+                  false, see,       decide_rules, spread,   timed, NULL};
+}
+
+static const bool nothing[MODES + 1];
+
+static Happening happened(const Laws *laws, Switching *s, Point *at, double x[], int crossing) {
+    Happening found;
+    bool replan;
+    happen(laws, s, at, x, crossing, nothing, NULL, &found, &replan);
+    return found;
+}
+
+static void walls_hit_together_count_both_and_once(void) {
+    Body body = {-9.81, 0};
+    const Laws laws = laws_of(&body);
+    double x[NX + 1] = {0, -2, 0}, u[NU + 1] = {0};
+    Point at = {0.25, x, NULL, u};
+    Switching s;
+    x[0] = 1;
+    assert(begin_modes(&laws, &s, &at, 10).reason == GOES_ON);
+    assert(begin_events(&laws, &s, &at).reason == GOES_ON);
+    assert(u[SIGN] == -1 && u[WALL] == -1 && u[CLOCK] == 0);
+    x[0] = -1e-17;
+    const Happening found = happened(&laws, &s, &at, x, WALL);
+    assert(found.ending.reason == GOES_ON && found.count == 2 && found.rounds == 1);
+    assert(x[1] == 1 && x[2] == 2 && u[SIGN] == 1 && u[WALL] == -1);
+    const Happening again = happened(&laws, &s, &at, x, -1); /* nothing is due any more */
+    assert(again.count == 0 && !again.states_changed && !again.modes_changed && x[2] == 2);
+}
+
+static void friction_sticks_and_releases_on_the_side_of_the_load(void) {
+    Body body = {0.5, 1};
+    const Laws laws = laws_of(&body);
+    double x[NX + 1] = {5, 0, 0}, u[NU + 1] = {0};
+    Point at = {0.25, x, NULL, u};
+    Switching s;
+    assert(begin_modes(&laws, &s, &at, 10).reason == GOES_ON);
+    assert(s.state[SIGN] == SLIDES && fabs(u[SIGN] - 0.5) < 1e-15);
+    body.load = -1.5;
+    assert(happened(&laws, &s, &at, x, SIGN).ending.reason == GOES_ON);
+    assert(s.state[SIGN] != SLIDES && u[SIGN] == -1);
+    body.load = body.friction = 0; /* nothing moves it: the sign of what rests is 0 */
+    assert(begin_modes(&laws, &s, &at, 10).reason == GOES_ON);
+    assert(s.state[SIGN] != SLIDES && u[SIGN] == 0);
+}
+
+static void a_condition_that_stays_true_ends_the_run(void) {
+    Body body = {-9.81, 0};
+    const Laws laws = laws_of(&body);
+    double x[NX + 1] = {0, 0, 0}, u[NU + 1] = {0};
+    Point at = {0, x, NULL, u};
+    Switching s;
+    assert(begin_modes(&laws, &s, &at, 10).reason == GOES_ON);
+    assert(begin_events(&laws, &s, &at).reason == GOES_ON);
+    const Happening found = happened(&laws, &s, &at, x, -1);
+    assert(found.ending.reason == STAYS_TRUE && found.ending.part == 0);
+}
+
+static void events_that_are_ever_closer_are_rejected(void) {
+    Body body = {-9.81, 0};
+    const Laws laws = laws_of(&body);
+    double x[NX + 1] = {1, -2, 0}, u[NU + 1] = {0};
+    Point at = {0.25, x, NULL, u};
+    Switching s;
+    Reason reason = GOES_ON;
+    assert(begin_modes(&laws, &s, &at, 10).reason == GOES_ON);
+    int n = 0;
+    for (; n < 30 && reason == GOES_ON; n++) {
+        at.t += 1e-13;
+        x[0] = 0;
+        x[1] = -2;
+        reason = happened(&laws, &s, &at, x, WALL).ending.reason;
+    }
+    assert(reason == TOO_CLOSE && n > MOST_CLOSE);
+}
+
+static void the_clock_is_planned_and_due(void) {
+    Body body = {0, 0};
+    const Laws laws = laws_of(&body);
+    double x[NX + 1] = {1, 1, 0}, u[NU + 1] = {0};
+    Point at = {0.25, x, NULL, u};
+    Switching s;
+    assert(begin_modes(&laws, &s, &at, 10).reason == GOES_ON);
+    plan(&laws, &s, &at, at.t, 10, true, NEVER_AGAIN);
+    assert(s.next == 1);
+    at.t = 1;
+    assert(happened(&laws, &s, &at, x, -1).modes_changed && u[CLOCK] == 1);
+    plan(&laws, &s, &at, at.t, 10, true, NEVER_AGAIN);
+    assert(s.next == 2);
+}
+
+typedef struct {
+    double depth, fresh; /* of a parabola 4 (t - 1/2)^2 - depth, on the interpolant and afresh */
+} Parabola;
+
+static void parabola_at(double depth, double t, Place *found) {
+    for (int i = 0; i < MODES; i++) found->inside[i] = 1, found->rates[i] = 0;
+    found->t = t;
+    found->inside[WALL] = 4 * (t - 0.5) * (t - 0.5) - depth;
+    found->rates[WALL] = 8 * (t - 0.5);
+}
+
+static void look(void *motion, double t, Place *found) {
+    parabola_at(((Parabola *)motion)->depth, t, found);
+}
+
+static bool step(void *motion, double t, Place *found) {
+    parabola_at(((Parabola *)motion)->fresh, t, found);
+    return true;
+}
+
+static void a_crossing_is_located_and_a_touch_is_none(void) {
+    const double slack[MODES + 1] = {0};
+    Place before;
+    Crossing found;
+    Parabola crosses = {0.01, 0.01}, touches = {1e-9, -1e-9};
+    look(&crosses, 0, &before);
+    assert(find_crossing(look, step, &crosses, slack, 0, before, 1, &found) == CROSSES);
+    assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
+    look(&touches, 0, &before);
+    assert(find_crossing(look, step, &touches, slack, 0, before, 1, &found) == CROSSES);
+    assert(found.relation < 0);
+}
+
+int main(void) {
+    walls_hit_together_count_both_and_once();
+    friction_sticks_and_releases_on_the_side_of_the_load();
+    a_condition_that_stays_true_ends_the_run();
+    events_that_are_ever_closer_are_rejected();
+    the_clock_is_planned_and_due();
+    a_crossing_is_located_and_a_touch_is_none();
+    puts("all right");
+    return 0;
+}
