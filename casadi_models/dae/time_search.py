@@ -329,6 +329,6 @@ def switch_times(dae: Dae, begin: float, end: float) -> Iterator[float]:
     yield begin
     while now < end:
         now, _ = search.first(now, by_value(now).full().ravel().tolist(), [], end)
-        if near < now < end:
+        if near < now <= end:
             yield now
         now = max(now + _NOISE * ulp(now), near)

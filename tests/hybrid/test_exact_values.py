@@ -369,3 +369,21 @@ def test_a_result_whose_events_are_known_is_not_interpolated_across_them(tmp_pat
     right = 0.7 * 9.81 * landing - 9.81 * (0.46 - landing)
     assert run.at(0.46)["v"] == pytest.approx(right, abs=1e-6)
     assert run.at(0.451)["v"] == pytest.approx(-9.81 * 0.451, abs=1e-6)
+
+
+INTEGRATOR = driven("integrator", lambda u: u)
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize(
+    ("formula", "right"),
+    [("where(t >= 2, 100, 0)", 0), ("where(t >= 1, where(t >= 2, 0, 1), 0)", 1)],
+)
+def test_an_input_that_jumps_at_the_stop_time_has_the_value_before_it_until_then(
+    formula, right, interface
+):
+    inputs = {"u": formula}
+    run = cosim.simulate_fmu(
+        exported(INTEGRATOR), interface=interface, inputs=inputs, stop_time=2.0
+    )
+    assert run.final["x"] == pytest.approx(right, abs=1e-9)  # measured 4e-16
