@@ -39,6 +39,22 @@ class Driver(NamedTuple):
     document: Document
 
 
+Steps = list[tuple[Node, Driver]]
+
+
+class Way(NamedTuple):
+    """How a connector is driven: from `source`, which nothing drives, by steps to `sink`."""
+
+    source: Node
+    steps: Steps
+    sink: Node
+
+    @property
+    def nodes(self) -> list[Node]:
+        """All connectors on the way, the source first."""
+        return [self.source, *(node for node, _ in self.steps)]
+
+
 class _End(NamedTuple):
     node: Node
     role: Role  # seen from the system that has the connection: IN can be driven
@@ -73,25 +89,24 @@ class Connections:
         """All connectors that something drives, in the order of the connections."""
         return iter(self._drivers)
 
-    def path(self, sink: Node) -> list[tuple[Node, Driver]]:
-        """Return the connectors that are driven on the way to one, the first driven one first."""
-        found = list[tuple[Node, Driver]]()
-        while sink in self._drivers:
-            found.append((sink, self._drivers[sink]))
-            sink = self._drivers[sink].source
-        return found[::-1]
+    def way(self, sink: Node) -> Way:
+        """Return the way on which a connector is driven."""
+        steps: Steps = []
+        node = sink
+        while node in self._drivers:
+            steps.append((node, self._drivers[node]))
+            node = self._drivers[node].source
+        return Way(node, steps[::-1], sink)
 
     def unit(self, node: Node) -> str | None:
         """Return the unit of a connector; None if it has none."""
         return self._units.get(node)
 
-    def change(
-        self, way: list[tuple[Node, Driver]], unit: str | None, conversion: Conversion
-    ) -> tuple[float, float]:
+    def change(self, steps: Steps, unit: str | None, conversion: Conversion) -> tuple[float, float]:
         """Return factor and offset along connections.
 
         Args:
-            way: Driven connectors, the first driven one first.
+            steps: Driven connectors with their drivers, the first driven one first.
             unit: Of the value that drives the first one.
             conversion: Returns factor and offset from one unit to another.
 
@@ -99,7 +114,7 @@ class Connections:
             UsageError: Units do not fit.
         """
         factor, offset = 1.0, 0.0
-        for node, driver in way:
+        for node, driver in steps:
             own = self.unit(node)
             if not driver.keeps_unit:
                 try:

@@ -55,6 +55,7 @@ class Package:
         opened.bytes_left -= sum(file.stat().st_size for file in files)
         self.entries = {file.relative_to(self.folder).as_posix(): file for file in files}
         self._inner = dict[str, Package]()
+        self._documents = dict[str, Document]()
 
     @classmethod
     def outermost(cls, path: Path, held: ExitStack) -> "Package":
@@ -80,7 +81,7 @@ class Package:
         return self._inner[entry]
 
     def document(self, entry: str, root: str) -> "Document":
-        """Return an XML entry.
+        """Return an XML entry, which is read once.
 
         Args:
             entry: Its name in the package.
@@ -91,15 +92,20 @@ class Package:
             SecurityError: It declares a document type, or is too large.
         """
         place = f"{self.name}: {entry}"
-        file = self.entries[entry]
+        if entry not in self._documents:
+            self._documents[entry] = Document(self, entry, self._tree(place, self.entries[entry]))
+        found = self._documents[entry]
+        if found.root.tag != root:
+            raise FmuError(f"{place}: its outermost element is {found.root.tag}, not {root}")
+        return found
+
+    @staticmethod
+    def _tree(place: str, file: Path) -> ET.Element:
         if file.stat().st_size > MOST_XML_BYTES:
             raise SecurityError(f"{place} has more than {MOST_XML_BYTES} bytes; do not use it")
         content = file.read_bytes()
         reject_dangerous_xml(place, content)
-        tree = _tree(content)
-        if tree.tag != root:
-            raise FmuError(f"{place}: its outermost element is {tree.tag}, not {root}")
-        return Document(self, entry, tree)
+        return _local_tree(content)
 
     def variant(self, name: str | None) -> "Document":
         """Return a system description: the default one, or that of a file or a name.
@@ -150,7 +156,7 @@ class Document:
         raise self.fault(f"it has no file {source}", FmuError)
 
 
-def _tree(content: bytes) -> ET.Element:
+def _local_tree(content: bytes) -> ET.Element:
     """Return a tree of local names: other tools write annotations with undeclared prefixes."""
     builder, parser = ET.TreeBuilder(), expat.ParserCreate()
 

@@ -2,18 +2,17 @@
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from casadi_models.dae.coupled import Connection
 from casadi_models.dae.variables import is_name
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.couple import system_of
-from cosim.coupling.part import Part, part_of
-from cosim.coupling.ssp.connections import Connections, Node
+from cosim.coupling.part import Part, Variable, part_of
+from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
 from cosim.coupling.ssp.parameters import Value, bound_values, real
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_system
@@ -70,32 +69,25 @@ class _System:
 
     def system(self) -> System:
         """Return the system."""
-        values = dict[tuple[str, str], float]()
-        wires = list[Connection]()
-        exposed = dict[str, list[End]]()
-        for sink, key in self._sinks():
-            way = self._connections.path(sink)
-            source = way[0][1].source if way else sink
-            variable = self._parts[sink.place].variable(key[1])
-            if source.place in self._parts and way:
-                wires.append(self._wire(sink, variable.is_input))
+        wires, values = list[Connection](), dict[tuple[str, str], float]()
+        exposed = dict[str, list[Way]]()
+        for sink in self._sinks():
+            way = self._connections.way(sink)
+            if way.steps and way.source.place in self._parts:
+                wires.append(self._wire(way))
                 continue
-            if source.place == () and not source.dictionary and way:
-                change = self._connections.change(way, self._connections.unit(source), conversion)
-                exposed.setdefault(source.name, []).append(End(key, *change))
-            for n, node in enumerate([source, *(node for node, _ in way)]):
-                if node in self._values:
-                    values[key] = self._value(node, way[n:])
-                    if not variable.is_start:
-                        document, _ = self._values[node]
-                        raise document.fault(f"{sink} cannot be given; it is calculated")
-                    break
+            if way.steps and way.source == Node((), way.source.name):
+                exposed.setdefault(way.source.name, []).append(way)
+            values |= self._start_value(way)
         root = self._whole.bound[0][1]
         return system_of(
             {part.name: part for part in self._parts.values()},
             wires,
             values,
-            connectors=self._connectors(exposed),
+            connectors={
+                name: self._connector(name, declared, exposed.get(name, []))
+                for name, declared in self._whole.connectors.items()
+            },
             name=identifier(root.get("name") or Path(self._document.package.name).stem),
             title=root.get("description", ""),
             places=self._document.package.places,
@@ -125,39 +117,68 @@ class _System:
         origin = ".".join(element.place)
         return part if origin == name else replace(part, origin=origin)
 
-    def _sinks(self) -> Iterator[tuple[Node, tuple[str, str]]]:
-        """Yield what may be driven or have a value: a connector, and part and variable."""
+    def _sinks(self) -> list[Node]:
+        """Return the variables of parts that are driven or have a value."""
         nodes = dict.fromkeys([*self._connections.driven, *self._values])
-        for node in nodes:
-            if node.place in self._parts and not node.dictionary:
-                part = self._parts[node.place]
-                yield node, (part.name, part.variable(node.name).name)
+        return [node for node in nodes if node.place in self._parts and not node.dictionary]
 
-    def _wire(self, sink: Node, is_input: bool) -> Connection:
+    def _key(self, node: Node) -> tuple[str, str]:
+        """Return part and variable of a connector."""
+        return self._parts[node.place].name, node.name
+
+    def _variable(self, node: Node) -> Variable:
+        return self._parts[node.place].variable(node.name)
+
+    def _wire(self, way: Way) -> Connection:
         """Return the connection that drives an input from another part."""
-        way = self._connections.path(sink)
-        source, document = way[0][1].source, way[-1][1].document
-        of, to = (self._parts[node.place] for node in (source, sink))
-        if not is_input:
+        source, sink, document = way.source, way.sink, way.steps[-1][1].document
+        if not self._variable(sink).is_input:
             raise document.fault(f"{sink} is no continuous input, so {source} cannot drive it")
-        if not of.variable(source.name).is_source:
+        if not self._variable(source).is_source:
             raise document.fault(f"{source} is no continuous output, so it cannot drive {sink}")
-        change = self._connections.change(way, self._connections.unit(source), conversion)
-        ends = ((to.name, to.variable(sink.name).name), (of.name, of.variable(source.name).name))
-        return Connection(*ends, *change)
+        change = self._connections.change(way.steps, self._connections.unit(source), conversion)
+        return Connection(self._key(sink), self._key(source), *change)
 
-    def _value(self, node: Node, way: list[Any]) -> float:
-        """Return the value that a connector gets by connections from one that has a value."""
+    def _start_value(self, way: Way) -> dict[tuple[str, str], float]:
+        """Return the value that a variable of a part gets: that of the first connector with one."""
+        for number, node in enumerate(way.nodes):
+            if node in self._values:
+                document, _ = self._values[node]
+                if not self._variable(way.sink).is_start:
+                    raise document.fault(f"{way.sink} cannot be given; it is calculated")
+                return {self._key(way.sink): self._value(node, way.steps[number:])}
+        return {}
+
+    def _value(self, node: Node, steps: Steps) -> float:
+        """Return the value that the last connector of some steps gets from one with a value."""
         document, value = self._values[node]
         unit = self._connections.unit(node)
         if node.place in self._parts:
-            unit = self._parts[node.place].variable(node.name).unit or unit
+            unit = self._variable(node).unit or unit
         try:
             number = value.in_unit(str(node), unit)
         except CosimError as error:
             raise document.fault(str(error), type(error)) from error
-        factor, offset = self._connections.change(way, unit or value.unit, conversion)
+        factor, offset = self._connections.change(steps, unit or value.unit, conversion)
         return factor * number + offset
+
+    def _connector(self, name: str, declared: Declared, exposed: Sequence[Way]) -> Connector:
+        """Return a connector of the whole system: what drives it, or what it drives."""
+        way = self._connections.way(Node((), name))
+        shown = [way] if way.steps and way.source.place in self._parts else []
+        ends = tuple(
+            End(
+                self._key(one.source if shown else one.sink),
+                *self._connections.change(
+                    one.steps, self._connections.unit(one.source), conversion
+                ),
+            )
+            for one in shown or exposed
+        )
+        nodes = [node for one in (way, *exposed[:1]) for node in one.nodes]
+        units = map(self._connections.unit, reversed(nodes) if shown else nodes)
+        unit = declared.unit or next(filter(None, units), None)
+        return Connector(name, unit, declared.role is not Role.OUT and not way.steps, ends)
 
     def _assigned(self) -> dict[Node, tuple[Document, Value]]:
         """Return values by connector; those of a system replace those of its elements."""
@@ -188,22 +209,6 @@ class _System:
             return document.fault(f"no part has the parameter {name}; name its part")
         near = UnknownName.among(f"part '{part.name}'", "variable", name, part.variables)
         return document.fault(str(near), UnknownName)
-
-    def _connectors(self, exposed: Mapping[str, list[End]]) -> dict[str, Connector]:
-        """Return the connectors of the whole system."""
-        found = dict[str, Connector]()
-        for name, declared in self._whole.connectors.items():
-            ends = exposed.get(name, [])
-            way = self._connections.path(Node((), name))
-            source = way[0][1].source if way else Node((), name)
-            if source.place in self._parts:
-                part = self._parts[source.place]
-                unit = self._connections.unit(source)
-                change = self._connections.change(way, unit, conversion)
-                ends = [End((part.name, part.variable(source.name).name), *change)]
-            is_input = declared.role is not Role.OUT and not way
-            found[name] = Connector(name, declared.unit, is_input, tuple(ends))
-        return found
 
 
 def _declared(element: Element, part: Part) -> dict[str, Declared]:
