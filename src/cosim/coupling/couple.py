@@ -87,7 +87,7 @@ def couple_within(
     start_values: Mapping[str, float | str],
     open_inputs: Sequence[str],
     folder: Path,
-    within: Within = lambda *_key: nullcontext(),
+    within: Within = lambda *_key, word=None: nullcontext(),
     **facts: Any,
 ) -> System:
     """Couple models and FMUs; see `couple`.
@@ -121,7 +121,7 @@ def couple_within(
     if isinstance(open_inputs, str):
         raise UsageError.of_type("open_inputs", open_inputs, 'a list, e.g. ["a.u"]')
     for name in open_inputs:
-        with within("open_inputs"):
+        with within("open_inputs", word=name):
             opened.add(_open_input(found, name, driven))
     return system_of(found, wires, values, open_inputs=frozenset(opened), **facts)
 

@@ -158,6 +158,8 @@ def _mapped(
         if source not in values:  # one mapping may serve several sets
             continue
         where = f"the mapping of {source} to {target}"
+        if not target:
+            raise document.fault(f"a mapping of {source} has no target; name one")
         if entry.find("EnumerationMappingTransformation") is not None:
             raise document.fault(f"{where} maps enumerations, which cannot be read here")
         value = values[source]
