@@ -7,7 +7,7 @@ import pytest
 import cosim
 from cosim.cli.main import main
 from cosim.coupling.files import is_system, read_system
-from cosim.errors import CosimError, UnknownName, UsageError
+from cosim.errors import CosimError, ParameterError, UnknownName, UsageError
 
 MODELS = """
 import cosim
@@ -122,6 +122,12 @@ def test_fault_in_a_system_file_is_reported_with_its_line(toml, old, new, line):
     with pytest.raises(CosimError, match=rf"system\.toml, line {line}: ") as caught:
         read_system(toml(SYSTEM.replace(old, new)))
     assert str(caught.value).count(", line ") == 1
+
+
+@pytest.mark.parametrize("value", ["1" * 400, "0", "-1", "nan", '"1"'])
+def test_time_of_a_system_file_that_is_no_positive_number_is_rejected(toml, value):
+    with pytest.raises(ParameterError, match=r"system\.toml, line 1: "):
+        read_system(toml(f"output_interval = {value}\n{SYSTEM}"))
 
 
 @pytest.mark.parametrize("text", [SYSTEM, SYSTEM.replace("[parts]", "[ parts ]")])

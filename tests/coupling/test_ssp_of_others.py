@@ -273,6 +273,8 @@ def test_system_without_parts_is_read_but_not_simulated(read):
     assert (dict(found.parts), list(found.connectors)) == ({}, ["K"])
     with pytest.raises(UsageError, match="S has no parts"):
         found.simulate()
+    with pytest.raises(UsageError, match="S has no parts"):
+        found.dae  # noqa: B018 # it is computed on demand
 
 
 # Names
@@ -349,13 +351,15 @@ def test_description_that_refers_to_itself_is_rejected(read):
         read(system("S", part), a_ssd=description(system("T", part)))
 
 
-def test_variants_are_chosen_by_file_or_by_name(write):
+def test_variants_are_chosen_by_file_or_by_name(write, capsys):
     other = description(system("T", component("g", "gain")), name="Second")
     path = write(system("S", SOURCE), B_ssd=other)
     assert list(cosim.read_ssp(path).parts) == ["s"]
     for variant in ("B.ssd", "Second"):
         assert list(cosim.read_ssp(path, variant=variant).parts) == ["g"]
         assert list(read_system(f"{path}#{variant}").parts) == ["g"]
+    assert main(["info", f"{path}#Second"]) == 0
+    assert "g: gain.fmu" in capsys.readouterr().out
     with pytest.raises(UsageError, match=r"no variant 'C'; it has SystemStructure\.ssd, B\.ssd"):
         cosim.read_ssp(path, variant="C")
 

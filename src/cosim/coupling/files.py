@@ -71,14 +71,12 @@ def _read_toml(path: Path) -> System:
     for key, table in (("parts", parts), ("connections", connections)):
         for name, value in table.items():
             typed(value, str, "a text", file.at(key, name))
-    times = {
-        key: float(typed(file.data[key], int | float, "a number", file.at(key)))  # type: ignore[arg-type] # isinstance takes a union
-        for key in ("stop_time", "output_interval")
-        if key in file.data
-    }
-    for key, value in times.items():
-        with file.naming(key):
-            number(path.stem, key, value, positive=True)
+    times = dict[str, float]()
+    for key in ("stop_time", "output_interval"):
+        if key in file.data:
+            typed(file.data[key], int | float, "a number", file.at(key))  # type: ignore[arg-type] # isinstance takes a union
+            with file.naming(key):
+                times[key] = number(path.stem, key, file.data[key], positive=True)
     opened = texts(file.data.get("open_inputs", []), file.at("open_inputs"))
     if not parts:
         raise UsageError(f"{file.at('parts')}: [parts] is empty; name a model or an FMU")

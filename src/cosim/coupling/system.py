@@ -117,8 +117,9 @@ class System:
         other one becomes algebraic unknowns.
 
         Raises:
-            UsageError: A part is an FMU, or a loop has no solution.
+            UsageError: A part is an FMU, there are no parts, or a loop has no solution.
         """
+        self._reject_no_parts()
         models = dict[str, Dae]()
         for name, part in self.parts.items():
             subject = part.subject
@@ -197,8 +198,7 @@ class System:
             tolerance=_positive(self.name, "relative_tolerance", relative_tolerance),
             threads=bool(threads),
         )
-        if not self.parts:
-            raise UsageError(f"{self.name} has no parts; there is nothing to simulate")
+        self._reject_no_parts()
         given = values_of(self.parts, start_values or {}, self.connectors)
         recorded, names = self._recorded(outputs)
         with self.naming_files():
@@ -213,6 +213,10 @@ class System:
         if undriven := [name for name in self.undriven_inputs if split_key(name) not in given]:
             run = replace(run, stats={**run.stats, "undriven_inputs": undriven})
         return with_outputs(run, self.connectors, names)
+
+    def _reject_no_parts(self) -> None:
+        if not self.parts:
+            raise UsageError(f"{self.name} has no parts; there is nothing to simulate")
 
     def _recorded(
         self, outputs: Sequence[str] | None

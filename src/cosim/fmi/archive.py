@@ -127,7 +127,7 @@ def with_places(text: object, places: Mapping[str, str]) -> str:
     """Return a text in which names of files stand for temporary folders; see `naming_places`."""
     shown = str(text)
     for folder, name in places.items():
-        shown = shown.replace(f"{folder}/", f"{name}: ").replace(folder, name)
+        shown = shown.replace(f"{folder}{os.sep}", f"{name}: ").replace(folder, name)
     return shown
 
 

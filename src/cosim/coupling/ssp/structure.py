@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
+from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from cosim.coupling.ssp.package import Document
@@ -84,13 +85,34 @@ class Element:
         yield self
 
 
+class _Context(NamedTuple):
+    """Where an element stands.
+
+    Attributes:
+        document: The description that has it.
+        place: Its own.
+        known: Signal dictionaries of the systems around it, by name.
+        level: Number of these systems.
+    """
+
+    document: Document
+    place: Place
+    known: Mapping[str, Dictionary]
+    level: int
+
+    @property
+    def called(self) -> str:
+        """What messages call the element."""
+        return f"'{'.'.join(self.place)}'" if self.place else "the whole system"
+
+
 def whole_system(document: Document) -> Element:
     """Return the system that a description describes.
 
     Raises:
         CosimError: It has none, or elements that are not unique or cannot be simulated.
     """
-    return _Reader().description(document, (), {}, 0)
+    return _Reader().description(_Context(document, (), {}, 0))
 
 
 class _Reader:
@@ -99,129 +121,99 @@ class _Reader:
     def __init__(self) -> None:
         self._left = _MOST_ELEMENTS
 
-    def description(
-        self, document: Document, place: Place, known: Mapping[str, Dictionary], level: int
-    ) -> Element:
-        found = document.root.find("System")
+    def description(self, here: _Context) -> Element:
+        """Return the system of a whole description."""
+        found = here.document.root.find("System")
         if found is None:
-            raise document.fault("it describes no system", FmuError)
-        return self._system(document, found, place, known, level)
+            raise here.document.fault("it describes no system", FmuError)
+        return self._system(found, here)
 
-    def _system(
-        self,
-        document: Document,
-        system: ET.Element,
-        place: Place,
-        known: Mapping[str, Dictionary],
-        level: int,
-    ) -> Element:
-        if level > _MOST_LEVELS:
+    def _system(self, system: ET.Element, here: _Context) -> Element:
+        document = here.document
+        if here.level > _MOST_LEVELS:
             raise document.fault(f"more than {_MOST_LEVELS} systems within each other", FmuError)
-        known = {**known, **_dictionaries(document, system, place)}
+        known = {**here.known, **_dictionaries(system, here)}
         elements = dict[str, Element]()
         for element in system.iterfind("Elements/*"):
             name = element.get("name")
             if not name:
-                raise document.fault(f"a {element.tag} of {_called(place)} has no name; name it")
+                raise document.fault(f"a {element.tag} of {here.called} has no name; name it")
             if name in elements:
-                raise document.fault(f"{_called(place)} has two elements '{name}'; rename one")
+                raise document.fault(f"{here.called} has two elements '{name}'; rename one")
             self._left -= 1
             if self._left < 0:
                 raise document.fault(f"it has more than {_MOST_ELEMENTS} elements", FmuError)
-            elements[name] = self._element(document, element, (*place, name), known, level + 1)
+            inner = _Context(document, (*here.place, name), known, here.level + 1)
+            elements[name] = self._element(element, inner)
+        connections = system.iterfind("Connections/Connection")
         return Element(
-            place,
-            _connectors(document, system, place),
+            here.place,
+            _connectors(system, here),
             bound=((document, system),),
             elements=elements,
-            connections=tuple(
-                (document, connection) for connection in system.iterfind("Connections/Connection")
-            ),
+            connections=tuple((document, connection) for connection in connections),
         )
 
-    def _element(
-        self,
-        document: Document,
-        element: ET.Element,
-        place: Place,
-        known: Mapping[str, Dictionary],
-        level: int,
-    ) -> Element:
+    def _element(self, element: ET.Element, here: _Context) -> Element:
         if element.tag == "System":
-            return self._system(document, element, place, known, level)
+            return self._system(element, here)
+        if element.tag == "Component":
+            return self._component(element, here)
         if element.tag == "SignalDictionaryReference":
             name = element.get("dictionary", "")
-            if name not in known:
-                raise document.fault(f"{_called(place)} refers to no signal dictionary: '{name}'")
-            connectors = _connectors(document, element, place)
-            return Element(place, connectors, dictionary=(name, known[name]))
-        if element.tag == "Component":
-            return self._component(document, element, place, known, level)
-        raise document.fault(
-            f"{_called(place)} ({element.tag}) cannot be simulated here; only FMUs can"
+            if name not in here.known:
+                raise here.document.fault(f"{here.called} refers to no signal dictionary: '{name}'")
+            found = (name, here.known[name])
+            return Element(here.place, _connectors(element, here), dictionary=found)
+        raise here.document.fault(
+            f"{here.called} ({element.tag}) cannot be simulated here; only FMUs can"
         )
 
-    def _component(
-        self,
-        document: Document,
-        element: ET.Element,
-        place: Place,
-        known: Mapping[str, Dictionary],
-        level: int,
-    ) -> Element:
+    def _component(self, element: ET.Element, here: _Context) -> Element:
+        document, own = here.document, (here.document, element)
         kind, source = element.get("type", _FMU), element.get("source")
-        own = (document, element)
         if source is None:  # a system without elements
-            return Element(place, _connectors(document, element, place), bound=(own,))
+            return Element(here.place, _connectors(element, here), bound=(own,))
         if kind in (_PACKAGE, _DEFINITION):
-            inner = self._referred(document, kind, source, place, known, level)
+            inner = self._referred(kind, source, here)
             return replace(inner, bound=(*inner.bound, own))
         if kind != _FMU:
-            raise document.fault(
-                f"{_called(place)} ({kind}) cannot be simulated here; only FMUs can"
-            )
+            raise document.fault(f"{here.called} ({kind}) cannot be simulated here; only FMUs can")
         if element.get("implementation", "any") not in ("any", "CoSimulation"):
             raise document.fault(
-                f"{_called(place)} asks for {element.get('implementation')}, which cannot be "
+                f"{here.called} asks for {element.get('implementation')}, which cannot be "
                 "simulated here; ask for CoSimulation"
             )
         entry, _ = document.find(source)
-        connectors = _connectors(document, element, place)
-        return Element(place, connectors, bound=(own,), fmu=(document, entry))
+        connectors = _connectors(element, here)
+        return Element(here.place, connectors, bound=(own,), fmu=(document, entry))
 
-    def _referred(
-        self,
-        document: Document,
-        kind: str,
-        source: str,
-        place: Place,
-        known: Mapping[str, Dictionary],
-        level: int,
-    ) -> Element:
+    def _referred(self, kind: str, source: str, here: _Context) -> Element:
         """Return the system that a component refers to: of this file or of another one."""
+        document = here.document
         if source.startswith("#"):
             for system in document.root.iter("System"):
                 if system.get("id") == source[1:]:
-                    return self._system(document, system, place, known, level)
-            raise document.fault(f"{_called(place)} refers to no system with the id {source[1:]}")
+                    return self._system(system, here)
+            raise document.fault(f"{here.called} refers to no system with the id {source[1:]}")
         entry, fragment = document.find(source)
         if kind == _DEFINITION:
             found = document.package.document(entry, "SystemStructureDescription")
         else:
             found = document.package.inner(entry).variant(fragment or None)
-        return self.description(found, place, known, level)
+        return self.description(here._replace(document=found))
 
 
-def _connectors(document: Document, element: ET.Element, place: Place) -> dict[str, Declared]:
+def _connectors(element: ET.Element, here: _Context) -> dict[str, Declared]:
     """Return the declared connectors of an element."""
     found = dict[str, Declared]()
     for connector in element.iterfind("Connectors/Connector"):
         name, kind = connector.get("name", ""), connector.get("kind", "")
         if name in found:
-            raise document.fault(f"{_called(place)} has two connectors '{name}'; rename one")
+            raise here.document.fault(f"{here.called} has two connectors '{name}'; rename one")
         if kind not in _ROLES:
-            raise document.fault(
-                f"connector '{name}' of {_called(place)} is of kind '{kind}'; give one of "
+            raise here.document.fault(
+                f"connector '{name}' of {here.called} is of kind '{kind}'; give one of "
                 f"{', '.join(_ROLES)}"
             )
         found[name] = Declared(_ROLES[kind], _unit(connector), name)
@@ -233,13 +225,14 @@ def _unit(element: ET.Element) -> str | None:
     return next((child.get("unit") for child in element if child.get("unit")), None)
 
 
-def _dictionaries(document: Document, system: ET.Element, place: Place) -> dict[str, Dictionary]:
+def _dictionaries(system: ET.Element, here: _Context) -> dict[str, Dictionary]:
     """Return the signal dictionaries that a system declares."""
+    document = here.document
     found = dict[str, Dictionary]()
     for declared in system.iterfind("SignalDictionaries/SignalDictionary"):
         name, source = declared.get("name", ""), declared.get("source")
         if name in found:
-            raise document.fault(f"{_called(place)} has two dictionaries '{name}'; rename one")
+            raise document.fault(f"{here.called} has two dictionaries '{name}'; rename one")
         if declared.get("type", _DICTIONARY) != _DICTIONARY:
             raise document.fault(f"dictionary '{name}' is of type {declared.get('type')}")
         if source is None:
@@ -248,9 +241,5 @@ def _dictionaries(document: Document, system: ET.Element, place: Place) -> dict[
             entry, _ = document.find(source)
             root = document.package.document(entry, "SignalDictionary").root
             entries = root.iterfind("DictionaryEntry")
-        found[name] = Dictionary(place, {e.get("name", ""): _unit(e) for e in entries})
+        found[name] = Dictionary(here.place, {e.get("name", ""): _unit(e) for e in entries})
     return found
-
-
-def _called(place: Place) -> str:
-    return f"'{'.'.join(place)}'" if place else "the whole system"
