@@ -268,6 +268,17 @@ def test_connectors_of_the_whole_system_set_inputs_and_show_outputs(read, capsys
     assert run.final["out"] == pytest.approx(-4, abs=1e-9)  # measured 0
 
 
+def test_output_of_the_whole_system_may_show_a_state(write, capsys):
+    whole = system("S", SOURCE, connection("s.s", "out"), kinds={"out": "output"})
+    path = write(whole, experiment(2, 3))
+    run = cosim.read_ssp(path).simulate()
+    assert run.final["out"] == pytest.approx(1, abs=1e-9)  # measured 2e-16
+    assert main(["simulate", str(path), "--outputs", "out,s.y", "--output-interval", "1"]) == 0
+    head, first, *_ = capsys.readouterr().out.splitlines()
+    assert head == "time,s.y,out"
+    assert first == "2,4,0"
+
+
 def test_system_without_parts_is_read_but_not_simulated(read):
     found = read(system("S", "", kinds={"K": "parameter"}, bindings=values(K=1)))
     assert (dict(found.parts), list(found.connectors)) == ({}, ["K"])

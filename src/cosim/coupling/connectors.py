@@ -34,6 +34,11 @@ class Connector:
     is_input: bool
     ends: tuple[End, ...]
 
+    @property
+    def shows(self) -> bool:
+        """Whether it is an output of a part."""
+        return not self.is_input and len(self.ends) == 1
+
     def __str__(self) -> str:
         ends = ", ".join(".".join(end.variable) for end in self.ends) or "nothing"
         return f"{self.name} -> {ends}" if self.is_input else f"{ends} -> {self.name}"
@@ -49,7 +54,7 @@ def with_outputs(
         connectors: Of the system, by name.
         outputs: Names to retain; all when None.
     """
-    shown = [c for c in connectors.values() if not c.is_input and c.ends]
+    shown = [c for c in connectors.values() if c.shows and c.name not in run]
     if outputs is not None:
         shown = [connector for connector in shown if connector.name in outputs]
     if not shown:

@@ -200,12 +200,11 @@ class System:
         )
         self._reject_no_parts()
         given = values_of(self.parts, start_values or {}, self.connectors)
-        recorded, names = self._recorded(outputs)
+        names = None if outputs is None else self._resolved(outputs)
         with self.naming_files():
+            simulation, values = self._co_simulation, self._of_parts(self.start_values | given)
             try:
-                run = self._co_simulation.run(
-                    settings, self._of_parts(self.start_values | given), recorded
-                )
+                run = simulation.run(settings, values, self._recorded(simulation, names))
             except (SolverError, Interrupted) as error:
                 if isinstance(error.partial, Trajectory):
                     error.partial = with_outputs(error.partial, self.connectors, names)
@@ -218,22 +217,19 @@ class System:
         if not self.parts:
             raise UsageError(f"{self.name} has no parts; there is nothing to simulate")
 
+    def _resolved(self, outputs: Sequence[str]) -> list[str]:
+        """Return names of outputs as a run has them; a variable of a part may have several."""
+        own = {connector.name for connector in self.connectors.values() if connector.shows}
+        return [name if name in own else ".".join(split_name(self.parts, name)) for name in outputs]
+
     def _recorded(
-        self, outputs: Sequence[str] | None
-    ) -> tuple[list[tuple[str, str]] | None, list[str] | None]:
-        """Return the variables of parts to record, and the names to retain of the run."""
-        if outputs is None:
-            return None, None
-        recorded, names = list[tuple[str, str]](), list[str]()
-        for name in outputs:
-            connector = self.connectors.get(name)
-            if connector is not None and not connector.is_input and connector.ends:
-                recorded.append(connector.ends[0].variable)
-                names.append(name)
-            else:
-                recorded.append(split_name(self.parts, name))
-                names.append(".".join(recorded[-1]))
-        return list(dict.fromkeys(recorded)), names
+        self, simulation: CoSimulation, names: Sequence[str] | None
+    ) -> list[tuple[str, str]] | None:
+        """Return the variables of parts that names, or by default all outputs, need."""
+        behind = {c.name: c.ends[0].variable for c in self.connectors.values() if c.shows}
+        if names is not None:
+            return list(dict.fromkeys(behind.get(name, split_key(name)) for name in names))
+        return [*dict.fromkeys([*simulation.recorded, *behind.values()])] if behind else None
 
     def naming_files(self) -> AbstractContextManager[None]:
         """Return a context in which messages about unpacked files name what they come from."""
