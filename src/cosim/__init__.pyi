@@ -11,9 +11,9 @@ from cosim import errors as errors
 from cosim import solvers as solvers
 from cosim.api import run_scene as run_scene
 from cosim.api import simulate as simulate
-from cosim.coupling.files import read_ssp as read_ssp
+from cosim.coupling.couple import couple as couple
+from cosim.coupling.ssp.reader import read_ssp as read_ssp
 from cosim.coupling.system import System as System
-from cosim.coupling.system import couple as couple
 from cosim.errors import CosimError as CosimError
 from cosim.fmi.check.check import check_fmu as check_fmu
 from cosim.fmi.export.package import export_fmu as export_fmu

@@ -14,7 +14,9 @@ from cosim.files import read_text
 Key = tuple[str | int, ...]
 
 _HEADER = re.compile(r"\[(\[?)([^\[\]]+)\]")
-_ASSIGNMENT = re.compile(r"((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*[\w-]+)*)\s*=(.*)")
+_NAME = r"[\w-]+|\"[^\"]*\"|'[^']*'"
+_ASSIGNMENT = re.compile(rf"((?:{_NAME})(?:\s*\.\s*(?:{_NAME}))*)\s*=(.*)")
+_NAMES = re.compile(_NAME)  # a quoted one may hold dots
 _QUOTED_OR_COMMENT = re.compile(r"\"(?:\\.|[^\"\\])*\"|'[^']*'|#.*")
 _PLACE = re.compile(r" \(at (line \d+, column \d+|end of document)\)$")
 
@@ -56,12 +58,12 @@ class TomlFile:
         return f"{self.path}, line {line}"
 
     @contextmanager
-    def naming(self, *key: str | int) -> Iterator[None]:
-        """Put the place of a key before the message of what goes wrong within."""
+    def naming(self, *key: str | int, word: str | None = None) -> Iterator[None]:
+        """Put the place of a key before the message of what goes wrong within; see `at`."""
         try:
             yield
         except CosimError as error:
-            raise type(error)(f"{self.at(*key)}: {error}") from error
+            raise type(error)(f"{self.at(*key, word=word)}: {error}") from error
 
     def reject_unknown(self, table: Key, found: Iterable[str], known: Iterable[str]) -> None:
         """Reject keys of a table that it does not have."""
@@ -122,14 +124,19 @@ def _lines(rows: tuple[str, ...]) -> Iterator[tuple[Key, int]]:
             depth += _brackets(stripped)
         elif header := _HEADER.match(stripped):
             name = header[2].strip()
-            table = tuple(part.strip(" \"'") for part in name.split("."))
+            table = _parts(name)
             if header[1]:
                 table += (counts.setdefault(name, 0),)
                 counts[name] += 1
             yield table, number
         elif assignment := _ASSIGNMENT.match(stripped):
-            yield (*table, *(part.strip(" \"'") for part in assignment[1].split("."))), number
+            yield (*table, *_parts(assignment[1])), number
             depth = _brackets(assignment[2])
+
+
+def _parts(name: str) -> Key:
+    """Return the parts of a dotted name without their quotes."""
+    return tuple(part.strip("\"'") for part in _NAMES.findall(name))
 
 
 def _brackets(code: str) -> int:

@@ -21,7 +21,9 @@ from cosim.cli.arguments import (
 )
 from cosim.cli.tables import note
 from cosim.coupling.files import coupling_report, is_system, read_system, simulate_file
+from cosim.coupling.system import System
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
+from cosim.fmi.archive import with_places
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
@@ -47,10 +49,24 @@ def scene_or_none(args: argparse.Namespace) -> Scene | None:
         return None
     has_method = any(options_in(args, *_OF_SYSTEMS).values())
     if is_system(args.model):  # co-simulation, or all parts as one model
-        return None if has_method or not read_system(args.model).is_model else scene_from(args)
+        system = read_system(args.model)
+        _report_undriven_inputs(args, system)
+        return None if has_method or not system.is_model else scene_from(args)
     if has_method:
         raise UsageError("--method and --macro-step are for coupled systems")
     return scene_from(args)
+
+
+def _report_undriven_inputs(args: argparse.Namespace, system: System) -> None:
+    """Name the inputs of a system that nothing drives, before it runs."""
+    given = {*dict(start_texts(args)), *(inputs_in(args) or {})}
+    undriven = [name for name in system.undriven_inputs if name not in given]
+    if undriven:
+        note(
+            args,
+            f"note: {system.name}: nothing drives {', '.join(undriven)}; connect "
+            f"{'it' if len(undriven) == 1 else 'them'}, give a value, or declare open_inputs",
+        )
 
 
 def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Trajectory, int]:
@@ -117,8 +133,9 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
     options["start_values"] = dict(start_texts(args))
     options["outputs"] = None if args.outputs is None else names_in(args.outputs)
     system = read_system(args.model)
-    for file in system.fmus:
-        require_trust(file, trusted=args.trust)
+    with system.naming_files():
+        for file in system.fmus:
+            require_trust(file, trusted=args.trust, name=with_places(file, system.places))
     if all(is_made_here(file) for file in system.fmus):
         return system.simulate(**options)
     return simulate_apart(args.model, timeout=args.timeout, function=simulate_file, **options)

@@ -383,6 +383,11 @@ class CoSimulation:
             return f"part '{name}' failed after {time}: {why}"
         return f"it failed at {time}"
 
+    @property
+    def recorded(self) -> list[tuple[str, str]]:
+        """What a run records by default: all outputs and connected inputs, by part and name."""
+        return [(part, name) for part, names in self._columns(None).items() for name in names]
+
     def _columns(self, outputs: Sequence[tuple[str, str]] | None) -> dict[str, list[str]]:
         if outputs is not None:
             return {n: [v for part, v in outputs if part == n] for n in self._turns}

@@ -1,4 +1,4 @@
-"""`System`: parts, connections and start values; `couple` checks and builds one."""
+"""`System`: parts, connections and start values."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -11,115 +11,28 @@ from weakref import finalize
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
-from casadi_models.dae.variables import is_name
 from casadi_models.units import convert, known
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
-from cosim.errors import ParameterError, UnknownName, UsageError, naming_keywords
-from cosim.fmi.archive import unpacked
+from cosim.coupling.connectors import Connector, End, with_outputs
+from cosim.coupling.part import Part
+from cosim.errors import (
+    Interrupted,
+    ParameterError,
+    SolverError,
+    UnknownName,
+    UsageError,
+    naming_keywords,
+)
+from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description, unit_of
 from cosim.fmi.ssp import write_ssp
 from cosim.host.temporary import temporary_folder
-from cosim.integrate.keywords import named, requested
+from cosim.integrate.keywords import requested
 from cosim.integrate.modes import hybrid
-from cosim.memo import cached_per_thread
 from cosim.model.quantities import quantity
 from cosim.model.request import choice
 from cosim.model.values import number, plain_values
 from cosim.trajectory import Trajectory
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A variable of a part: its unit (None if the part does not name one) and what it may be.
-
-    Attributes:
-        name, unit: Name and unit.
-        is_input, is_source, is_start: Whether it can be driven, can drive, has a start value.
-    """
-
-    name: str
-    unit: str | None
-    is_input: bool
-    is_source: bool
-    is_start: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A part: a model, or the path of an FMU.
-
-    Attributes:
-        name: Of the part, an identifier.
-        subject: The model or the file.
-        variables: By name.
-    """
-
-    name: str
-    subject: Dae | Path
-    variables: dict[str, Variable]
-
-    def variable(self, name: str) -> Variable:
-        """Return a variable.
-
-        Raises:
-            UnknownName: The part has none of this name.
-        """
-        if name not in self.variables:
-            raise UnknownName.among(f"part '{self.name}'", "variable", name, self.variables)
-        return self.variables[name]
-
-
-def part_of(name: str, subject: object, folder: Path) -> Part:
-    """Return a part.
-
-    Args:
-        name: Of the part.
-        subject: A `Dae`, the name of a model, "PATH.py:FUNCTION" or the path of an FMU; paths are
-            relative to `folder`.
-
-    Raises:
-        UsageError: The name is no identifier, or the subject none of these.
-        CosimError: The model or the file cannot be loaded.
-    """
-    if not is_name(name):
-        raise UsageError(f"part {name!r}: use letters, digits and _ for the name of a part")
-    if isinstance(subject, os.PathLike) or (isinstance(subject, str) and subject.endswith(".fmu")):
-        path = folder / subject
-        return Part(name, path, _of_fmu(path))
-    if isinstance(subject, str):
-        place, colon, function = subject.rpartition(".py:")
-        subject = named(f"{folder / place}.py:{function}" if colon else subject)
-    if not isinstance(subject, Dae):
-        raise UsageError.of_type(f"part '{name}'", subject, "a model, its name, or an FMU file")
-    return Part(name, subject, _of_model(subject))
-
-
-@cached_per_thread(16)
-def _of_model(dae: Dae) -> dict[str, Variable]:
-    inputs = {v.name for v in dae.inputs}
-    sources = {v.name for v in (*dae.states, *dae.algebraics, *dae.output_variables)}
-    starts = inputs | {v.name for v in (*dae.states, *dae.parameters) if v.start is not None}
-    starts |= {through.variable.name for through in dae.start_outputs}
-    return {
-        v.name: Variable(v.name, v.unit, v.name in inputs, v.name in sources, v.name in starts)
-        for v in dae.variables
-    }
-
-
-def _of_fmu(path: Path) -> dict[str, Variable]:
-    with unpacked(path) as folder:
-        description = read_description(folder, path)
-    if description.coSimulation is None:
-        raise UsageError(f"{path} has no co-simulation; a part of a system needs it")
-    found = {}
-    for name, variable in by_name(description).items():
-        continuous = variable.type in ("Real", "Float64") and is_number(variable)
-        is_input = continuous and variable.causality == "input"
-        source = continuous and variable.causality in ("output", "local")
-        start = is_number(variable) and may_be_set(variable)
-        found[name] = Variable(name, unit_of(variable), is_input, source, start)
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +46,10 @@ class System:
         start_values: By part and variable, in the variable's unit.
         stop_time, output_interval: s; those of the parts when None.
         title: One line.
+        start_time: Begin of its runs, s.
+        open_inputs: Inputs that are declared to keep their start value, by part and variable.
+        connectors: Names of the whole system for variables of its parts, as an SSP file has them.
+        places: What messages say for the temporary folders of files within a file.
 
     Example:
         >>> import cosim
@@ -148,16 +65,39 @@ class System:
     stop_time: float | None = None
     output_interval: float | None = None
     title: str = ""
+    start_time: float = 0.0
+    open_inputs: frozenset[tuple[str, str]] = frozenset()
+    connectors: Mapping[str, Connector] = field(default_factory=dict)
+    places: Mapping[str, str] = field(default_factory=dict, repr=False)
     _open: ExitStack = field(default_factory=ExitStack, repr=False)
 
     def __repr__(self) -> str:
         lines = [f"{self.name}: {len(self.parts)} parts, {len(self.connections)} connections"]
         for name, part in self.parts.items():
-            subject = part.subject
-            lines.append(f"  {name}: {getattr(subject, 'full_name', subject.name)}")
+            subject = getattr(part.subject, "full_name", part.subject.name)
+            origin = f" ({part.origin})" if part.origin else ""
+            lines.append(f"  {name}: {subject}{origin}")
         for wire in self.connections:
             lines.append(f"  {'.'.join(wire.output)} -> {'.'.join(wire.input)}")
+        lines += [f"  {connector}" for connector in self.connectors.values()]
+        if self.undriven_inputs:
+            lines.append(f"  driven by nothing: {', '.join(self.undriven_inputs)}")
         return "\n".join(lines)
+
+    @property
+    def undriven_inputs(self) -> list[str]:
+        """Inputs without connection and start value that are not declared open either."""
+        driven = {wire.input for wire in self.connections} | set(self.start_values)
+        driven |= self.open_inputs
+        for connector in self.connectors.values():
+            driven |= {end.variable for end in connector.ends}
+        found = (
+            (name, variable.name)
+            for name, part in self.parts.items()
+            for variable in part.variables.values()
+            if variable.is_input
+        )
+        return [".".join(one) for one in dict.fromkeys(found) if one not in driven]
 
     @property
     def fmus(self) -> list[Path]:
@@ -167,7 +107,7 @@ class System:
     @property
     def is_model(self) -> bool:
         """Whether all parts are models, so that `dae` exists."""
-        return not self.fmus
+        return bool(self.parts) and not self.fmus
 
     @cached_property
     def dae(self) -> Dae:
@@ -177,8 +117,9 @@ class System:
         other one becomes algebraic unknowns.
 
         Raises:
-            UsageError: A part is an FMU, or a loop has no solution.
+            UsageError: A part is an FMU, there are no parts, or a loop has no solution.
         """
+        self._reject_no_parts()
         models = dict[str, Dae]()
         for name, part in self.parts.items():
             subject = part.subject
@@ -204,7 +145,7 @@ class System:
     def simulate(
         self,
         *,
-        start_time: float = 0.0,
+        start_time: float | None = None,
         stop_time: float | None = None,
         output_interval: float | None = None,
         accuracy: float | None = None,
@@ -218,8 +159,7 @@ class System:
         """Simulate the parts as FMUs for co-simulation. Binaries of FMUs run in this process.
 
         Args:
-            start_time: Begin of the run, s.
-            stop_time, output_interval: s; those of the system when None.
+            start_time, stop_time, output_interval: s; those of the system when None.
             accuracy: Desired largest error of the outputs that the coupling causes, in nominal
                 values; the macro steps are chosen for it, and checked by a second run with
                 others. 1e-6 if neither this nor `macro_step` is given.
@@ -229,9 +169,10 @@ class System:
                 "gauss_seidel" or "jacobi" (order 1: inputs are constant within a macro step).
             relative_tolerance: Of the solvers in the parts; chosen for `accuracy` when None, and
                 1e-10 with `macro_step`.
-            start_values: Start values, parameters and constant inputs by `part.variable`: numbers
-                in the variable's unit, or texts with a unit.
-            outputs: Names to record, `part.variable`; all outputs and connected inputs when None.
+            start_values: Start values, parameters and constant inputs by `part.variable`, or by
+                the name of a connector: numbers in the variable's unit, or texts with a unit.
+            outputs: Names to record, `part.variable` or an output of the whole system; all outputs
+                and connected inputs when None.
             threads: Whether parts step at the same time, a thread each, with equal results; their
                 FMUs must bear it. Not with gauss_seidel, nor on Windows.
 
@@ -241,6 +182,7 @@ class System:
             `macro_step`, if inputs are cubics, interface_error: the largest difference of inputs
             and outputs, in the sizes of the inputs, within macro steps and at their ends. If a
             part ends the run, it is complete, and stop and stop_time say which part, and when.
+            undriven_inputs names inputs that kept their start value without being declared open.
 
         Raises:
             UnknownName, UsageError, ParameterError: An argument is wrong.
@@ -256,9 +198,42 @@ class System:
             tolerance=_positive(self.name, "relative_tolerance", relative_tolerance),
             threads=bool(threads),
         )
-        values = self.start_values | _values(self.parts, start_values or {})
-        wanted = None if outputs is None else [split_name(self.parts, name) for name in outputs]
-        return self._co_simulation.run(settings, self._of_parts(values), wanted)
+        self._reject_no_parts()
+        given = values_of(self.parts, start_values or {}, self.connectors)
+        names = None if outputs is None else self._resolved(outputs)
+        with self.naming_files():
+            simulation, values = self._co_simulation, self._of_parts(self.start_values | given)
+            try:
+                run = simulation.run(settings, values, self._recorded(simulation, names))
+            except (SolverError, Interrupted) as error:
+                if isinstance(error.partial, Trajectory):
+                    error.partial = with_outputs(error.partial, self.connectors, names)
+                raise
+        if undriven := [name for name in self.undriven_inputs if split_key(name) not in given]:
+            run = replace(run, stats={**run.stats, "undriven_inputs": undriven})
+        return with_outputs(run, self.connectors, names)
+
+    def _reject_no_parts(self) -> None:
+        if not self.parts:
+            raise UsageError(f"{self.name} has no parts; there is nothing to simulate")
+
+    def _resolved(self, outputs: Sequence[str]) -> list[str]:
+        """Return names of outputs as a run has them; a variable of a part may have several."""
+        own = {connector.name for connector in self.connectors.values() if connector.shows}
+        return [name if name in own else ".".join(split_name(self.parts, name)) for name in outputs]
+
+    def _recorded(
+        self, simulation: CoSimulation, names: Sequence[str] | None
+    ) -> list[tuple[str, str]] | None:
+        """Return the variables of parts that names, or by default all outputs, need."""
+        behind = {c.name: c.ends[0].variable for c in self.connectors.values() if c.shows}
+        if names is not None:
+            return list(dict.fromkeys(behind.get(name, split_key(name)) for name in names))
+        return [*dict.fromkeys([*simulation.recorded, *behind.values()])] if behind else None
+
+    def naming_files(self) -> AbstractContextManager[None]:
+        """Return a context in which messages about unpacked files name what they come from."""
+        return naming_places(self.places)
 
     def write_ssp(self, target: str | os.PathLike[str]) -> Path:
         """Write the system with its FMUs as an SSP 1.0 file; models are exported as FMI 2.0.
@@ -266,18 +241,32 @@ class System:
         Raises:
             ExportError: The file cannot be written.
         """
+        exposed = {end.variable for c in self.connectors.values() if c.is_input for end in c.ends}
+        values = self._of_parts(self.start_values)
+        inputs = {key for key in exposed if self.parts[key[0]].variable(key[1]).is_input}
         return write_ssp(
             target,
             self.files,
             [(".".join(w.output), ".".join(w.input)) for w in self.connections],
             values={
                 f"{part}.{name}": value
-                for part, values in self._of_parts(self.start_values).items()
-                for name, value in values.items()
+                for part, own in values.items()
+                for name, value in own.items()
             },
+            start_time=self.start_time,
             stop_time=self.stop_time,
             name=self.name,
+            open_inputs=[".".join(key) for key in sorted(self.open_inputs | inputs)],
+            transformations={
+                ".".join(wire.input): (wire.factor, wire.offset)
+                for wire in self.connections
+                if (wire.factor, wire.offset) != self._change_of_units(wire)
+            },
         )
+
+    def _change_of_units(self, wire: Connection) -> tuple[float, float]:
+        sink, source = (self.parts[part].variable(name) for part, name in (wire.input, wire.output))
+        return conversion(sink.name, sink.unit, source.name, source.unit)
 
     def holds(self, resource: AbstractContextManager[Any]) -> None:
         """Keep what the parts need, such as unpacked files, as long as the system lives."""
@@ -325,9 +314,11 @@ class System:
     ) -> tuple[float, float, float]:
         """Return start, stop and output interval of a run, s, with those of the system for None."""
         daes = [p.subject.experiment for p in self.parts.values() if isinstance(p.subject, Dae)]
-        start = number(self.name, "start_time", start or 0.0)
+        start = number(self.name, "start_time", self.start_time if start is None else start)
         if stop is None:
-            stop = self.stop_time or max((e.stop_time for e in daes), default=1.0)
+            stop = self.stop_time
+        if stop is None:
+            stop = max((e.stop_time for e in daes), default=start + 1.0)
         stop = number(self.name, "stop_time", stop)
         if not stop > start:
             raise ParameterError(
@@ -338,68 +329,6 @@ class System:
                 (e.output_interval for e in daes), default=(stop - start) / 500
             )
         return start, stop, number(self.name, "output_interval", interval, positive=True)
-
-
-def couple(
-    parts: Mapping[str, Any],
-    connections: Mapping[str, str],
-    *,
-    start_values: Mapping[str, float | str] | None = None,
-    name: str = "system",
-    stop_time: float | None = None,
-    output_interval: float | None = None,
-    title: str = "",
-    folder: str | os.PathLike[str] = ".",
-) -> System:
-    """Couple models and FMUs.
-
-    Args:
-        parts: By name: the name of a model, a `Dae`, "PATH.py:FUNCTION" or the path of an FMU.
-        connections: "part.output" by "part.input"; units are converted.
-        start_values: Start values, parameters and constant inputs by "part.variable": numbers in
-            the variable's unit, or texts with a unit.
-        name: Of the system, an identifier.
-        stop_time, output_interval: Of its runs, s; those of the parts when None.
-        title: One line about it.
-        folder: What relative paths refer to.
-
-    Raises:
-        UnknownName: A part or a variable does not exist.
-        UsageError: An input is connected twice or given a value as well, a variable is no input or
-            no output, or the units do not fit.
-        ParameterError: A value is not finite, or its unit does not fit.
-        CosimError: A model or an FMU cannot be loaded.
-
-    Example:
-        >>> import cosim
-        >>> def mass(name):
-        ...     model = cosim.Model(name)
-        ...     x, v = model.state("x", "m", 1, "place"), model.state("v", "m/s", 0, "speed")
-        ...     force = model.input("force", "N", 0, "force")
-        ...     model.derivative(x, v)
-        ...     model.derivative(v, force)
-        ...     model.output("pull", "N", -x, "spring force")
-        ...     return model.freeze()
-        >>> wires = {"a.force": "b.pull", "b.force": "a.pull"}
-        >>> run = couple({"a": mass("a"), "b": mass("b")}, wires).simulate(stop_time=1)
-        >>> round(run.final["a.x"], 6)  # cos 1
-        0.540302
-    """
-    if not isinstance(parts, Mapping) or not parts:
-        raise UsageError.of_type("couple: parts", parts, "models or FMUs by name")
-    found = {n: part_of(n, subject, Path(folder)) for n, subject in parts.items()}
-    wires = tuple(_connection(found, sink, source) for sink, source in connections.items())
-    values = _values(found, start_values or {})
-    for wire in wires:
-        if wire.input in values:
-            raise UsageError(f"{'.'.join(wire.input)} is connected and given a value; drop one")
-    for what, time in (("stop_time", stop_time), ("output_interval", output_interval)):
-        _positive(name, what, time)
-    for n, part in found.items():
-        if isinstance(part.subject, Dae):  # others feel the relations in what drives them
-            driving = tuple(wire.output[1] for wire in wires if wire.output[0] == n)
-            found[n] = replace(part, subject=replace(part.subject, driving=driving))
-    return System(name, found, wires, values, stop_time, output_interval, title)
 
 
 def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
@@ -414,7 +343,12 @@ def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
     return part, parts[part].variable(variable).name
 
 
-def _connection(parts: Mapping[str, Part], sink: str, source: str) -> Connection:
+def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connection:
+    """Return the connection of an input and what drives it, with the conversion of their units.
+
+    Raises:
+        UnknownName, UsageError: See `couple`.
+    """
     ends = split_name(parts, sink), split_name(parts, source)
     driven, driving = (parts[part].variable(name) for part, name in ends)
     if not driven.is_input:
@@ -424,11 +358,11 @@ def _connection(parts: Mapping[str, Part], sink: str, source: str) -> Connection
         )
     if not driving.is_source:
         raise UsageError(f"{source} is no output and no state; connect one that is")
-    factor, offset = _conversion(sink, driven.unit, source, driving.unit)
+    factor, offset = conversion(sink, driven.unit, source, driving.unit)
     return Connection(*ends, factor, offset)
 
 
-def _conversion(sink: str, to: str | None, source: str, of: str | None) -> tuple[float, float]:
+def conversion(sink: str, to: str | None, source: str, of: str | None) -> tuple[float, float]:
     """Return factor and offset from one unit to another; units that are not named are equal."""
     if to == of or not (known(to) and known(of)):
         return 1.0, 0.0
@@ -439,21 +373,48 @@ def _conversion(sink: str, to: str | None, source: str, of: str | None) -> tuple
         raise UsageError(f"{source} [{of}] cannot drive {sink} [{to}]: {error}") from error
 
 
-def _values(
-    parts: Mapping[str, Part], given: Mapping[str, float | str]
+def values_of(
+    parts: Mapping[str, Part],
+    given: Mapping[str, float | str],
+    connectors: Mapping[str, Connector],
 ) -> dict[tuple[str, str], float]:
+    """Return values by part and variable.
+
+    Args:
+        given: Numbers in the variable's unit, or texts with a unit, by "part.variable" or by the
+            name of a connector of the whole system.
+
+    Raises:
+        CosimError: A name does not exist, or a value does not fit.
+    """
     if not isinstance(given, Mapping):
         raise UsageError.of_type("start_values", given, "values by name, e.g. {'a.x': 1}")
     found = dict[tuple[str, str], float]()
     for name, value in given.items():
-        key = split_name(parts, name)
-        variable = parts[key[0]].variable(key[1])
-        if not variable.is_start:
+        connector = connectors.get(name)
+        if connector is not None and connector.is_input:
+            key, unit, ends = ("the system", name), connector.unit, connector.ends
+        else:
+            key = split_name(parts, name)
+            unit, ends = parts[key[0]].variable(key[1]).unit, (End(key, 1.0, 0.0),)
+        if not all(parts[part].variable(own).is_start for (part, own), *_ in ends):
             raise UsageError(f"{name} cannot be given; it is calculated")
-        if isinstance(value, str):
-            value = quantity(name, value, variable.unit or "1")
-        found[key] = number(key[0], key[1], value)
+        plain = _plain(key, value, unit)
+        found |= {end.variable: end.factor * plain + end.offset for end in ends}
     return found
+
+
+def _plain(key: tuple[str, str], value: object, unit: str | None) -> float:
+    """Return a value in a unit, which a text may name; `key` is its owner and its name."""
+    if isinstance(value, str):
+        value = quantity(".".join(key), value, unit or "1")
+    return number(*key, value)
+
+
+def split_key(name: str) -> tuple[str, str]:
+    """Return part and variable of "part.variable"; names of parts have no dot."""
+    part, _, variable = name.partition(".")
+    return part, variable
 
 
 def _positive(owner: str, name: str, value: float | None) -> float | None:

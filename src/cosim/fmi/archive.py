@@ -4,14 +4,14 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import BinaryIO
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
-from cosim.errors import FmuError, SecurityError, UsageError
+from cosim.errors import CosimError, FmuError, SecurityError, UsageError
 from cosim.files import opened_plain
 from cosim.host.temporary import fmu_folder
 
@@ -107,6 +107,28 @@ def unpacked(
             cure = "; make room, or set TMPDIR" if isinstance(error, OSError) else ""
             raise FmuError(f"cannot unpack {source}: {reason}{cure}") from error
         yield folder.resolve()
+
+
+@contextmanager
+def naming_places(places: Mapping[str, str]) -> Iterator[None]:
+    """Replace temporary folders in messages by what they were unpacked from.
+
+    Args:
+        places: Names of files by folder; a folder within a file is one of its own.
+    """
+    try:
+        yield
+    except CosimError as error:
+        error.args = (with_places(str(error), places),)
+        raise
+
+
+def with_places(text: object, places: Mapping[str, str]) -> str:
+    """Return a text in which names of files stand for temporary folders; see `naming_places`."""
+    shown = str(text)
+    for folder, name in places.items():
+        shown = shown.replace(f"{folder}{os.sep}", f"{name}: ").replace(folder, name)
+    return shown
 
 
 def entry_content(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:

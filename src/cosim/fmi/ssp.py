@@ -1,4 +1,4 @@
-"""System structure and parameters (SSP 1.0): .ssp files and .ssv parameter sets."""
+"""Writing of SSP 1.0 files: system description, parameter sets (.ssv) and FMUs."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from casadi_models.units import UNITS
-from cosim.errors import FmuError, UnknownName, UsageError
+from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
@@ -68,9 +68,12 @@ def write_ssp(
     connections: Sequence[tuple[str, str]],
     *,
     values: Mapping[str, float] | None = None,
+    start_time: float = 0.0,
     stop_time: float | None = None,
     name: str | None = None,
     parameter_files: bool = False,
+    open_inputs: Sequence[str] = (),
+    transformations: Mapping[str, tuple[float, float]] | None = None,
 ) -> Path:
     """Write an SSP file whose connectors and values have units.
 
@@ -79,10 +82,13 @@ def write_ssp(
         components: Path of the FMU by the component's name.
         connections: ("FROM.OUTPUT", "TO.INPUT") pairs.
         values: Start values and parameters by "COMPONENT.VARIABLE", in the FMUs' units.
-        stop_time: Stop time of the default experiment, s.
+        start_time, stop_time: Of the default experiment, s.
         name: Of the system; that of the file when None.
         parameter_files: Whether the values are written to separate files, `resources/NAME.ssv`,
             which can be exchanged; otherwise the system description contains them.
+        open_inputs: Inputs that keep their start values, which are written as values.
+        transformations: Factor and offset by "TO.INPUT" of a connection, which replace the
+            conversion of units: input = factor output + offset.
 
     Returns:
         Path of the file.
@@ -90,7 +96,7 @@ def write_ssp(
     Raises:
         UnknownName: A component or a variable does not exist.
         UsageError: A connection does not lead from an output to an input.
-        ParameterError: The stop time is not positive and finite.
+        ParameterError: A time is not finite, or the stop time is not after the start time.
         FmuError, ExportError: A file cannot be read or written.
 
     Example:
@@ -99,11 +105,23 @@ def write_ssp(
         >>> write_ssp("shaft.ssp", {"crank": path}, [], values={"crank.omega": 10.0}).name
         'shaft.ssp'
     """
+    start_time = number("write_ssp", "start_time", start_time)
     if stop_time is not None:
-        stop_time = number("write_ssp", "stop_time", stop_time, positive=True)
+        stop_time = number("write_ssp", "stop_time", stop_time, positive=start_time == 0)
+        if not stop_time > start_time:
+            raise ParameterError(
+                f"write_ssp: stop_time = {stop_time:g} s is not after start_time = {start_time:g} s"
+            )
     described = {name: _described(path) for name, path in components.items()}
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
     given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
+    for key in open_inputs:
+        component, entry = _side(described, key, "input")
+        if (component, entry) not in dict(given):
+            given.append(((component, entry), _start(described[component], entry)))
+    changes = {
+        _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
+    }
     name, files, used = name or Path(target).stem, dict[str, bytes](), set[str]()
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
@@ -128,11 +146,17 @@ def write_ssp(
     for (source, output), (sink, entry) in ends:
         begins = {"startElement": source, "startConnector": output}
         ends_at = {"endElement": sink, "endConnector": entry}
-        ET.SubElement(joints, f"{{{SSD}}}Connection", begins | ends_at)
+        joint = ET.SubElement(joints, f"{{{SSD}}}Connection", begins | ends_at)
+        if (sink, entry) in changes:
+            factor, offset = map(repr_17, changes[sink, entry])
+            joint.set("suppressUnitConversion", "true")
+            linear = {"factor": factor, "offset": offset}
+            ET.SubElement(joint, f"{{{SSC}}}LinearTransformation", linear)
     if used:
         root.append(unit_list(f"{{{SSD}}}Units", used))
-    if stop_time is not None:
-        span = {"startTime": "0.0", "stopTime": repr_17(stop_time)}
+    if stop_time is not None or start_time:
+        span = {"startTime": repr_17(start_time)}
+        span |= {} if stop_time is None else {"stopTime": repr_17(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
     fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in components.items()}
     return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
@@ -150,6 +174,11 @@ def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
     known = {variable.name: variable for variable in description.modelVariables}
     return description, {flat.get(name, name): found for name, found in known.items()} | known
+
+
+def _start(described: tuple[Any, dict[str, Any]], name: str) -> float:
+    """Return the start value of a variable; 0 if it has none."""
+    return float(described[1][name].start or 0.0)
 
 
 def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:

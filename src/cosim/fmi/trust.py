@@ -40,19 +40,23 @@ def is_made_here(path: str | os.PathLike[str]) -> bool:
     return content_of(_entry(read_plain(path))) == MADE.encode()
 
 
-def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> None:
+def require_trust(
+    path: str | os.PathLike[str], *, trusted: bool = False, name: object = None
+) -> None:
     """Check that an FMU's code may run: ask at a terminal, print a warning elsewhere.
 
     $COSIM_TRUST = all allows every file, known rejects every file that is not trusted yet.
 
     Args:
         trusted: Whether the user trusts the file; remembered for this content.
+        name: What messages call it, for a file that was unpacked from another one.
 
     Raises:
         FmuError: The file cannot be read.
         SecurityError: The user does not allow it.
         UsageError: $COSIM_TRUST has an unknown value.
     """
+    name = name or path
     choice = os.environ.get(TRUST_VARIABLE) or "ask"
     if choice not in CHOICES:
         raise UsageError(f"{TRUST_VARIABLE} = {choice} is none of {', '.join(CHOICES)}; unset it")
@@ -60,20 +64,20 @@ def require_trust(path: str | os.PathLike[str], *, trusted: bool = False) -> Non
         if choice == "all" or is_trusted(path):
             return
     except OSError as error:
-        raise FmuError(f"cannot read {path}: {error.strerror or error}; give an FMU") from error
+        raise FmuError(f"cannot read {name}: {error.strerror or error}; give an FMU") from error
     with opened(path):  # rejects a file that is no FMU or is dangerous
         pass
-    if trusted or (choice == "ask" and _at_a_terminal() and _user_agrees(path)):
+    if trusted or (choice == "ask" and _at_a_terminal() and _user_agrees(name)):
         remember(read_plain(path), TRUSTED)
         return
     how = "to trust this file, say --trust once"
     if choice == "known" or _at_a_terminal():
-        raise SecurityError(f"{path} is not run: it {_RISK}; {how}")
-    print(f"warning: {path} {_RISK}; {how}", file=sys.stderr)
+        raise SecurityError(f"{name} is not run: it {_RISK}; {how}")
+    print(f"warning: {name} {_RISK}; {how}", file=sys.stderr)
 
 
-def _user_agrees(path: object) -> bool:
-    print(f"{path} {_RISK}. Run it? [y/N]", file=sys.stderr, flush=True)
+def _user_agrees(name: object) -> bool:
+    print(f"{name} {_RISK}. Run it? [y/N]", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 

@@ -1,0 +1,1 @@
+"""Reading SSP files: their entries, elements, connections and parameters."""

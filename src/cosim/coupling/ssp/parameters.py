@@ -1,0 +1,183 @@
+"""Parameter values of SSP files: sets (.ssv), and mappings of their names and values (.ssm)."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import isfinite
+from xml.etree import ElementTree as ET
+
+from cosim.coupling.ssp.package import Document
+from cosim.model.quantities import quantity
+
+_SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_INTEGER = re.compile(r"[+-]?[0-9]+")
+_TRUTH = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
+_REALS = ("Real", "Float64", "Float32")
+_INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+_TABLES = ("BooleanMappingTransformation", "IntegerMappingTransformation")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number for a variable: `factor` times the number in the variable's unit, plus `offset`.
+
+    Attributes:
+        number: As the parameter set has it.
+        unit: Its unit; None for that of the variable.
+        factor, offset: Of a mapping's linear transformation.
+        keeps_unit: Whether the unit is not converted.
+    """
+
+    number: float
+    unit: str | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+    keeps_unit: bool = False
+
+    def in_unit(self, name: str, unit: str | None) -> float:
+        """Return the number in a unit.
+
+        Raises:
+            ParameterError: The units do not fit.
+        """
+        number = self.number
+        if self.unit is not None and unit is not None and not self.keeps_unit:
+            number = quantity(name, f"{number!r} {self.unit}", unit)
+        return self.factor * number + self.offset
+
+
+def real(document: Document, where: str, text: str | None, default: float = 0.0) -> float:
+    """Return a finite number as XML writes it; `default` for None.
+
+    Raises:
+        UsageError: It is none, such as 1_0, NaN or an empty text.
+    """
+    if text is None:
+        return default
+    written = text.strip(" \t\r\n")
+    value = float(written) if _NUMBER.fullmatch(written) else float("nan")
+    if not isfinite(value):
+        raise document.fault(f"{where} = {text!r} is no number; only numbers can be set here")
+    return value
+
+
+def truth(document: Document, where: str, text: str | None) -> bool:
+    """Return a Boolean value as XML writes it; False for None."""
+    if text is not None and text.strip() not in _TRUTH:
+        raise document.fault(f"{where} = {text!r} is neither true nor false")
+    return text is not None and bool(_TRUTH[text.strip()])
+
+
+def linear(document: Document, where: str, element: ET.Element) -> tuple[float, float]:
+    """Return factor and offset of the linear transformation in an element; 1 and 0 without one."""
+    found = element.find("LinearTransformation")
+    if found is None:
+        return 1.0, 0.0
+    factor = real(document, f"factor of {where}", found.get("factor"), 1.0)
+    return factor, real(document, f"offset of {where}", found.get("offset"))
+
+
+def bound_values(document: Document, element: ET.Element) -> Iterator[tuple[Document, str, Value]]:
+    """Yield the values that an element binds, in order, with the document that has them.
+
+    Args:
+        document: Where the element is.
+        element: A system or a component.
+
+    Raises:
+        CosimError: A set or a mapping cannot be read.
+    """
+    for binding in element.iterfind("ParameterBindings/ParameterBinding"):
+        owner = f"a parameter binding of '{element.get('name')}'"
+        prefix = binding.get("prefix") or ""
+        for place, chosen in _content(document, binding, owner, "ParameterValues", _SET):
+            values = {prefix + name: value for name, value in _parameters(place, chosen)}
+            mapping = binding.find("ParameterMapping")
+            if mapping is None:
+                yield from ((place, name, value) for name, value in values.items())
+                continue
+            where = f"the parameter mapping of '{element.get('name')}'"
+            targets = set[str]()
+            for table, entries in _content(document, mapping, where, None, _MAPPING):
+                for target, value in _mapped(table, entries, values):
+                    if target in targets:
+                        raise table.fault(f"two parameters are mapped to {target}; drop one")
+                    targets.add(target)
+                    yield table, target, value
+
+
+def _content(
+    document: Document, element: ET.Element, where: str, inline: str | None, kind: str
+) -> Iterator[tuple[Document, ET.Element]]:
+    """Yield the set or the mapping that an element has or refers to."""
+    if element.get("type", kind) != kind:
+        raise document.fault(f"{where} is of type {element.get('type')}, not {kind}")
+    if element.get("sourceBase", "SSD") != "SSD":
+        raise document.fault(f'{where} has sourceBase="{element.get("sourceBase")}"; give SSD')
+    root = "ParameterSet" if kind == _SET else "ParameterMapping"
+    source = element.get("source")
+    if source is not None:
+        found = document.package.document(document.find(source)[0], root)
+        yield found, found.root
+        return
+    for holder in [element] if inline is None else element.iterfind(inline):
+        yield from ((document, chosen) for chosen in holder.iterfind(root))
+
+
+def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, Value]]:
+    for parameter in chosen.iterfind("Parameters/Parameter"):
+        name = parameter.get("name", "")
+        for element in parameter:
+            if element.tag == "Annotations":
+                continue
+            if element.tag == "Dimension":
+                raise document.fault(f"{name} is an array; only numbers can be set here")
+            number = _number(document, name, element)
+            yield name, Value(number, element.get("unit"))
+
+
+def _number(document: Document, name: str, element: ET.Element) -> float:
+    text = element.get("value", "")
+    if element.tag in _REALS:
+        return real(document, name, text)
+    if element.tag in _INTEGERS and _INTEGER.fullmatch(text.strip()):
+        return float(int(text)) if len(text) < 100 else real(document, name, "")
+    if element.tag == "Boolean" and text.strip() in _TRUTH:
+        return _TRUTH[text.strip()]
+    raise document.fault(
+        f"{name} = {text!r} ({element.tag}) is no number; only numbers can be set here"
+    )
+
+
+def _mapped(
+    document: Document, mapping: ET.Element, values: Mapping[str, Value]
+) -> Iterator[tuple[str, Value]]:
+    for entry in mapping.iterfind("MappingEntry"):
+        source, target = entry.get("source", ""), entry.get("target", "")
+        if source not in values:  # one mapping may serve several sets
+            continue
+        where = f"the mapping of {source} to {target}"
+        if not target:
+            raise document.fault(f"a mapping of {source} has no target; name one")
+        if entry.find("EnumerationMappingTransformation") is not None:
+            raise document.fault(f"{where} maps enumerations, which cannot be read here")
+        value = values[source]
+        if value.unit is not None and truth(
+            document, f"suppressUnitConversion of {where}", entry.get("suppressUnitConversion")
+        ):
+            value = replace(value, keeps_unit=True)
+        factor, offset = linear(document, where, entry)
+        number = _looked_up(document, where, entry, value.number)
+        yield target, replace(value, number=number, factor=factor, offset=offset)
+
+
+def _looked_up(document: Document, where: str, entry: ET.Element, number: float) -> float:
+    """Return what a table of a mapping gives for a number; the number where it has no row."""
+    for kind in _TABLES:
+        for row in entry.iterfind(f"{kind}/MapEntry"):
+            pair = [_TRUTH.get(row.get(end, ""), row.get(end, "")) for end in ("source", "target")]
+            source, target = (real(document, f"an entry of {where}", str(text)) for text in pair)
+            if source == number:
+                return target
+    return number
