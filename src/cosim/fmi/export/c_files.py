@@ -6,10 +6,10 @@ from math import inf
 import casadi as ca
 
 from casadi_models.dae.invariants import SINGULAR_CONDITION
+from cosim.codegen.fmu.equations import generated_code
+from cosim.codegen.fmu.solver import most_trials
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import UsageError
-from cosim.fmi.export.co_simulation import most_trials
-from cosim.fmi.export.equations import generated_code
 from cosim.fmi.export.events import LEAST_STEPS, event_sizes, event_tables, literal
 from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role

@@ -7,8 +7,8 @@ from enum import StrEnum
 from typing import TypedDict
 
 from casadi_models.dae import Dae
+from cosim.codegen.fmu.solver import FIXED_STEPS
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
-from cosim.fmi.export.co_simulation import FIXED_STEPS
 from cosim.fmi.export.dialect import DIALECTS
 from cosim.fmi.platforms import NATIVE
 from cosim.model.values import number

@@ -11,7 +11,8 @@ import casadi as ca
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import runtime_sources, solver_sources
-from cosim.fmi.export.co_simulation import FIXED_STEPS, solver_for, uses_dop853
+from cosim.codegen.fmu.equations import embedded_sources, has_rank, model_functions
+from cosim.codegen.fmu.solver import FIXED_STEPS, solver_for, uses_dop853
 from cosim.fmi.export.dependencies import (
     Dependencies,
     structural_dependencies,
@@ -19,7 +20,6 @@ from cosim.fmi.export.dependencies import (
     without_modes,
 )
 from cosim.fmi.export.dialect import DIALECTS, Dialect
-from cosim.fmi.export.equations import embedded_sources, has_rank, model_functions
 from cosim.fmi.export.events import fmu_events
 from cosim.fmi.export.options import FmuOptions, NameStyle
 from cosim.fmi.export.variables import FmuVariable, fmu_variables, structured, with_margins

@@ -9,8 +9,8 @@ import pytest
 
 import cosim
 from cosim.codegen import functions as directional_jacobian
-from cosim.fmi.export import equations
-from cosim.fmi.export.equations import generated_code, model_functions, solver_step
+from cosim.codegen.fmu import equations
+from cosim.codegen.fmu.equations import generated_code, model_functions, solver_step
 
 
 @pytest.mark.parametrize("loop", [False, True])

@@ -13,12 +13,12 @@ from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import patched
+from cosim.codegen.fmu.derivatives import argument_like, sensitivity_functions
+from cosim.codegen.fmu.solver import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.hybrid_laws import law_functions
 from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
 from cosim.codegen.runge_kutta.tableau import Tableau
-from cosim.fmi.export.co_simulation import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
-from cosim.fmi.export.derivatives import argument_like, sensitivity_functions
 from cosim.memo import cached_per_thread
 
 LARGEST_SHARE = 5.0  # operations of the detector relative to those of the equations
