@@ -39,6 +39,9 @@ class Plan:
         variables: All variables; the position of each is its value reference.
         depends: Structural dependencies of the unknowns.
         solver: Name of the solver for co-simulation.
+        dop853: Whether this is the runtime's own solver.
+        step_size: Longest step of a solver with fixed steps, s; None for other solvers.
+        detects_singularity: Whether it detects singular configurations.
         functions: The CasADi functions that the runtime calls.
         embedded: C code of the external functions that the model calls, by file name.
     """
@@ -50,6 +53,9 @@ class Plan:
     variables: tuple[FmuVariable, ...]
     depends: Dependencies
     solver: str
+    dop853: bool
+    step_size: float | None
+    detects_singularity: bool
     functions: tuple[ca.Function, ...]
     embedded: Mapping[str, str]
 
@@ -57,22 +63,6 @@ class Plan:
     def dialect(self) -> Dialect:
         """What its version of FMI writes differently."""
         return DIALECTS[self.options.fmi]
-
-    @property
-    def dop853(self) -> bool:
-        """Whether it contains the runtime's own solver."""
-        return uses_dop853(self.dae, self.solver)
-
-    @property
-    def step_size(self) -> float | None:
-        """Longest step of a solver with fixed steps, s; None for other solvers."""
-        fixed = self.options.step_size or self.dae.experiment.output_interval
-        return fixed if self.solver in FIXED_STEPS else None
-
-    @property
-    def detects_singularity(self) -> bool:
-        """Whether it detects singular configurations."""
-        return has_rank(self.dae)
 
     @property
     def modes(self) -> int:
@@ -179,7 +169,20 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     depends = structural_dependencies(dae)
     if system is not None:
         depends = without_modes(depends, system)
-    functions = model_functions(
-        dae, system, derivatives=options.derivatives, adjoint=options.fmi == 3
+    step_size = options.step_size or dae.experiment.output_interval
+    return Plan(
+        options=options,
+        name=name,
+        dae=dae,
+        system=system,
+        variables=variables,
+        depends=depends,
+        solver=solver,
+        dop853=uses_dop853(dae, solver),
+        step_size=step_size if solver in FIXED_STEPS else None,
+        detects_singularity=has_rank(dae),
+        functions=model_functions(
+            dae, system, derivatives=options.derivatives, adjoint=options.fmi == 3
+        ),
+        embedded=embedded,
     )
-    return Plan(options, name, dae, system, variables, depends, solver, functions, embedded)
