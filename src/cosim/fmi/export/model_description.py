@@ -250,35 +250,79 @@ def model_structure(
     """Return outputs, derivatives, initial unknowns and event indicators with their dependencies.
 
     Args:
+        variables: All variables by value reference.
+        depends: Their structural dependencies.
+        dialect: Version of FMI.
         indicators: Number of outputs at the end of the list that are event indicators.
     """
-    positions = {role: [i for i, v in enumerate(variables) if v.role is role] for role in Role}
-    time, states = positions[Role.TIME], positions[Role.STATE]
-    inputs, parameters = positions[Role.INPUT], positions[Role.PARAMETER]
-    computed = [*positions[Role.DERIVATIVE], *positions[Role.ALGEBRAIC], *positions[Role.OUTPUT]]
-    knowns = [*time, *states, *inputs, *parameters]
+    outputs = _references(variables, Role.OUTPUT)
+    margins = outputs[len(outputs) - indicators :]
+    observed = [i for i, v in enumerate(variables) if v.observed]
+    running, initial = _needs(variables, depends, dialect, margins)
+    sections = (
+        (observed, running),
+        (_references(variables, Role.DERIVATIVE), running),
+        (_unknown_at_start(variables), initial),
+        (margins, running),
+    )
+    whole = ET.Element("ModelStructure")
+    for tag, (unknowns, needs) in zip(dialect.sections, sections, strict=False):
+        parent = ET.SubElement(whole, tag) if dialect.unknown and unknowns else whole
+        for i in unknowns:
+            others = " ".join(str(dialect.first + k) for k in needs[i])
+            own = {dialect.reference: str(dialect.first + i), "dependencies": others}
+            ET.SubElement(parent, dialect.unknown or tag, own)
+    return whole
+
+
+def _references(variables: Sequence[FmuVariable], role: Role) -> list[int]:
+    return [i for i, variable in enumerate(variables) if variable.role is role]
+
+
+def _unknown_at_start(variables: Sequence[FmuVariable]) -> list[int]:
+    """Return the derivatives, and the states and outputs whose start values are not exact."""
+    return [
+        i
+        for i, variable in enumerate(variables)
+        if variable.role is Role.DERIVATIVE or _is_initial_unknown(variable)
+    ]
+
+
+def _is_initial_unknown(variable: FmuVariable) -> bool:
+    shown = variable.observed or variable.role is Role.STATE
+    return shown and variable.start_kind is not Start.EXACT
+
+
+def _needs(
+    variables: Sequence[FmuVariable],
+    depends: Dependencies,
+    dialect: Dialect,
+    margins: Sequence[int],
+) -> tuple[Needs, Needs]:
+    """Return the dependencies during a run and at its start."""
+    states = _references(variables, Role.STATE)
+    parameters = _references(variables, Role.PARAMETER)
+    computed = [
+        i
+        for role in (Role.DERIVATIVE, Role.ALGEBRAIC, Role.OUTPUT)
+        for i in _references(variables, role)
+    ]
+    knowns = [
+        *_references(variables, Role.TIME),
+        *states,
+        *_references(variables, Role.INPUT),
+        *parameters,
+    ]
     running = _lists(computed, depends.running, knowns)
     if not dialect.fixed_are_knowns:
         fixed = {i for i in parameters if not variables[i].tunable}
         running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
     running |= {i: (i,) for i in states}
     initial = _lists([*states, *computed], depends.initial, knowns)
-    observed = [i for i, v in enumerate(variables) if v.observed]
-    unknown = {i for i in (*observed, *states) if variables[i].start_kind is not Start.EXACT}
-    unknown |= set(positions[Role.DERIVATIVE])
-    margins = positions[Role.OUTPUT][len(positions[Role.OUTPUT]) - indicators :]
-    for i in positions[Role.VALIDITY]:
-        running[i] = tuple(sorted({k for margin in margins for k in running[margin]}))
-        initial[i] = tuple(sorted({k for margin in margins for k in initial[margin]}))
-    groups = observed, positions[Role.DERIVATIVE], unknown, margins
-    lists, whole = (running, running, initial, running), ET.Element("ModelStructure")
-    for tag, members, needs in zip(dialect.sections, groups, lists, strict=False):
-        parent = ET.SubElement(whole, tag) if dialect.unknown and members else whole
-        for i in sorted(members):
-            others = " ".join(str(dialect.first + k) for k in needs[i])
-            own = {dialect.reference: str(dialect.first + i), "dependencies": others}
-            ET.SubElement(parent, dialect.unknown or tag, own)
-    return whole
+    for needs in (running, initial):
+        whole = tuple(sorted({k for margin in margins for k in needs[margin]}))
+        needs |= dict.fromkeys(_references(variables, Role.VALIDITY), whole)
+    return running, initial
 
 
 def _lists(rows: Sequence[int], pattern: Pattern, columns: Sequence[int]) -> Needs:
