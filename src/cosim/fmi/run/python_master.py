@@ -140,12 +140,7 @@ def _model_exchange(
                 step_event, ends = instance.completedIntegratorStep()
                 happens |= step_event
             if happens and not ends:
-                instance.enterEventMode()
-                clock.pass_event(time)
-                ends, next_event = update_discrete_states(instance, description)
-                if not ends:
-                    instance.enterContinuousTimeMode()
-                    solver.reset(time)
+                ends, next_event = _pass_event(instance, request, clock, solver, time)
             if ends and not isclose(time, request.stop):
                 stats = _ended(time, recorder)
             elif goal == target and isclose(time, target):
@@ -154,6 +149,23 @@ def _model_exchange(
         if stats:
             break
     return {**stats, "rhs_calls": solver.rhs_calls, **_note(solver.many_steps)}
+
+
+def _pass_event(
+    instance: Any, request: FmuRequest, clock: "_Clock", solver: Any, time: float
+) -> tuple[bool, float]:
+    """Let an FMU handle an event.
+
+    Returns:
+        Whether it ends the run, and the time of its next event, s.
+    """
+    instance.enterEventMode()
+    clock.pass_event(time)
+    ends, next_event = update_discrete_states(instance, request.description)
+    if not ends:
+        instance.enterContinuousTimeMode()
+        solver.reset(time)
+    return ends, next_event
 
 
 def _note(many_steps: tuple[float, float] | None) -> dict[str, str]:
