@@ -1,7 +1,7 @@
 """Errors of the examples and of IDAS with and without algebraic unknowns in its error control.
 
 python benchmarks/examples.py           prints the tables
-python benchmarks/examples.py --write   puts them into docs/examples.md and docs/benchmarks_solvers.md
+python benchmarks/examples.py --write   puts them into docs: examples.md, benchmarks_solvers.md
 """
 
 import re
