@@ -1,7 +1,8 @@
 """Plain words: no private term of this project in what users and readers of the code see.
 
 The table gives for each term what to write instead. Text, identifiers and string literals of
-README, docs and both packages are searched; parts of an identifier count as words.
+README, changelog, docs, and the Python, C, JavaScript, CSS, HTML and TOML files of the product are
+searched; parts of an identifier count as words.
 """
 
 import re
@@ -36,12 +37,18 @@ INSTEAD = {
 # End of a path and part of a line (lower case), with the reason why the word is right there
 ALLOWED: dict[tuple[str, str], str] = {
     ("docs/examples.md", "bumpy road"): "the road under a car",
+    (".js", "promise"): "a class of JavaScript",
 }
+LANGUAGES = {".py", ".c", ".h", ".js", ".css", ".html", ".toml"}
 FILES = [
-    ROOT / "README.md",
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "pyproject.toml")),
     *sorted((ROOT / "docs").glob("*.md")),
-    *sorted((ROOT / "src" / "cosim").rglob("*.py")),
-    *sorted((ROOT / "casadi_models").rglob("*.py")),
+    *(
+        path
+        for folder in ("src/cosim", "casadi_models", "fmu")
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in LANGUAGES
+    ),
 ]
 # Letters bound a word, underscores do not: `_told` and `told_by` are found, `untold` is not
 PATTERNS = {

@@ -1,4 +1,4 @@
-"""Motion of the bicycle as two gyrostats: velocities, rolling, heights, inertia, loads.
+"""Motion of the bicycle as two gyrostats: velocities, rolling, heights, inertia.
 
 Each wheel forms a gyrostat with the body that carries it: A with B, D with C. Axes of resolution:
 
@@ -14,6 +14,7 @@ import casadi as ca
 from casadi import SX, cos, sin
 
 from casadi_models.bicycle.declaration import Bicycle, Body, Torques
+from casadi_models.bicycle.loads import Carried, loads
 from casadi_models.mechanics import kane, rotations
 
 
@@ -61,7 +62,7 @@ def motion(bike: Bicycle, torques: Torques, q: SX, u: SX) -> Motion:
         u: Their rates, rad/s.
     """
     phi, _, delta, psi, _, _ = ca.vertsplit(q)
-    phi_dot, thetaR_dot, delta_dot, _, theta_dot, thetaF_dot = ca.vertsplit(u)
+    _, thetaR_dot, delta_dot, _, theta_dot, thetaF_dot = ca.vertsplit(u)
 
     # Constants, turned into E once; S is the point of the steering axis nearest to the axle
     B_to_E = rotations.about(2, bike.tilt).T
@@ -108,12 +109,12 @@ def motion(bike: Bicycle, torques: Torques, q: SX, u: SX) -> Motion:
                 *kane.gyrostat(*rear[:2], v_rear, frame.omega, spins[0], axes[0], thetaR_dot),
                 *kane.gyrostat(*front[:2], v_front, omega, spins[1], axes[1], thetaF_dot),
             ),
-            loads=(
-                kane.Load(v_rear, rear.mass * bike.g * down_E),
-                kane.Load(v_front, front.mass * bike.g * down),
-                kane.Load(delta_dot, torques.steer),
-                kane.Load(phi_dot, torques.roll),
-                kane.Load(thetaR_dot, torques.rear_wheel),
+            loads=loads(
+                bike.g,
+                torques,
+                u,
+                Carried(rear.mass, v_rear, down_E),
+                Carried(front.mass, v_front, down),
             ),
         ),
         slip=slip,

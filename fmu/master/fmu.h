@@ -1,4 +1,4 @@
-/* An FMU of version 2 or 3 as the functions of its library, called alike; what it answered last. */
+/* An FMU of version 2 or 3 behind one set of functions; its last status. */
 #ifndef FMU_H
 #define FMU_H
 

@@ -22,7 +22,7 @@ typedef struct {
     long long n_parts, inputs, outputs; /* connected ones of all parts, part after part */
     const long long *source;            /* of each input: the output that drives it */
     const double *factor, *offset;      /* input = factor output + offset */
-    const long long *feeds;             /* (outputs, inputs): whether it is felt at once */
+    const long long *feeds;             /* (outputs, inputs): whether there is feedthrough */
     double *u;                          /* inputs at the start: a guess, then their values */
     double *scale;                      /* sizes of the inputs */
     const long long *grows;             /* whether a scale is the largest value so far */
@@ -114,10 +114,10 @@ static inline int find_gain(Coupling *self, const double *u) {
         const long long output = part->first_output;
         for (long long i = 0; i < part->inputs; ++i) {
             const long long input = part->first_input + i;
-            int felt = 0;
+            int direct = 0;
             for (long long k = 0; k < part->outputs; ++k)
-                felt |= system->feeds[(output + k) * m + input] != 0;
-            if (!felt) continue;
+                direct |= system->feeds[(output + k) * m + input] != 0;
+            if (!direct) continue;
             const int known = part->directional && !part_column(&self->fmu, part, i, self->column);
             if (part->directional && !known && !is_discarded(&self->fmu)) return give_up(self, p);
             if (!known) {

@@ -9,15 +9,16 @@
 #if HAS_RANK
 INSIDE_BEGIN
 
-/* Distance of the constraints from losing rank where the arguments of the equations are already
-   passed, 1 at best; 0 where it has no number. Its rate is wanted where `rate` is not NULL. */
+/* Distance of the constraints from a singular configuration where the arguments of the equations
+   are already passed, 1 at best; 0 where it has no number. Its rate is wanted where `rate` is not
+   NULL. */
 double rank_at(Instance *self, double *rate);
 
 /* Move the states of a time to where the constraints hold; false where that cannot be done. */
 bool restore(Instance *self, double t, const double u[], double x[]);
 
 /* Begin to watch; note an evaluation; look back over a step that is completed, and return `status`
-   where the constraints have lost rank on the way. Derivatives must be fresh. */
+   where there was a singular configuration on the way. Derivatives must be fresh. */
 void begin_watch(Instance *self);
 void note_rank(Instance *self);
 Status watch_rank(Instance *self, Status status);

@@ -70,7 +70,7 @@ enum { WATCHED = sizeof watched_signals / sizeof *watched_signals };
 static Handling handling_before[WATCHED];
 static int taken_over[WATCHED];
 
-/* Lets the signals that somebody handles end the runs that follow. */
+/* Lets handled signals end the runs that follow. */
 SHARED void cosim_watch(void) {
     for (int i = 0; i < WATCHED; ++i) {
         taken_over[i] = take_over(watched_signals[i], &handling_before[i]);

@@ -10,8 +10,8 @@ from casadi import SX
 import casadi_models
 import cosim
 from cosim.codegen import functions as directional_jacobian
+from cosim.codegen.fmu.derivatives import directional_function, jacobian_function
 from cosim.codegen.functions import driven_equations, equations, has_long_jacobian, is_large
-from cosim.fmi.export.derivatives import directional_function, jacobian_function
 from cosim.integrate.preparation import LARGE
 
 MODELS = ("bicycle/independent", "bicycle/multipliers", "double_pendulum/multipliers")

@@ -13,7 +13,8 @@ from helpers.samples import sampled
 import casadi_models
 import cosim
 from cosim.fmi.check.check import check_fmu
-from cosim.fmi.export.package import FmuOptions, source_files, zipped
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files, zipped
 
 EVERY = pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 TIGHT = 1e-10  # relative tolerance of all solvers

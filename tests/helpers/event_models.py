@@ -7,7 +7,8 @@ from helpers.toy import GUID
 
 import cosim
 from casadi_models.dae import Dae, Model
-from cosim.fmi.export.package import FmuOptions, source_files
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files
 
 G, RESTITUTION, RATE = 9.81, 0.7, 4.0
 FIXED = ("ode8", "rk4")

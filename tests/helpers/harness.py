@@ -24,7 +24,7 @@ from typing import Any
 import fmpy
 from helpers import event_models, toy
 
-from cosim.fmi.export.co_simulation import LOOK_STEPS
+from cosim.codegen.fmu.solver import LOOK_STEPS
 
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
 SOLVERS = RUNTIME.parent / "solvers"

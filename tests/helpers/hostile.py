@@ -11,7 +11,8 @@ from helpers.fmu_files import rewritten
 from helpers.small_models import decay
 
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import FmuOptions, source_files, zipped
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files, zipped
 from cosim.fmi.platforms import targets
 
 FAULT = "resources/fault.txt"

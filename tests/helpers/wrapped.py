@@ -9,7 +9,8 @@ from helpers.small_models import decay
 
 from casadi_models.dae import Dae
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.package import FmuOptions, source_files, zipped
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files, zipped
 from cosim.fmi.platforms import targets
 
 SIGNATURES = {

@@ -10,7 +10,8 @@ from helpers import harness
 from helpers.harness import DISCARD, INCLUDES, OK, RUNTIME, run
 
 from casadi_models.dae import Model
-from cosim.fmi.export.package import FmuOptions, source_files
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files
 
 SINES = 100  # in a right-hand side
 # of it; measured 57,000, 540,000 and 184,000; with 20,000, 10,000 and 4000 steps in any model's

@@ -17,7 +17,7 @@ from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.series.csv_file import read_samples
 from cosim.series.samples import Column
 
-_SAME_TIME = 1e-12  # of a time
+SAME_TIME = 1e-12  # relative distance of times that differ by rounding only
 _SHORT = 0.1  # of the middle length of the intervals between samples
 
 
@@ -122,7 +122,7 @@ class InputSeries:
 
     def gaps(self, begin: float, end: float) -> str:
         """Describe which inputs have no samples in a part of a run; an empty text if none."""
-        slack = _SAME_TIME * max(abs(begin), abs(end))
+        slack = SAME_TIME * max(abs(begin), abs(end))
         found = list[str]()
         for name in self.names:
             first, last = self.spans.get(name, (self.time[0], self.time[-1]))
@@ -168,12 +168,8 @@ class InputSeries:
         """
         if not self.jumps.size:
             return self
-        time, jumping = self.time.copy(), np.isin(self.time, self.jumps)
-        after = np.clip(np.searchsorted(times, time), 0, len(times) - 1)
-        for near in (times[after], times[np.maximum(after - 1, 0)]):
-            same = jumping & (np.abs(near - time) <= _SAME_TIME * np.abs(near))
-            time[same] = near[same]
-        return replace(self, time=time)
+        jumping = np.isin(self.time, self.jumps)
+        return replace(self, time=np.where(jumping, moved_to(times, self.time), self.time))
 
     def with_rates(self, rates: Mapping[str, str]) -> "InputSeries":
         """Return the series with the time derivatives of some inputs, which jump at the samples.
@@ -231,6 +227,21 @@ class FollowedInputs(InputSeries):
         for name, law in self.laws.items():
             rows[self.names.index(name)] = law(at)
         return rows
+
+
+def moved_to(grid: Vector, times: Vector) -> Vector:
+    """Return times, of which those that miss a time of a grid by rounding are moved there.
+
+    Args:
+        grid: s, increasing, (n,), n > 0.
+        times: s, (m,).
+    """
+    moved = times.copy()
+    after = np.clip(np.searchsorted(grid, times), 0, len(grid) - 1)
+    for near in (grid[after], grid[np.maximum(after - 1, 0)]):
+        same = np.abs(near - times) <= SAME_TIME * np.abs(near)
+        moved[same] = near[same]
+    return moved
 
 
 def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSeries:

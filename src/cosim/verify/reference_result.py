@@ -23,11 +23,12 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.backend import FMU_BACKENDS
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.fmu.solver import ROSENBROCK, solver_for
 from cosim.errors import CosimError, FmuError, SolverError, UsageError
 from cosim.files import reject_unwritable, write_atomically
 from cosim.fmi.archive import DESCRIPTION, entry_content, flat_names, opened
-from cosim.fmi.export.co_simulation import ROSENBROCK, solver_for
-from cosim.fmi.export.package import FmuKeywords, export_fmu, zipped
+from cosim.fmi.export.options import FmuKeywords
+from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.platforms import NATIVE
 from cosim.fmi.run.isolated import simulate_apart
 from cosim.fmi.run.simulate import simulate_fmu

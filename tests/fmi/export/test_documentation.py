@@ -9,7 +9,8 @@ import pytest
 
 import cosim
 from cosim.fmi.export.documentation import formulas
-from cosim.fmi.export.package import FmuOptions, source_files
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files
 
 BAR = "bar_on_frame/reduced"
 

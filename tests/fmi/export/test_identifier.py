@@ -3,7 +3,7 @@
 import pytest
 
 from cosim.errors import ExportError
-from cosim.fmi.export.package import model_identifier
+from cosim.fmi.export.options import model_identifier
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from casadi_models.dae import Dae, Model, Start
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.check.parsed import Description, parse
 from cosim.fmi.export.dependencies import fixed_parameters, tunable_parameters
-from cosim.fmi.export.package import FmuOptions, source_files
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files
 
 
 def described(dae: Dae, fmi: int = 2) -> Description:

@@ -18,7 +18,7 @@ from helpers.small_models import decay, table
 import cosim
 from cosim.errors import ExportError, MissingTool, ParameterError, UnknownName, UsageError
 from cosim.fmi.check.check import check_fmu
-from cosim.fmi.export import package
+from cosim.fmi.export import c_files
 
 OLD = b"what was here before"
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -131,7 +131,7 @@ def test_model_may_be_called_model(tmp_path):
 def test_unknown_form_of_generated_code_is_rejected(target, monkeypatch):
     """Of another CasADi, whose functions would not be found and headed."""
     code = "static int f0(const double** arg) { return 0; }\n"
-    monkeypatch.setattr(package, "equations_code", lambda *_, **_options: code)
+    monkeypatch.setattr(c_files, "generated_code", lambda *_, **_options: code)
     with pytest.raises(UsageError, match="names generated functions differently; use casadi"):
         cosim.export_fmu(decay(), target)
     assert_untouched(target)

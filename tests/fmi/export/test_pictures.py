@@ -9,8 +9,8 @@ from PIL import Image
 import cosim
 from cosim.drawing.diagram import diagram, icon
 from cosim.drawing.pose import start_pose
-from cosim.fmi.export import package as module
-from cosim.fmi.export.package import pictures
+from cosim.fmi.export import documentation as module
+from cosim.fmi.export.documentation import pictures
 
 BAR = "bar_on_frame/reduced"
 

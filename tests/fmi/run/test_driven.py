@@ -139,6 +139,37 @@ def test_jumps_of_a_law_are_met_within_a_step(integrator, interface, law):
     assert run.final["x"] == pytest.approx(exact, abs=1e-9)
 
 
+def pulse(begin, length, height):
+    time = [0, begin, begin, begin + length, begin + length, 4000]
+    return cosim.InputSeries(("u",), time, [[0], [0], [height], [height], [0], [0]])
+
+
+@pytest.mark.parametrize("interface", KINDS)
+@pytest.mark.parametrize(
+    ("inputs", "expected"),
+    [
+        ({"u": "where(t > 1000.005, 1000, 0)"}, 1995),
+        ({"u": "where(t > 999.995, 1000, 0)"}, 2005),
+        ({"u": "where(t > 1000, 1000, 0)"}, 2000),
+        ({"u": "where(t > 1002, 1000, 0)"}, 0),
+        (pulse(1000 - 5e-7, 2000, 1e3), 2000.0005),
+        (pulse(np.nextafter(1000, 0), 2000, 1e3), 2000),
+        (pulse(np.nextafter(1000, 2000), 2000, 1e3), 2000),
+        (pulse(1000.5, 5e-7, 2e6), 1),
+        (pulse(1000, 5e-7, 2e6), 1),
+        (pulse(1000 - 1e-8, 1e-8, 1e8), 1),
+    ],
+)
+def test_jumps_near_an_output_time_and_near_each_other_happen_in_time(
+    integrator, interface, inputs, expected, capfd
+):
+    options = {"output_interval": 1.0, "stop_time": 1002, "relative_tolerance": 1e-9}
+    run = cosim.simulate_fmu(integrator, interface=interface, inputs=inputs, **options)
+    assert run.final["x"] == pytest.approx(expected, rel=2e-6, abs=1e-9)  # measured 1e-6, of 1e-8 s
+    np.testing.assert_array_equal(run.time, np.arange(1003))
+    assert tuple(capfd.readouterr()) == ("", "")
+
+
 def test_function_of_an_input_that_fails_where_fmi_3_asks_is_an_error(lag):
     if lag[0] == 2:
         pytest.skip("FMI 2.0 does not ask")

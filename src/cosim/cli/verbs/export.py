@@ -8,7 +8,7 @@ from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import note
 from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
-from cosim.fmi.export.package import FmuKeywords
+from cosim.fmi.export.options import FmuKeywords
 from cosim.verify.reference_result import export_with_reference
 
 

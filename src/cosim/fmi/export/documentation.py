@@ -1,6 +1,6 @@
-"""`documentation/index.html` of an FMU: description, variables and equations of its model."""
+"""Documentation of an FMU: the page `documentation/index.html`, diagram and icon of its model."""
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
@@ -10,10 +10,22 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from casadi_models.dae.expressions import operation_count
+from cosim.drawing.diagram import diagram, icon
+from cosim.drawing.pose import start_pose
+from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.memo import cached_per_thread
 
 LONGEST_FORMULA = 120  # characters of an expression that the page shows
+DIAGRAM = "documentation/diagram.png"
+ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
+
+
+@cached_per_thread(8)
+def pictures(dae: Dae, fmi: int) -> Mapping[str, bytes]:
+    """Return diagram and icon, at the start values, by their paths; none without shapes."""
+    pose = start_pose(dae)
+    return {} if pose is None else {DIAGRAM: diagram(pose), ICONS[fmi]: icon(pose)}
 
 
 @cached_per_thread(8)
@@ -60,15 +72,9 @@ hand.</figcaption></figure>
 """
 
 
-def documentation_page(
-    dae: Dae,
-    variables: Sequence[FmuVariable],
-    solver: str,
-    tolerance: float,
-    *,
-    pictured: bool,
-) -> str:
+def documentation_page(plan: Plan, *, pictured: bool) -> str:
     """Return `documentation/index.html`: description, variables and equations of a model."""
+    dae, variables = plan.dae, plan.variables
     page = Template(Path(__file__).with_name("documentation.html").read_text(encoding="utf-8"))
     sections = (
         _section(heading, [v for v in variables if v.role is role])
@@ -81,8 +87,8 @@ def documentation_page(
         name=escape(dae.full_name),
         description=escape(dae.description),
         source=escape(dae.source),
-        solver=escape(solver),
-        tolerance=f"{tolerance:g}",
+        solver=escape(plan.solver),
+        tolerance=f"{plan.options.tolerance:g}",
         limits=limits and f"<p>The model holds while</p>\n<ul>\n{limits}</ul>\n",
         diagram=_FIGURE if pictured else "",
         sections="".join(sections),

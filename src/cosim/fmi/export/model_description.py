@@ -1,72 +1,39 @@
 """modelDescription.xml and buildDescription.xml of FMI 2.0 and 3.0."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from importlib.metadata import version
 from math import inf, isfinite
 from xml.etree import ElementTree as ET
 
-from casadi_models.dae import Dae, Start
+from casadi_models.dae import Start
 from casadi_models.units import UNITS
 from cosim.fmi.archive import TOOL
 from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
+from cosim.fmi.export.options import ABOUT
+from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
 from cosim.model.reduction import Pattern
 
 _FAR = 1e9
 
 
-@dataclass(frozen=True)
-class Identity:
-    """Facts about an FMU as a whole.
-
-    Attributes:
-        identifier, guid, tool, tolerance: C identifier, GUID, exporting tool, relative tolerance.
-        sources: Names of the files to compile.
-        adjoint: Whether the FMU declares adjoint derivatives (FMI 3.0).
-        derivatives: Whether it has directional derivatives, and output derivatives.
-        step_size: Of a solver with fixed steps, s.
-        about: Author, license and generationDateAndTime, if given.
-        indicators: Number of event indicators.
-        watches_steps: Whether the FMU needs a call after every step in model exchange.
-        event_mode: Whether co-simulation of FMI 3.0 can leave events to the importer.
-    """
-
-    identifier: str
-    guid: str
-    tool: str
-    sources: tuple[str, ...]
-    tolerance: float
-    adjoint: bool = False
-    derivatives: bool = True
-    step_size: float | None = None
-    about: Mapping[str, str] = field(default_factory=dict)
-    indicators: int = 0
-    watches_steps: bool = False
-    event_mode: bool = False
-
-
-def model_description(
-    dae: Dae,
-    identity: Identity,
-    variables: Sequence[FmuVariable],
-    depends: Dependencies,
-    dialect: Dialect,
-) -> bytes:
+def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
     """Return the content of `modelDescription.xml`."""
+    dae, variables, dialect = plan.dae, plan.variables, plan.dialect
     common = {
-        "modelName": identity.identifier,
+        "modelName": plan.name,
         "description": dae.description,
         "version": "1",
-        **identity.about,
-        "generationTool": identity.tool,
+        **{ABOUT[key]: text for key, text in (plan.options.about or {}).items()},
+        "generationTool": f"cosim-rigid {version('cosim-rigid')}",
         "variableNamingConvention": "structured",
     }
-    own = {"fmiVersion": dialect.version, dialect.token: identity.guid}
+    own = {"fmiVersion": dialect.version, dialect.token: guid}
     if dialect.version == "2.0":
-        own["numberOfEventIndicators"] = str(identity.indicators)
+        own["numberOfEventIndicators"] = str(plan.indicators)
     root = ET.Element("fmiModelDescription", own | common)
-    root.extend(_interfaces(identity, dialect))
+    root.extend(_interfaces(plan, sources))
     root.append(unit_definitions(variables))
     root.append(_type_definitions(variables, dialect))
     categories = ET.SubElement(root, "LogCategories")
@@ -77,13 +44,13 @@ def model_description(
         "DefaultExperiment",
         startTime="0",
         stopTime=shortest(dae.experiment.stop_time),
-        tolerance=shortest(identity.tolerance),
+        tolerance=shortest(plan.options.tolerance),
         stepSize=shortest(dae.experiment.output_interval),
     )
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
         listed.append(_element(reference, variable, dialect))
-    root.append(model_structure(variables, depends, dialect, identity.indicators))
+    root.append(model_structure(variables, plan.depends, dialect, plan.indicators))
     return to_bytes(root)
 
 
@@ -232,40 +199,41 @@ _OF_DERIVATIVES = {
 }
 
 
-def _interfaces(identity: Identity, dialect: Dialect) -> list[ET.Element]:
+def _interfaces(plan: Plan, sources: Sequence[str]) -> list[ET.Element]:
     """Return the elements of model exchange and co-simulation."""
+    dialect = plan.dialect
     second = dialect.version == "2.0"
-    common = {"modelIdentifier": identity.identifier, **dialect.both}
-    if identity.adjoint:
+    common = {"modelIdentifier": plan.name, **dialect.both}
+    if plan.options.adjoint:
         common["providesAdjointDerivatives"] = "true"
     step = "completedIntegratorStepNotNeeded" if second else "needsCompletedIntegratorStep"
-    exchange = {step: str(identity.watches_steps is not second).lower()}
+    exchange = {step: str(plan.watches_steps is not second).lower()}
     elements = [
         ET.Element("ModelExchange", common | exchange),
         ET.Element("CoSimulation", common | dict(dialect.co_simulation)),
     ]
-    if identity.step_size is not None and not second:
-        elements[1].set("fixedInternalStepSize", shortest(identity.step_size))
-    if identity.event_mode and not second:
+    if plan.step_size is not None and not second:
+        elements[1].set("fixedInternalStepSize", shortest(plan.step_size))
+    if plan.modes and not second:
         elements[1].set("hasEventMode", "true")
-    for element in () if identity.derivatives else elements:
+    for element in () if plan.options.derivatives else elements:
         for name in _OF_DERIVATIVES.intersection(element.attrib):
             del element.attrib[name]
     for element in elements if second else ():
         files = ET.SubElement(element, "SourceFiles")
-        for name in identity.sources:
+        for name in sources:
             ET.SubElement(files, "File", name=name)
     return elements
 
 
-def build_description(identity: Identity) -> bytes:
+def build_description(plan: Plan, sources: Sequence[str]) -> bytes:
     """Return the content of `buildDescription.xml`, which FMI 2.0.4 adopts from FMI 3.0 (2.3)."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(
-        root, "BuildConfiguration", modelIdentifier=identity.identifier, description="all platforms"
+        root, "BuildConfiguration", modelIdentifier=plan.name, description="all platforms"
     )
     files = ET.SubElement(configuration, "SourceFileSet", language="C11")
-    for name in identity.sources:
+    for name in sources:
         ET.SubElement(files, "SourceFile", name=name)
     # in the shared library that is compiled from this file, functions have FMI's own names
     ET.SubElement(files, "PreprocessorDefinition", name="FMI3_OVERRIDE_FUNCTION_PREFIX", value="1")
@@ -282,35 +250,79 @@ def model_structure(
     """Return outputs, derivatives, initial unknowns and event indicators with their dependencies.
 
     Args:
+        variables: All variables by value reference.
+        depends: Their structural dependencies.
+        dialect: Version of FMI.
         indicators: Number of outputs at the end of the list that are event indicators.
     """
-    positions = {role: [i for i, v in enumerate(variables) if v.role is role] for role in Role}
-    time, states = positions[Role.TIME], positions[Role.STATE]
-    inputs, parameters = positions[Role.INPUT], positions[Role.PARAMETER]
-    computed = [*positions[Role.DERIVATIVE], *positions[Role.ALGEBRAIC], *positions[Role.OUTPUT]]
-    knowns = [*time, *states, *inputs, *parameters]
+    outputs = _references(variables, Role.OUTPUT)
+    margins = outputs[len(outputs) - indicators :]
+    observed = [i for i, v in enumerate(variables) if v.observed]
+    running, initial = _needs(variables, depends, dialect, margins)
+    sections = (
+        (observed, running),
+        (_references(variables, Role.DERIVATIVE), running),
+        (_unknown_at_start(variables), initial),
+        (margins, running),
+    )
+    whole = ET.Element("ModelStructure")
+    for tag, (unknowns, needs) in zip(dialect.sections, sections, strict=False):
+        parent = ET.SubElement(whole, tag) if dialect.unknown and unknowns else whole
+        for i in unknowns:
+            others = " ".join(str(dialect.first + k) for k in needs[i])
+            own = {dialect.reference: str(dialect.first + i), "dependencies": others}
+            ET.SubElement(parent, dialect.unknown or tag, own)
+    return whole
+
+
+def _references(variables: Sequence[FmuVariable], role: Role) -> list[int]:
+    return [i for i, variable in enumerate(variables) if variable.role is role]
+
+
+def _unknown_at_start(variables: Sequence[FmuVariable]) -> list[int]:
+    """Return the derivatives, and the states and outputs whose start values are not exact."""
+    return [
+        i
+        for i, variable in enumerate(variables)
+        if variable.role is Role.DERIVATIVE or _is_initial_unknown(variable)
+    ]
+
+
+def _is_initial_unknown(variable: FmuVariable) -> bool:
+    shown = variable.observed or variable.role is Role.STATE
+    return shown and variable.start_kind is not Start.EXACT
+
+
+def _needs(
+    variables: Sequence[FmuVariable],
+    depends: Dependencies,
+    dialect: Dialect,
+    margins: Sequence[int],
+) -> tuple[Needs, Needs]:
+    """Return the dependencies during a run and at its start."""
+    states = _references(variables, Role.STATE)
+    parameters = _references(variables, Role.PARAMETER)
+    computed = [
+        i
+        for role in (Role.DERIVATIVE, Role.ALGEBRAIC, Role.OUTPUT)
+        for i in _references(variables, role)
+    ]
+    knowns = [
+        *_references(variables, Role.TIME),
+        *states,
+        *_references(variables, Role.INPUT),
+        *parameters,
+    ]
     running = _lists(computed, depends.running, knowns)
     if not dialect.fixed_are_knowns:
         fixed = {i for i in parameters if not variables[i].tunable}
         running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
     running |= {i: (i,) for i in states}
     initial = _lists([*states, *computed], depends.initial, knowns)
-    observed = [i for i, v in enumerate(variables) if v.observed]
-    unknown = {i for i in (*observed, *states) if variables[i].start_kind is not Start.EXACT}
-    unknown |= set(positions[Role.DERIVATIVE])
-    margins = positions[Role.OUTPUT][len(positions[Role.OUTPUT]) - indicators :]
-    for i in positions[Role.VALIDITY]:
-        running[i] = tuple(sorted({k for margin in margins for k in running[margin]}))
-        initial[i] = tuple(sorted({k for margin in margins for k in initial[margin]}))
-    groups = observed, positions[Role.DERIVATIVE], unknown, margins
-    lists, whole = (running, running, initial, running), ET.Element("ModelStructure")
-    for tag, members, needs in zip(dialect.sections, groups, lists, strict=False):
-        parent = ET.SubElement(whole, tag) if dialect.unknown and members else whole
-        for i in sorted(members):
-            others = " ".join(str(dialect.first + k) for k in needs[i])
-            own = {dialect.reference: str(dialect.first + i), "dependencies": others}
-            ET.SubElement(parent, dialect.unknown or tag, own)
-    return whole
+    for needs in (running, initial):
+        whole = tuple(sorted({k for margin in margins for k in needs[margin]}))
+        needs |= dict.fromkeys(_references(variables, Role.VALIDITY), whole)
+    return running, initial
 
 
 def _lists(rows: Sequence[int], pattern: Pattern, columns: Sequence[int]) -> Needs:

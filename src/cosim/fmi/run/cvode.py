@@ -18,6 +18,9 @@ _STOP = -1  # a callback's result that CVODE takes as an error
 _step_count = sundials_cvode.CVodeGetNumSteps
 _step_count.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_long)]
 _step_count.restype = ctypes.c_int
+_most_warnings = sundials_cvode.CVodeSetMaxHnilWarns
+_most_warnings.argtypes = [ctypes.c_void_p, ctypes.c_int]
+_NONE = -1  # of the warnings that time does not change in a step: intervals of inputs may be short
 
 
 class Cvode(CVodeSolver):  # type: ignore[misc]
@@ -38,6 +41,7 @@ class Cvode(CVodeSolver):  # type: ignore[misc]
         self._interrupts = interrupts
         self._error: Exception | None = None
         super().__init__(maxNumSteps=MOST_STEPS, **settings)
+        _most_warnings(self.cvode_mem, _NONE)
 
     def f(self, *arguments: Any) -> int:
         """Evaluate the derivatives."""

@@ -1,7 +1,8 @@
 """Masters in Python: loops that drive an FMU through fmpy's objects, with the steps of fmpy.
 
 Without inputs, the numbers are those of `fmpy.simulate_fmu` bit for bit. Inputs follow a series
-more closely: in model exchange at every evaluation, in co-simulation piece by piece.
+more closely: in model exchange at every evaluation, in co-simulation piece by piece. A step ends
+at every sample, however close to an output time it is; fmpy moves samples there.
 """
 
 import signal
@@ -28,9 +29,8 @@ from cosim.fmi.run.instance import (
 )
 from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
 from cosim.host.progress import doing
-from cosim.model.inputs import InputSeries
+from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
 
-_SAME_EVENT = 1e-9  # relative distance of two times that are one event, as in fmpy
 _STEPS_OF_A_RUN = 50  # the least number of steps of a run by CVODE, as in fmpy
 
 
@@ -125,35 +125,47 @@ def _model_exchange(
     stats: dict[str, Any] = {}
     for target in targets:
         while not stats:
-            goal, input_event = target, clock.next_event(time)
-            for event in (input_event, next_event):
-                if goal > event and not isclose(goal, event):
-                    goal = event
+            input_event = clock.next_event(time)
+            goal = min(target, input_event)
+            if goal > next_event and not isclose(goal, next_event):
+                goal = next_event
             happens, _, reached = solver.step(time, goal)
             if not reached > time:
                 raise _stopped_early(time, request)
             time = reached
             clock.set(time)
-            happens |= isclose(goal, input_event) or isclose(goal, next_event)
+            happens |= goal == input_event or isclose(goal, next_event)
             ends = False
             if needs_completed_step:
                 step_event, ends = instance.completedIntegratorStep()
                 happens |= step_event
             if happens and not ends:
-                instance.enterEventMode()
-                clock.pass_event(time)
-                ends, next_event = update_discrete_states(instance, description)
-                if not ends:
-                    instance.enterContinuousTimeMode()
-                    solver.reset(time)
+                ends, next_event = _pass_event(instance, request, clock, solver, time)
             if ends and not isclose(time, request.stop):
                 stats = _ended(time, recorder)
-            elif isclose(time, target):
+            elif goal == target and isclose(time, target):
                 recorder.record(time)
                 break
         if stats:
             break
     return {**stats, "rhs_calls": solver.rhs_calls, **_note(solver.many_steps)}
+
+
+def _pass_event(
+    instance: Any, request: FmuRequest, clock: "_Clock", solver: Any, time: float
+) -> tuple[bool, float]:
+    """Let an FMU handle an event.
+
+    Returns:
+        Whether it ends the run, and the time of its next event, s.
+    """
+    instance.enterEventMode()
+    clock.pass_event(time)
+    ends, next_event = update_discrete_states(instance, request.description)
+    if not ends:
+        instance.enterContinuousTimeMode()
+        solver.reset(time)
+    return ends, next_event
 
 
 def _note(many_steps: tuple[float, float] | None) -> dict[str, str]:
@@ -201,7 +213,7 @@ class _Clock:
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         self._set_time, self._series = instance.setTime, request.inputs
         self._set_real, self._references = _setter(instance), request.input_references
-        self._events = [] if self._series is None else np.unique(self._series.time).tolist()
+        self._events = _sample_times(self._series, request).tolist() if self._series else []
         self._piece = self._series and _after(self._series, request.start)
 
     def set(self, time: float) -> None:
@@ -219,8 +231,8 @@ class _Clock:
 
     def next_event(self, time: float) -> float:
         """Return the time of the next sample, s; infinity if there is none."""
-        later = (event for event in self._events if event > time and not isclose(event, time))
-        return next(later, inf)
+        after = time + SAME_TIME * abs(time)
+        return next((event for event in self._events if event > after), inf)
 
     def pass_event(self, time: float) -> None:
         """Follow the piece of the series that begins at an event."""
@@ -294,7 +306,8 @@ def _step_with_inputs(
     in the step; of first order if inputs jump within the step of an FMU whose steps have one size.
     """
     abilities, references = request.description.coSimulation, request.input_references
-    any_step, samples = abilities.canHandleVariableCommunicationStepSize, np.unique(series.time)
+    any_step = abilities.canHandleVariableCommunicationStepSize
+    samples = _sample_times(series, request)
     set_real = _setter(instance)
     set_slopes = getattr(instance, "setRealInputDerivatives", None)
     slopes = set_slopes if abilities.canInterpolateInputs else None
@@ -308,7 +321,6 @@ def _step_with_inputs(
 
     def driven(begin: float, end: float) -> tuple[float, bool]:
         inner = samples[(samples > begin) & (samples < end)] if any_step else samples[:0]
-        inner = inner[~np.isclose(inner, begin) & ~np.isclose(inner, end)]
         reached, ends = begin, False
         for a, b in pairwise([begin, *inner.tolist(), end]):
             piece = series.around((a + b) / 2)
@@ -333,9 +345,14 @@ def _step_with_inputs(
 # -- both -----------------------------------------------------------------------------------------
 
 
+def _sample_times(series: InputSeries, request: FmuRequest) -> Vector:
+    """Return the times of the samples of a series, s; rounding moves none off an output time."""
+    return np.unique(moved_to(request.points, series.time))
+
+
 def _after(series: InputSeries, time: float) -> InputSeries:
     """Return the piece of a series between two jumps that follows a time, s."""
-    return series.around(time + _SAME_EVENT * abs(time))
+    return series.around(time + SAME_TIME * abs(time))
 
 
 def _values(series: InputSeries, time: float) -> list[float]:

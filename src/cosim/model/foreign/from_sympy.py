@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -146,23 +147,81 @@ def from_sympy(
     mappings = (parameters, start_values, units, meanings, nominals, outputs)
     given, starts, *facts, shown = (_by_name(who, mapping) for mapping in mappings)
     values = given | starts
-    mechanics = optional_module("sympy.physics.mechanics", "sympy")
-    t = mechanics.dynamicsymbols._t
-    q, u, dependent, forces = (lists[key] for key in ("q", "u", "dependent", "forces"))
+    laws["outputs"] = _column_of(who, shown)
+    roles = _roles(who, lists, laws, values)
+    symbols = {
+        x: SX.sym(_label(x)) for xs in (*roles.lists.values(), *roles.kinds.values()) for x in xs
+    }
+    named = {
+        kind: tuple(Symbol(_label(x), (1, 1), symbols[x]) for x in xs)
+        for kind, xs in roles.kinds.items()
+    }
+    known = [symbol.name for some in named.values() for symbol in some]
+    for key in given:
+        if key not in known:
+            raise UnknownName.among(who, "parameter", key, known)
+    try:
+        found = _solved(who, method, laws, roles, symbols)
+        names = [*map(_label, [*roles.lists["dependent"], *roles.lists["forces"]]), *shown]
+        rows = ca.vertsplit(ca.vertcat(found.pop("more"), found.pop("outputs")))
+        whole = System(named, found, dict(zip(names, rows, strict=True)))
+        times: dict[str, Any] = {"stop_time": stop_time, "output_interval": output_interval}
+        model = Model(name, description=f"{name}, from SymPy", source="sympy", **times)
+        x, found = declare_system(whole, Facts(who, values, *facts), model)
+        q = roles.lists["q"]
+        positions, speeds = x[: len(q), :], x[len(q) : len(q) + len(roles.speeds), :]
+        guessed = [q.index(position) for position in roles.lists["guessed"]]
+        matrices.constrain(model, positions, speeds, found, guessed, values)
+        return model.freeze()
+    except ValueError as error:
+        raise UsageError(f"from_sympy: {error}") from error
+
+
+def _column_of(who: str, outputs: Mapping[str, Any]) -> Any:
+    """Return the expressions of outputs as a column of SymPy."""
+    sympy = optional_module("sympy", "sympy")
+    for output in outputs.values():
+        if not isinstance(output, sympy.Expr):
+            raise UsageError.of_type(f"{who}: outputs", output, "scalar expressions of SymPy")
+    return sympy.Matrix([*outputs.values()])
+
+
+@dataclass(frozen=True)
+class _Roles:
+    """SymPy's symbols by their roles.
+
+    Attributes:
+        t: The time.
+        lists: The symbols of the method by the names of `_LISTS`, its "rates" dq/dt, and its
+            "unknown" accelerations and multipliers.
+        speeds: The independent speeds.
+        chain: Inputs and their derivatives that are states, as a higher derivative occurs.
+        kinds: The symbols of the DAE: t, x, z, u, p.
+    """
+
+    t: Any
+    lists: Mapping[str, list[Any]]
+    speeds: list[Any]
+    chain: list[Any]
+    kinds: Mapping[str, list[Any]]
+
+
+def _roles(
+    who: str, lists: Mapping[str, list[Any]], laws: Mapping[str, Any], values: Mapping[str, Any]
+) -> _Roles:
+    """Return the roles of all symbols in the laws, of which some have values."""
+    t = optional_module("sympy.physics.mechanics", "sympy").dynamicsymbols._t
+    q, u, dependent = lists["q"], lists["u"], lists["dependent"]
     for x in dependent:
         if _label(x) in values:
             raise UsageError(f"{who}: speed {x} depends on the others; give it no start value")
-    lists["rates"] = [x.diff(t) for x in q]
-    lists["unknown"] = [*(x.diff(t) for x in u), *lists["multipliers"]]
-    own = {t}.union(*lists.values())
-    acting = _others(who, [law for key, law in laws.items() if key != "auxiliary"], own, t)
+    rates = [x.diff(t) for x in q]
+    unknown = [*(x.diff(t) for x in u), *lists["multipliers"]]
+    own = {t, *rates, *unknown}.union(*lists.values())
+    moving = [law for key, law in laws.items() if key not in ("auxiliary", "outputs")]
+    acting = _others(who, moving, own, t)
     loads = _others(who, [laws["auxiliary"]], own, t)
-    forces += [x for x in loads if x not in acting and _label(x) not in values]
-    sympy = optional_module("sympy", "sympy")
-    for output in shown.values():
-        if not isinstance(output, sympy.Expr):
-            raise UsageError.of_type(f"{who}: outputs", output, "scalar expressions of SymPy")
-    laws["outputs"] = sympy.Matrix([*shown.values()])
+    forces = [x for x in loads if x not in acting and _label(x) not in values]
     others = _others(who, laws.values(), {*own, *forces}, t)
     functions = {f: order for f, order in others.items() if not f.is_Symbol}
     chain = [f.diff(t, k) for f, order in functions.items() for k in range(order)]
@@ -170,34 +229,28 @@ def from_sympy(
     kinds = {
         "t": [t],
         "x": [*q, *speeds, *chain],
-        "z": lists["unknown"] if lists["multipliers"] else [],
+        "z": unknown if lists["multipliers"] else [],
         "u": [f.diff(t, order) for f, order in functions.items()],
         "p": [x for x in others if x.is_Symbol],
     }
-    symbols = {x: SX.sym(_label(x)) for some in (*lists.values(), *kinds.values()) for x in some}
+    lists = {**lists, "forces": forces, "rates": rates, "unknown": unknown}
+    return _Roles(t, lists, speeds, chain, kinds)
+
+
+def _solved(
+    who: str, method: Any, laws: Mapping[str, Any], roles: _Roles, symbols: Mapping[Any, SX]
+) -> dict[str, SX]:
+    """Return the equations in CasADi: those of SymPy or, if they are cheaper, of the bodies."""
+    lists = roles.lists
     of = {key: ca.vertcat(SX(0, 1), *(symbols[x] for x in xs)) for key, xs in lists.items()}
-    named = {k: tuple(Symbol(_label(x), (1, 1), symbols[x]) for x in kinds[k]) for k in kinds}
-    for key in given:
-        if key not in (known := [symbol.name for some in named.values() for symbol in some]):
-            raise UnknownName.among(who, "parameter", key, known)
-    printable = symbols | dict.fromkeys(lists["held_dot"], SX(0))
-    try:
-        found = matrices.solved(printed(who, laws, printable), of)
-        if isinstance(method, mechanics.KanesMethod):
-            moves = {x: symbols[x.diff(t)] for x in chain} | {t: SX(1)}
-            with suppress(ValueError, UsageError):  # SymPy's equations need less than the bodies
-                anew = _from_bodies(who, method, laws, of, printable, moves)
-                columns = [ca.vertcat(form["ode"], form["more"]) for form in (anew, found)]
-                found = anew if is_cheaper(*columns) else found
-        found["ode"] = ca.vertcat(found["ode"], *(symbols[x.diff(t)] for x in chain))
-        names = [*map(_label, [*dependent, *forces]), *shown]
-        rows = ca.vertsplit(ca.vertcat(found.pop("more"), found.pop("outputs")))
-        whole = System(named, found, dict(zip(names, rows, strict=True)))
-        times: dict[str, Any] = {"stop_time": stop_time, "output_interval": output_interval}
-        model = Model(name, description=f"{name}, from SymPy", source="sympy", **times)
-        x, found = declare_system(whole, Facts(who, values, *facts), model)
-        n, guessed = len(q), [q.index(x) for x in lists["guessed"]]
-        matrices.constrain(model, x[:n, :], x[n : n + len(speeds), :], found, guessed, values)
-        return model.freeze()
-    except ValueError as error:
-        raise UsageError(f"from_sympy: {error}") from error
+    printable = {**symbols, **dict.fromkeys(lists["held_dot"], SX(0))}
+    found = matrices.solved(printed(who, laws, printable), of)
+    mechanics = optional_module("sympy.physics.mechanics", "sympy")
+    if isinstance(method, mechanics.KanesMethod):
+        moves = {x: symbols[x.diff(roles.t)] for x in roles.chain} | {roles.t: SX(1)}
+        with suppress(ValueError, UsageError):  # SymPy's equations need less than the bodies
+            anew = _from_bodies(who, method, laws, of, printable, moves)
+            columns = [ca.vertcat(form["ode"], form["more"]) for form in (anew, found)]
+            found = anew if is_cheaper(*columns) else found
+    found["ode"] = ca.vertcat(found["ode"], *(symbols[x.diff(roles.t)] for x in roles.chain))
+    return found

@@ -28,7 +28,8 @@ from cosim.drawing.pose import POINT, Poses, motion
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.export.build import compiled_library
-from cosim.fmi.export.package import FmuOptions, source_files
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files
 from cosim.fmi.platforms import WEB_PAGE
 from cosim.host.optional_packages import optional_module
 from cosim.host.temporary import temporary_folder

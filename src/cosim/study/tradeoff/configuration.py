@@ -6,8 +6,8 @@ from itertools import product
 
 from casadi_models.dae import Dae
 from cosim.backend import Backend
+from cosim.codegen.fmu.solver import solver_for
 from cosim.errors import ParameterError, UnknownName
-from cosim.fmi.export.co_simulation import solver_for
 from cosim.integrate.preparation import controllable
 from cosim.integrate.solvers import SOLVERS, requested_solver
 from cosim.model.request import DriftControl, RunRequest, choice

@@ -9,8 +9,8 @@ import pytest
 import casadi_models
 import cosim
 from casadi_models.dae import Model
+from cosim.codegen.fmu.solver import fastest_decay, solver_for
 from cosim.errors import UnknownName, UsageError
-from cosim.fmi.export.co_simulation import fastest_decay, solver_for
 
 
 def relaxation(rate: float):

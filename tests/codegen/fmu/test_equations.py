@@ -9,8 +9,8 @@ import pytest
 
 import cosim
 from cosim.codegen import functions as directional_jacobian
-from cosim.fmi.export import equations
-from cosim.fmi.export.equations import equations_code, solver_step
+from cosim.codegen.fmu import equations
+from cosim.codegen.fmu.equations import generated_code, model_functions, solver_step
 
 
 @pytest.mark.parametrize("loop", [False, True])
@@ -34,7 +34,8 @@ def test_rosenbrock_of_a_large_model_has_no_formulas_of_a_jacobian():
     x = ca.SX.sym("x", n)
     weights = ca.DM(np.random.default_rng(0).normal(size=(n, n)))
     dae = cosim.from_casadi({"x": x, "ode": -ca.sin(weights @ ca.sin(x)) * x}, {"x": 0.1})
-    code = equations_code(dae, "m", 2, "rosenbrock")
+    functions = model_functions(dae, None, derivatives=True, adjoint=False)
+    code = generated_code(dae, "m", functions, "rosenbrock", has_events=False)
     jacobian, laws = (
         re.search(rf"/\* {name}:.*?\n}}\n", code, re.DOTALL)[0] for name in ("jacF", "model_ode")
     )

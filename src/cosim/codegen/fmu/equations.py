@@ -1,7 +1,7 @@
 """Generated C code of an FMU's equations."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import accumulate
 from math import log2
 from typing import Any
@@ -13,12 +13,12 @@ from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import patched
+from cosim.codegen.fmu.derivatives import argument_like, sensitivity_functions
+from cosim.codegen.fmu.solver import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.codegen.functions import CALL, driven_equations, is_large
 from cosim.codegen.hybrid_laws import law_functions
 from cosim.codegen.initialization import algebraic_function, knowns, projection_step, start_function
 from cosim.codegen.runge_kutta.tableau import Tableau
-from cosim.fmi.export.co_simulation import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
-from cosim.fmi.export.derivatives import argument_like, sensitivity_functions
 from cosim.memo import cached_per_thread
 
 LARGEST_SHARE = 5.0  # operations of the detector relative to those of the equations
@@ -55,32 +55,41 @@ def _distance(dae: Dae) -> ca.Function:
     return _plain_function(dae, "model_rank", dae.distance_from_singularity)
 
 
-def equations_code(
-    dae: Dae,
-    identifier: str,
-    fmi: int,
-    solver: str,
-    system: Hybrid | None = None,
-    *,
-    derivatives: bool = True,
-) -> str:
-    """Return the generated C code of everything that the runtime calls."""
-    prefix = re.sub("__+", "_", f"{identifier}_equations")  # CasADi takes one _ at a time
-    generator = ca.CodeGenerator(prefix, {"with_header": False, "indent": 1})
-    for function in (
+def model_functions(
+    dae: Dae, system: Hybrid | None, *, derivatives: bool, adjoint: bool
+) -> tuple[ca.Function, ...]:
+    """Return the functions that fmu/runtime/equations.h declares, but for the solver's step."""
+    return (
         start_function(dae),
         algebraic_function(dae),
         _plain_function(dae, "model_ode", dae.ode),
         _plain_function(dae, "model_outputs", dae.outputs, dae.margins),
         *rank_functions(dae),
-        *(sensitivity_functions(dae, adjoint=fmi == 3) if derivatives else []),
+        *(sensitivity_functions(dae, adjoint=adjoint) if derivatives else []),
         *(law_functions(system) if system else []),
-    ):
+    )
+
+
+def generated_code(
+    dae: Dae, identifier: str, functions: Iterable[ca.Function], solver: str, *, has_events: bool
+) -> str:
+    """Return the C code of functions and of the solver's step.
+
+    Args:
+        dae: The model as exported.
+        identifier: C name of the model.
+        functions: Those of `model_functions`.
+        solver: Solver for co-simulation.
+        has_events: Whether steps must be short enough to locate events.
+    """
+    prefix = re.sub("__+", "_", f"{identifier}_equations")  # CasADi takes one _ at a time
+    generator = ca.CodeGenerator(prefix, {"with_header": False, "indent": 1})
+    for function in functions:
         generator.add(function)
     if solver in FIXED_STEPS:
         generator.add(fixed_step(dae, FIXED_STEPS[solver]))
     elif not uses_dop853(dae, solver):
-        add_integrator(generator, solver_step(dae, solver, has_events=system is not None))
+        add_integrator(generator, solver_step(dae, solver, has_events=has_events))
     code = str(generator.dump())
     if not dae.states or solver == DOP853 or solver in FIXED_STEPS:
         return code

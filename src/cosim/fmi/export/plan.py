@@ -1,0 +1,188 @@
+"""`Plan`: everything that an FMU is made of, decided before any of it is written."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from functools import cached_property
+from importlib.resources.abc import Traversable
+
+import casadi as ca
+
+from casadi_models.dae import Dae
+from casadi_models.dae.hybrid import Hybrid
+from cosim.codegen.c_sources import runtime_sources, solver_sources
+from cosim.codegen.fmu.equations import embedded_sources, has_rank, model_functions
+from cosim.codegen.fmu.solver import FIXED_STEPS, solver_for, uses_dop853
+from cosim.fmi.export.dependencies import (
+    Dependencies,
+    structural_dependencies,
+    tunable_parameters,
+    without_modes,
+)
+from cosim.fmi.export.dialect import DIALECTS, Dialect
+from cosim.fmi.export.events import fmu_events
+from cosim.fmi.export.options import FmuOptions, NameStyle
+from cosim.fmi.export.variables import FmuVariable, fmu_variables, structured, with_margins
+from cosim.model.reduction import checked_outputs
+from cosim.model.values import listed
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The content of an FMU. What writes its files reads the plan and decides nothing.
+
+    Attributes:
+        options: The options of the export.
+        name: C identifier of the FMU.
+        dae: The model as exported: with the selected outputs, margins as outputs, modes as inputs.
+        system: Its relations, events and pulses; None if it has none.
+        variables: All variables; the position of each is its value reference.
+        depends: Structural dependencies of the unknowns.
+        solver: Name of the solver for co-simulation.
+        dop853: Whether this is the runtime's own solver.
+        step_size: Longest step of a solver with fixed steps, s; None for other solvers.
+        detects_singularity: Whether it detects singular configurations.
+        functions: The CasADi functions that the runtime calls.
+        embedded: C code of the external functions that the model calls, by file name.
+    """
+
+    options: FmuOptions
+    name: str
+    dae: Dae
+    system: Hybrid | None
+    variables: tuple[FmuVariable, ...]
+    depends: Dependencies
+    solver: str
+    dop853: bool
+    step_size: float | None
+    detects_singularity: bool
+    functions: tuple[ca.Function, ...]
+    embedded: Mapping[str, str]
+
+    @property
+    def dialect(self) -> Dialect:
+        """What its version of FMI writes differently."""
+        return DIALECTS[self.options.fmi]
+
+    @property
+    def modes(self) -> int:
+        """Number of relations that switch."""
+        return len(self.system.relations) if self.system else 0
+
+    @property
+    def indicators(self) -> int:
+        """Number of event indicators, which are its last outputs."""
+        margins = len(self.dae.limits) if self.options.valid else 0
+        return margins + (self.system.of_time.count(False) if self.system else 0)
+
+    @property
+    def watches_steps(self) -> bool:
+        """Whether it needs a call after every step in model exchange."""
+        return self.detects_singularity or bool(self.system and any(self.system.of_input))
+
+    @cached_property
+    def runtime(self) -> dict[str, bytes]:
+        """Its files of fmu/runtime, by name: all but those of parts that it does not need."""
+        idle = [part for part in PARTS if not part.needed(self)]
+        files = (e for e in runtime_sources() if not any(part.contains(e) for part in idle))
+        return {entry.name: entry.read_bytes() for entry in files}
+
+    @cached_property
+    def headers(self) -> dict[str, bytes]:
+        """Its files of fmu/solvers, by name: those of the parts that it needs."""
+        needed = [part for part in PARTS if part.needed(self)]
+        files = (e for e in solver_sources() if any(part.contains(e) for part in needed))
+        return {entry.name: entry.read_bytes() for entry in files}
+
+
+@dataclass(frozen=True)
+class Part:
+    """C files of the package that not every FMU needs.
+
+    Attributes:
+        why: The reason why an FMU needs the files.
+        needed: Whether the FMU of a plan needs them.
+        files: Patterns of their names in fmu/runtime and fmu/solvers.
+    """
+
+    why: str
+    needed: Callable[[Plan], bool]
+    files: tuple[str, ...]
+
+    def contains(self, entry: Traversable) -> bool:
+        """Tell whether a file belongs to this part."""
+        return any(fnmatch(entry.name, pattern) for pattern in self.files)
+
+
+_KERNEL_OF_EVENTS = ("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "search.h")
+
+# Every FMU contains the files of fmu/runtime that belong to no part.
+PARTS = (
+    Part("the functions of FMI 2.0", lambda plan: plan.options.fmi == 2, ("fmi2*",)),
+    Part("the functions of FMI 3.0", lambda plan: plan.options.fmi == 3, ("fmi3*",)),
+    Part(
+        "co-simulation with the runtime's own solver",
+        lambda plan: plan.dop853,
+        ("integration_dop853.c", "dop853.h", "interpolant.h", "ode.h"),
+    ),
+    Part(
+        "co-simulation with a generated solver",
+        lambda plan: not plan.dop853,
+        ("integration_step.c",),
+    ),
+    Part(
+        "relations, events or pulses",
+        lambda plan: plan.system is not None,
+        ("modes.c", "events.c", *_KERNEL_OF_EVENTS),
+    ),
+    Part(
+        "constraints that may become singular",
+        lambda plan: plan.detects_singularity,
+        ("rank.c",),
+    ),
+)
+
+
+def planned(dae: Dae, options: FmuOptions) -> Plan:
+    """Decide on the content of a model's FMU.
+
+    Raises:
+        ExportError, UnknownName, UsageError: See `export_fmu`.
+    """
+    name = options.identifier_of(dae)
+    if options.outputs is not None:
+        outputs = checked_outputs(dae, options.outputs)
+        dae = replace(dae.watching(outputs), observed=outputs)
+    tunable = options.tunable and listed(f"{dae.full_name}: tunable", options.tunable)
+    solver = solver_for(dae, options.solver)
+    if options.valid:
+        dae = with_margins(dae)
+    embedded = embedded_sources(dae)
+    tunable = tunable_parameters(dae, tunable)
+    system = fmu_events(dae)
+    if system is not None:
+        dae = system.dae
+    modes = len(system.relations) if system else 0
+    variables = fmu_variables(dae, tunable, valid=options.valid, modes=modes)
+    if options.names == NameStyle.STRUCTURED:
+        variables = structured(variables)
+    depends = structural_dependencies(dae)
+    if system is not None:
+        depends = without_modes(depends, system)
+    step_size = options.step_size or dae.experiment.output_interval
+    return Plan(
+        options=options,
+        name=name,
+        dae=dae,
+        system=system,
+        variables=variables,
+        depends=depends,
+        solver=solver,
+        dop853=uses_dop853(dae, solver),
+        step_size=step_size if solver in FIXED_STEPS else None,
+        detects_singularity=has_rank(dae),
+        functions=model_functions(
+            dae, system, derivatives=options.derivatives, adjoint=options.fmi == 3
+        ),
+        embedded=embedded,
+    )
