@@ -5,7 +5,7 @@ from graphlib import CycleError, TopologicalSorter
 import pytest
 from helpers.import_graph import FOLDERS, MODULES, ROOT, needs
 
-MOST_FILES, MOST_LINES, LONGEST = 240, 34_000, 500
+MOST_FILES, MOST_LINES, LONGEST = 240, 35_500, 500
 
 # Folders under tests/ beside those of packages
 CROSSING = {

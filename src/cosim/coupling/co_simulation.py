@@ -1,7 +1,7 @@
 """Co-simulation of coupled FMUs by the compiled master of fmu/master/coupling.h."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -17,11 +17,13 @@ from casadi_models.dae.coupled import Connection
 from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
+from cosim.coupling.failures import Wiring, failure
 from cosim.coupling.opened_part import OpenedPart, explained
-from cosim.errors import FmuError, Interrupted, SolverError, UsageError
+from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recording
 from cosim.fmi.run.instance import by_name, why_it_ended
 from cosim.fmi.run.request import column_of, output_names
+from cosim.host.last_call import noted_calls
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.times import time_grid
@@ -32,7 +34,6 @@ _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _SMOOTH, _OTHERS = 1.5, 0.25  # tolerance of the first run, of the accuracy
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _FALLS, _TIGHTEST = 0.75, 1e-13
-_LOOP_UNSOLVED = len(Ending)
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
@@ -68,17 +69,35 @@ class Settings:
             )
 
 
+@dataclass(frozen=True)
+class _Task:
+    """A checked request.
+
+    Attributes:
+        settings: How to simulate.
+        values: Start values by part, by variable.
+        columns: Names of the recorded variables by part.
+        called: Shows the place of the part that is being called.
+    """
+
+    settings: Settings
+    values: Mapping[str, Mapping[str, float]]
+    columns: Mapping[str, list[str]]
+    called: ctypes.c_longlong
+
+
 class _Part(ctypes.Structure):
     """`Part` in fmu/master/part.h."""
 
     _fields_ = (
         ("call", ctypes.POINTER(Functions)),
         ("recording", ctypes.POINTER(Recording)),
-        *((name, _LONG) for name in ("turn", "inputs", "outputs")),
+        *((name, _LONG) for name in ("place", "turn", "inputs", "outputs")),
         *((name, _LONG) for name in ("first_input", "first_output")),
         ("input_references", _POINTER),
         ("output_references", _POINTER),
         *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional", "event_mode")),
+        ("own_step", _DOUBLE),
         *((name, _LONG) for name in ("steps", "restored", "waits")),
         ("reached", _DOUBLE),
         ("saved", _POINTER),
@@ -97,13 +116,13 @@ class _System(ctypes.Structure):
         ),
         ("times", _POINTER),
         ("points", _LONG),
-        *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance")),
+        *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance", "quantum")),
         *((name, _LONG) for name in ("method", "threads")),
+        ("called", _POINTER),
         *((name, _LONG) for name in ("how", "rows", "macro_steps", "rejected", "iterations")),
-        *((name, _LONG) for name in ("unsettled", "part", "input", "status")),
+        *((name, _LONG) for name in ("unsettled", "forced", "part", "input", "status")),
         ("function", ctypes.c_char_p),
-        ("time", _DOUBLE),
-        ("mismatch", _DOUBLE),
+        *((name, _DOUBLE) for name in ("time", "mismatch", "noise")),
     )
 
 
@@ -133,6 +152,7 @@ class CoSimulation:
             self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback)
             self._open.callback(opened.close)
         self._inputs = [wire.input for wire in wires]
+        self._wiring = Wiring(self.parts, self._inputs, [wire.output for wire in wires])
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
         self._factor = np.array([wire.factor for wire in wires])
         self._offset = np.array([wire.offset for wire in wires])
@@ -162,20 +182,17 @@ class CoSimulation:
             outputs: What to record; all outputs and connected inputs when None.
         """
         began = perf_counter()
-        columns = self._columns(outputs)
-        if settings.macro_step is not None:
-            run = self._once(settings, values, columns, 0.0, settings.tolerance or _TOLERANCE)
-        else:
-            run = self._accurate(settings, values, columns)
+        with noted_calls(list(self.parts)) as called:
+            task = _Task(settings, values, self._columns(outputs), called)
+            if settings.macro_step is not None:
+                run = self._once(task, 0.0, settings.tolerance or _TOLERANCE)
+            else:
+                run = self._accurate(task)
         return replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
 
-    def _accurate(
-        self,
-        settings: Settings,
-        values: Mapping[str, Mapping[str, float]],
-        columns: Mapping[str, list[str]],
-    ) -> Trajectory:
+    def _accurate(self, task: _Task) -> Trajectory:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
+        settings = task.settings
         accuracy = settings.accuracy or _ACCURACY
         last, steps, ratio = None, 0, 1.0
         # where a part falls short of order 4, the estimate may miss what it does within a step
@@ -184,12 +201,13 @@ class CoSimulation:
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run = self._once(settings, values, columns, tolerance, of_parts)
+                run = self._once(task, tolerance, of_parts)
             except SolverError as error:
                 if last is None:
                     raise
+                reason = str(error).removeprefix(f"{self.name}: ")
                 raise SolverError(
-                    f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {error}",
+                    f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}",
                     partial=last,
                 ) from error
             steps += run.stats["macro_steps"]
@@ -217,19 +235,19 @@ class CoSimulation:
             partial=run,
         )
 
-    def _once(
-        self,
-        settings: Settings,
-        values: Mapping[str, Mapping[str, float]],
-        columns: Mapping[str, list[str]],
-        tolerance: float,
-        of_parts: float,
-    ) -> Trajectory:
+    def _called(self, called: ctypes.c_longlong) -> Iterator[tuple[str, OpenedPart]]:
+        """Yield the parts by name, each noted as the one that is called, and named in errors."""
+        for place, (name, part) in enumerate(self.parts.items()):
+            called.value = place
+            with explained(self.name, part):
+                yield name, part
+
+    def _once(self, task: _Task, tolerance: float, of_parts: float) -> Trajectory:
+        settings, columns = task.settings, task.columns
         experiment = {"startTime": settings.start, "stopTime": settings.stop}
         experiment["tolerance"] = of_parts
-        for name, part in self.parts.items():
-            with explained(self.name, part):
-                part.start(values[name], **experiment)
+        for name, part in self._called(task.called):
+            part.start(task.values[name], **experiment)
         times = time_grid(settings.start, settings.stop, settings.interval)
         tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
         parts, held = self._structures(columns, tables)
@@ -254,15 +272,15 @@ class CoSimulation:
             tolerance=tolerance,
             method=list(Method).index(settings.method),
             threads=settings.threads,
+            called=ctypes.addressof(task.called),
         )
         library, everything = _library(), np.ones_like(self._feeds)
         system.feeds = everything.ctypes.data  # a start value may follow from any input
         with interruptible(library) as interrupts:
             library.settle_coupled(ctypes.byref(system))
             if system.how == Ending.DONE:
-                for part in self.parts.values():
-                    with explained(self.name, part):
-                        part.instance.exitInitializationMode()
+                for _, part in self._called(task.called):
+                    part.instance.exitInitializationMode()
                 system.feeds = self._feeds.ctypes.data
                 library.run_coupled(ctypes.byref(system))
         del held
@@ -272,14 +290,14 @@ class CoSimulation:
         self,
         system: _System,
         settings: Settings,
-        times: Vector,
+        grid: Vector,
         tables: Mapping[str, Vector],
         columns: Mapping[str, list[str]],
         parts: Any,
         interrupted: bool,
     ) -> Trajectory:
         rows = int(system.rows)
-        times = np.minimum(times[:rows], system.time)
+        times = np.minimum(grid[:rows], system.time)
         shown = [
             _column(f"{name}.{v}", by_name(self.parts[name].description)[v])
             for name, wanted in columns.items()
@@ -317,10 +335,8 @@ class CoSimulation:
             run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
-            failure = self._failure(system)
-            raise SolverError(
-                f"{self.name}: {failure}", partial=replace(run, status=f"stopped: {failure}")
-            )
+            why = failure(system, self._wiring, columns, tables, grid)
+            raise SolverError(f"{self.name}: {why}", partial=replace(run, status=f"stopped: {why}"))
         return run
 
     def _events(self) -> tuple[Event, ...]:
@@ -364,24 +380,6 @@ class CoSimulation:
                 f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected"
             )
         return notes
-
-    def _failure(self, system: _System) -> str:
-        time = f"{system.time:.9g} s"
-        name = list(self.parts)[system.part] if 0 <= system.part < len(self.parts) else ""
-        if system.how == _LOOP_UNSOLVED:
-            entry = ".".join(self._inputs[system.input])
-            return f"the loop of direct feedthrough through {entry} has no solution at {time}"
-        if system.how == Ending.NOT_A_NUMBER:
-            return f"the inputs are not finite after {time}; give a shorter macro_step"
-        if system.how == Ending.STUCK:
-            return f"events of the parts at {time} cause each other without end"
-        if system.how == Ending.STEP_VANISHED:
-            return f"the macro steps become too short at {time}"
-        if system.how == Ending.CALL_FAILED and system.function and name:
-            call = f"{system.function.decode()} returned {system.status}"
-            why = self.parts[name].explained(FmuError(call))
-            return f"part '{name}' failed after {time}: {why}"
-        return f"it failed at {time}"
 
     def _columns(self, outputs: Sequence[tuple[str, str]] | None) -> dict[str, list[str]]:
         if outputs is not None:
