@@ -115,7 +115,7 @@ def read_ssp(path: str | os.PathLike[str]) -> System:
     with ExitStack() as held:
         folder = held.enter_context(unpacked(path, description=SYSTEM_DESCRIPTION))
         system = _Description(Path(path), folder).system()
-        system.holds(held.pop_all())
+        system.holds(held.pop_all(), folder.resolve())
     return system
 
 

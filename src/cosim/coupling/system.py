@@ -3,9 +3,10 @@
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from threading import RLock
 from typing import Any
 from weakref import finalize
 
@@ -149,6 +150,27 @@ class System:
     output_interval: float | None = None
     title: str = ""
     _open: ExitStack = field(default_factory=ExitStack, repr=False)
+    _folders: list[Path] = field(default_factory=list, repr=False)
+    _lock: RLock = field(default_factory=RLock, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but what belongs to this process; files that only live with it as bytes."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if not f.name.startswith("_")}
+        held = [path for path in self.fmus if any(map(path.is_relative_to, self._folders))]
+        return {"fields": own, "held": {path: path.read_bytes() for path in held}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state["fields"], _open=ExitStack(), _folders=[], _lock=RLock())
+        folder = self._temporary() if state["held"] else Path()
+        moved = dict[Path, Path]()
+        for place, (path, content) in enumerate(state["held"].items()):
+            moved[path] = folder / f"{place}_{path.name}"
+            moved[path].write_bytes(content)
+        parts = {
+            name: replace(part, subject=moved.get(part.subject, part.subject))
+            for name, part in self.parts.items()
+        }
+        vars(self).update(parts=parts)
 
     def __repr__(self) -> str:
         lines = [f"{self.name}: {len(self.parts)} parts, {len(self.connections)} connections"]
@@ -258,7 +280,8 @@ class System:
         )
         values = self.start_values | _values(self.parts, start_values or {})
         wanted = None if outputs is None else [split_name(self.parts, name) for name in outputs]
-        return self._co_simulation.run(settings, self._of_parts(values), wanted)
+        with self._lock:  # which owns the instances of the parts
+            return self._co_simulation.run(settings, self._of_parts(values), wanted)
 
     def write_ssp(self, target: str | os.PathLike[str]) -> Path:
         """Write the system with its FMUs as an SSP 1.0 file; models are exported as FMI 2.0.
@@ -279,10 +302,24 @@ class System:
             name=self.name,
         )
 
-    def holds(self, resource: AbstractContextManager[Any]) -> None:
-        """Keep what the parts need, such as unpacked files, as long as the system lives."""
+    def holds(self, resource: AbstractContextManager[Any], folder: Path | None = None) -> None:
+        """Keep what the parts need, such as unpacked files, as long as the system lives.
+
+        Args:
+            resource: Closed with the system.
+            folder: Where files of parts are that are removed with the resource.
+        """
         self._open.push(resource)
         finalize(self, self._open.close)
+        if folder is not None:
+            self._folders.append(folder)
+
+    def _temporary(self) -> Path:
+        """Return a new folder that is removed with the system."""
+        held = ExitStack()
+        folder = Path(held.enter_context(temporary_folder()))
+        self.holds(held, folder)
+        return folder
 
     @cached_property
     def files(self) -> dict[str, Path]:
@@ -290,9 +327,7 @@ class System:
         return self._exported(dict.fromkeys(self.parts, 2))
 
     def _exported(self, versions: Mapping[str, int]) -> dict[str, Path]:
-        held = ExitStack()
-        folder = Path(held.enter_context(temporary_folder()))
-        self.holds(held)
+        folder = self._temporary()
         return {
             name: part.subject
             if isinstance(part.subject, Path)
