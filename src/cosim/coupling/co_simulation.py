@@ -18,7 +18,8 @@ from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.failures import Wiring, failure
-from cosim.coupling.opened_part import OpenedPart, explained
+from cosim.coupling.opened_part import Ability, OpenedPart, explained
+from cosim.coupling.own_steps import own_steps
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recording
 from cosim.fmi.run.instance import by_name, why_it_ended
@@ -133,12 +134,19 @@ class CoSimulation:
         name: Of the system.
         files: FMUs by part.
         wires: What drives what.
+        unused: Abilities of parts that are not used, by part.
 
     Raises:
         FmuError: A file cannot be loaded.
     """
 
-    def __init__(self, name: str, files: Mapping[str, Path], wires: Sequence[Connection]) -> None:
+    def __init__(
+        self,
+        name: str,
+        files: Mapping[str, Path],
+        wires: Sequence[Connection],
+        unused: Mapping[str, Sequence[Ability]],
+    ) -> None:
         self.name = name
         self._open, self._turns = ExitStack(), list(files)
         wires = sorted(wires, key=lambda wire: wire.input)
@@ -149,7 +157,8 @@ class CoSimulation:
             inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
             outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})
             sources += [(part, output) for output in outputs]
-            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback)
+            without = unused.get(part, ())
+            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback, without)
             self._open.callback(opened.close)
         self._inputs = [wire.input for wire in wires]
         self._wiring = Wiring(self.parts, self._inputs, [wire.output for wire in wires])
@@ -210,6 +219,8 @@ class CoSimulation:
                     f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}",
                     partial=last,
                 ) from error
+            if "forced_steps" in run.stats:
+                return self._forced(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter = _TIGHTER
             if last is not None:
@@ -235,6 +246,26 @@ class CoSimulation:
             partial=run,
         )
 
+    def _forced(self, run: Trajectory, accuracy: float | None) -> Trajectory:
+        """Return a run whose macro steps could not be as short as its tolerance wants them.
+
+        Raises:
+            SolverError: An accuracy is required.
+        """
+        forced, every = run.stats["forced_steps"], run.stats["macro_steps"]
+        fixed = (n for n, part in self.parts.items() if part.internal_step or not part.any_step)
+        reason = (
+            f"the steps of {', '.join(fixed)} have a fixed length, which is too long in {forced} "
+            f"of {every} macro steps"
+        )
+        if accuracy is None:
+            return replace(run, stats={**run.stats, "note": reason})
+        raise SolverError(
+            f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}; allow "
+            "a larger error, or give macro_step",
+            partial=run,
+        )
+
     def _called(self, called: ctypes.c_longlong) -> Iterator[tuple[str, OpenedPart]]:
         """Yield the parts by name, each noted as the one that is called, and named in errors."""
         for place, (name, part) in enumerate(self.parts.items()):
@@ -250,7 +281,10 @@ class CoSimulation:
             part.start(task.values[name], **experiment)
         times = time_grid(settings.start, settings.stop, settings.interval)
         tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
-        parts, held = self._structures(columns, tables)
+        lengths = (settings.macro_step, settings.interval, settings.stop - settings.start)
+        default = settings.accuracy is None
+        steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
+        parts, held = self._structures(columns, tables, steps.of_parts)
         scale, grows = self._scales()
         guess = np.array([float(v.start or 0) for p in self.parts.values() for v in p.inputs] + [0])
         system = _System(
@@ -270,6 +304,7 @@ class CoSimulation:
             stop=settings.stop,
             macro_step=settings.macro_step or 0.0,
             tolerance=tolerance,
+            quantum=steps.quantum,
             method=list(Method).index(settings.method),
             threads=settings.threads,
             called=ctypes.addressof(task.called),
@@ -311,6 +346,8 @@ class CoSimulation:
             "part_steps": {n: int(parts[list(self.parts).index(n)].steps) for n in self._turns},
             "order": self.orders(settings.method),
         }
+        if system.quantum and system.forced:
+            stats["forced_steps"] = int(system.forced)
         if settings.macro_step is not None:
             stats["macro_step"] = settings.macro_step
             if settings.method in (Method.EXTRAPOLATED, Method.ITERATED):
@@ -371,8 +408,9 @@ class CoSimulation:
         notes = []
         if system.unsettled:
             notes.append(
-                f"{system.unsettled} of {system.macro_steps} macro steps did not settle; "
-                "give a shorter macro_step, or accuracy"
+                f"{system.unsettled} of {system.macro_steps} macro steps did not settle: inputs and "
+                f"outputs differ by up to {system.mismatch:.1g} of their size; give a shorter "
+                "macro_step, or accuracy"
             )
         fixed = [n for n, part in self.parts.items() if not part.rolls_back]
         if fixed and settings.macro_step is None:
@@ -393,7 +431,10 @@ class CoSimulation:
         return found
 
     def _structures(
-        self, columns: Mapping[str, list[str]], tables: Mapping[str, Vector]
+        self,
+        columns: Mapping[str, list[str]],
+        tables: Mapping[str, Vector],
+        own_step: Mapping[str, float],
     ) -> tuple[Any, list[Any]]:
         """Return the parts for the C code, and what must live as long as they."""
         parts, held = (_Part * len(self.parts))(), list[Any]()
@@ -413,6 +454,7 @@ class CoSimulation:
             place.order, place.rates = int(part.order), part.rates
             place.rolls_back, place.directional = part.rolls_back, part.directional
             place.event_mode = part.event_mode
+            place.own_step = own_step.get(name, 0.0)
         return parts, held
 
     def _scales(self) -> tuple[Vector, NDArray[np.int64]]:

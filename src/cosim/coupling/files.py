@@ -17,8 +17,8 @@ from cosim.fmi.archive import SYSTEM_DESCRIPTION, reject_dangerous_xml, unpacked
 from cosim.toml_file import read_toml, typed
 from cosim.trajectory import Trajectory
 
-_KEYS = ("title", "stop_time", "output_interval", "parts", "connections", "start_values")
-_TABLES = ("parts", "connections", "start_values")
+_TABLES = ("parts", "connections", "start_values", "abilities")
+_KEYS = ("title", "stop_time", "output_interval", *_TABLES)
 _FMU_TYPES = (None, "application/x-fmu-sharedlibrary")
 
 
@@ -61,7 +61,7 @@ def coupling_report(run: Trajectory) -> str:
 def _read_toml(path: Path) -> System:
     file = read_toml(path)
     file.reject_unknown((), file.data, _KEYS)
-    parts, connections, values = (
+    parts, connections, values, abilities = (
         dict(typed(file.data.get(key, {}), dict, f"[{key}]", file.at(key))) for key in _TABLES
     )
     for key in ("parts", "connections"):
@@ -78,6 +78,7 @@ def _read_toml(path: Path) -> System:
             parts,
             connections,
             start_values=values,
+            abilities=abilities,
             name=_identifier(path.stem),
             title=title,
             folder=path.parent,

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
@@ -15,6 +15,8 @@ from casadi_models.dae.coupled import Connection, joined
 from casadi_models.dae.variables import is_name
 from casadi_models.units import convert, known
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
+from cosim.coupling.opened_part import Ability, unused_abilities
+from cosim.coupling.pickling import pickled, with_files
 from cosim.errors import ParameterError, UnknownName, UsageError, naming_keywords
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import export_fmu
@@ -112,7 +114,10 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     with unpacked(path) as folder:
         description = read_description(folder, path)
     if description.coSimulation is None:
-        raise UsageError(f"{path} has no co-simulation; a part of a system needs it")
+        raise UsageError(
+            f"{path} is for model exchange only, and a part of a system needs a solver of its own; "
+            "export it for co-simulation, or simulate it alone"
+        )
     found = {}
     for name, variable in by_name(description).items():
         continuous = variable.type in ("Real", "Float64") and is_number(variable)
@@ -134,6 +139,7 @@ class System:
         start_values: By part and variable, in the variable's unit.
         stop_time, output_interval: s; those of the parts when None.
         title: One line.
+        unused: Abilities of parts that are not used, by part.
 
     Example:
         >>> import cosim
@@ -149,28 +155,18 @@ class System:
     stop_time: float | None = None
     output_interval: float | None = None
     title: str = ""
+    unused: Mapping[str, tuple[Ability, ...]] = field(default_factory=dict)
     _open: ExitStack = field(default_factory=ExitStack, repr=False)
     _folders: list[Path] = field(default_factory=list, repr=False)
     _lock: RLock = field(default_factory=RLock, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but what belongs to this process; files that only live with it as bytes."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if not f.name.startswith("_")}
-        held = [path for path in self.fmus if any(map(path.is_relative_to, self._folders))]
-        return {"fields": own, "held": {path: path.read_bytes() for path in held}}
+        return pickled(self, self._folders)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state["fields"], _open=ExitStack(), _folders=[], _lock=RLock())
-        folder = self._temporary() if state["held"] else Path()
-        moved = dict[Path, Path]()
-        for place, (path, content) in enumerate(state["held"].items()):
-            moved[path] = folder / f"{place}_{path.name}"
-            moved[path].write_bytes(content)
-        parts = {
-            name: replace(part, subject=moved.get(part.subject, part.subject))
-            for name, part in self.parts.items()
-        }
-        vars(self).update(parts=parts)
+        if state["files"]:
+            vars(self).update(parts=with_files(self.parts, state["files"], self._temporary()))
 
     def __repr__(self) -> str:
         lines = [f"{self.name}: {len(self.parts)} parts, {len(self.connections)} connections"]
@@ -342,7 +338,7 @@ class System:
             n: 3 if isinstance(p.subject, Dae) and hybrid(p.subject) else 2
             for n, p in self.parts.items()
         }
-        found = CoSimulation(self.name, self._exported(versions), self.connections)
+        found = CoSimulation(self.name, self._exported(versions), self.connections, self.unused)
         self.holds(closing(found))
         return found
 
@@ -385,6 +381,7 @@ def couple(
     output_interval: float | None = None,
     title: str = "",
     folder: str | os.PathLike[str] = ".",
+    abilities: Mapping[str, str] | None = None,
 ) -> System:
     """Couple models and FMUs.
 
@@ -397,6 +394,9 @@ def couple(
         stop_time, output_interval: Of its runs, s; those of the parts when None.
         title: One line about it.
         folder: What relative paths refer to.
+        abilities: What not to use of a part, by its name, e.g. {"motor": "no rates, no rollback"}:
+            "no interpolation" of inputs, "no rates" (derivatives of outputs), "no rollback",
+            "no directional derivatives", "no event mode".
 
     Raises:
         UnknownName: A part or a variable does not exist.
@@ -434,7 +434,8 @@ def couple(
         if isinstance(part.subject, Dae):  # others feel the relations in what drives them
             driving = tuple(wire.output[1] for wire in wires if wire.output[0] == n)
             found[n] = replace(part, subject=replace(part.subject, driving=driving))
-    return System(name, found, wires, values, stop_time, output_interval, title)
+    unused = unused_abilities(found, abilities or {})
+    return System(name, found, wires, values, stop_time, output_interval, title, unused)
 
 
 def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
