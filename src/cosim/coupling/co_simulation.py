@@ -408,8 +408,8 @@ class CoSimulation:
         notes = []
         if system.unsettled:
             notes.append(
-                f"{system.unsettled} of {system.macro_steps} macro steps did not settle: inputs and "
-                f"outputs differ by up to {system.mismatch:.1g} of their size; give a shorter "
+                f"{system.unsettled} of {system.macro_steps} macro steps did not settle: inputs "
+                f"and outputs differ by up to {system.mismatch:.1g} of their size; give a shorter "
                 "macro_step, or accuracy"
             )
         fixed = [n for n, part in self.parts.items() if not part.rolls_back]

@@ -30,6 +30,7 @@ from cosim.fmi.check.trials.start import (
     time,
 )
 from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, settings, steps, stop
+from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
@@ -40,7 +41,7 @@ from cosim.text import sentence
 TRIALS: tuple[Trial, ...] = (
     *(start, initialization, defaults, settings, time, exchange, reset, instances, rollback),
     *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
-    *(motion, stop, steps, calls, sources),
+    *(motion, switching, stop, steps, calls, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger"})

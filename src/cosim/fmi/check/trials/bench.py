@@ -221,6 +221,8 @@ class Session:
             if isinstance(result, tuple) and result[1]:  # it requests the end of the simulation
                 return
             self.time += size
+            self.instance.logged_events.clear()  # no memory of the FMU's
+            self.instance.log_texts.clear()
             yield self.time
 
     def _terminated(self) -> bool:
