@@ -1,13 +1,21 @@
 """FMUs with events: sound ones have no findings; a fault at an event is found."""
 
+import os
+import zipfile
+
+import casadi as ca
 import pytest
+from helpers.fmu_files import rewritten, set_attributes, with_description
 from helpers.wrapped import wrapped
 
 import cosim
+from cosim.errors import FmuError
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import WRONG
 from cosim.fmi.check.isolated import TRIALS, try_apart
-from cosim.fmi.check.trials.start import defaults, initialization, start
+from cosim.fmi.check.libraries import sources
+from cosim.fmi.check.trials.derivatives import dependencies, derivatives
+from cosim.fmi.check.trials.start import defaults, initialization, start, time
 from cosim.fmi.check.trials.steps import steps
 from cosim.fmi.check.trials.switching import switching
 
@@ -49,6 +57,15 @@ def test_own_files_with_events_have_no_finding(build, fmi, tmp_path):
     assert any(text.startswith("switching (CoSimulation)") for text in answer.passed)
 
 
+def test_an_own_file_that_ends_its_run_within_the_first_steps_has_no_finding(tmp_path):
+    model = cosim.Model("short", stop_time=2.0)
+    x = model.state("x", "1", 0.0, "x")
+    model.derivative(x, 1.0)
+    model.stop(x > 0.5, "it is over")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "short.fmu")
+    assert try_apart(path, timeout=24, trials=(start, time, switching)).findings == []
+
+
 @pytest.mark.slow
 def test_messages_of_an_own_file_about_its_events_are_no_memory_that_it_loses(tmp_path):
     path = cosim.export_fmu(sampled(), tmp_path / "own.fmu", fmi=3)
@@ -86,3 +103,80 @@ def test_fault_at_an_event_is_found(fault, tmp_path):
     answer = try_apart(path, timeout=24, trials=(start, switching))
     assert [(f.level, f.rule) for f in answer.findings] == [(WRONG, "switching")]
     assert switching in TRIALS
+
+
+def test_a_derivative_that_is_right_at_the_start_only_is_found(tmp_path):
+    body = (
+        "fmi2Status s = CALL; fmi2ValueReference r = REF(x); double x; fmi2GetReal(c, &r, 1, &x); "
+        "for (size_t i = 0; i < m; ++i) value[i] *= x; return s;"  # x is 1 at the start
+    )
+    path = wrapped(tmp_path, fmi2GetDirectionalDerivative=body)
+    answer = try_apart(path, timeout=24, trials=(start, derivatives))
+    assert {(f.level, f.rule) for f in answer.findings} == {(WRONG, "derivatives")}
+
+
+def swing():
+    model = cosim.Model("swing", stop_time=1.0)
+    x, k = model.state("x", "rad", 1.0, "x"), model.parameter("k", "1/s", 2.0, "rate")
+    v = model.state("v", "rad/s", 0.0, "v")
+    model.derivative(x, v)
+    model.derivative(v, -k * ca.sin(x) - k * v)
+    return model.freeze()
+
+
+@pytest.mark.parametrize(
+    ("kinds", "places"),
+    [
+        ("constant dependent", {"der(v)"}),
+        ("fixed dependent", {"der(v)"}),
+        ("dependent constant", {"der(v)"}),  # the factor is a parameter
+        ("dependent fixed", set()),
+        ("dependent tunable", set()),
+        ("dependent dependent", set()),
+    ],
+)
+@pytest.mark.parametrize("directional", ["true", "false"])
+def test_dependency_that_is_not_as_linear_as_declared_is_found(
+    kinds, places, directional, tmp_path
+):
+    def edit(root):
+        root.find("ModelExchange").set("providesDirectionalDerivative", directional)
+        root.findall("ModelStructure/Derivatives/Unknown")[1].set("dependenciesKind", kinds)
+
+    own = cosim.export_fmu(swing(), tmp_path / "own.fmu")
+    path = with_description(own, tmp_path / "edited.fmu", edit)
+    answer = try_apart(path, timeout=24, trials=(start, dependencies))
+    assert {(f.level, f.rule) for f in answer.findings} <= {(WRONG, "dependencies")}
+    assert {f.place for f in answer.findings} == places
+
+
+def test_a_slow_compiler_is_no_fault_of_the_file(tmp_path, monkeypatch):
+    compiler = tmp_path / "slow"
+    compiler.write_text("#!/bin/sh\nsleep 60\n")
+    compiler.chmod(0o755)
+    path = cosim.export_fmu(swing(), tmp_path / "own.fmu")
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    (tmp_path / "cc").symlink_to(compiler)
+    (tmp_path / "gcc").symlink_to(compiler)
+    (tmp_path / "clang").symlink_to(compiler)
+    answer = try_apart(path, timeout=5, trials=(start, sources))
+    assert answer.findings == []
+    assert any("the time is up; --timeout gives more" in text for text in answer.skipped)
+
+
+def test_a_file_for_another_platform_gets_a_remedy_that_its_user_has(tmp_path):
+    own = cosim.export_fmu(swing(), tmp_path / "own.fmu")
+    with zipfile.ZipFile(own) as archive:
+        libraries = [n for n in archive.namelist() if n.startswith("binaries/")]
+    elsewhere = dict.fromkeys(libraries) | {"binaries/beos/swing.so": b"x"}
+    path = rewritten(own, tmp_path / "beos.fmu", elsewhere)
+    with pytest.raises(FmuError, match=r"only for beos, none for .*; export it with --platform"):
+        try_apart(path)
+    other = set_attributes(".", generationTool="another")
+    path = with_description(path, tmp_path / "other.fmu", other)
+    with pytest.raises(FmuError, match=r"; run it there, or ask its author for one for this"):
+        try_apart(path)
+    bare = with_description(rewritten(own, tmp_path / "b.fmu", dict.fromkeys(libraries)),
+                            tmp_path / "bare.fmu", other)  # fmt: skip
+    with pytest.raises(FmuError, match=r"for no platform, none .*; compile its sources"):
+        try_apart(bare)

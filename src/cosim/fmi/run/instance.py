@@ -195,7 +195,13 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
         return
     others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
     has = f"only for {', '.join(others)}" if others else "for no platform"
-    raise FmuError(f"{name} has a binary {has}, none for {own}; export it with --platform")
+    if str(description.generationTool).startswith("cosim"):
+        remedy = "export it with --platform"
+    elif not others and (folder / "sources").is_dir():
+        remedy = "compile its sources, e.g. with fmpy compile"
+    else:
+        remedy = "run it there, or ask its author for one for this platform"
+    raise FmuError(f"{name} has a binary {has}, none for {own}; {remedy}")
 
 
 @contextmanager
