@@ -58,11 +58,11 @@ def test_own_files_with_events_have_no_finding(build, fmi, tmp_path):
 
 
 def test_an_own_file_that_ends_its_run_within_the_first_steps_has_no_finding(tmp_path):
-    model = cosim.Model("short", stop_time=2.0)
+    model = cosim.Model("brief", stop_time=2.0)
     x = model.state("x", "1", 0.0, "x")
     model.derivative(x, 1.0)
     model.stop(x > 0.5, "it is over")
-    path = cosim.export_fmu(model.freeze(), tmp_path / "short.fmu")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "brief.fmu")
     assert try_apart(path, timeout=24, trials=(start, time, switching)).findings == []
 
 
