@@ -9,17 +9,40 @@
 #define COUPLING_H
 
 #include "macro_step.h"
+#include "noise.h"
 
-enum { MOST_FORCED = 1000 };
+enum { MOST_FORCED = 1000, WINDOW = 2000 /* attempts */ };
 
 static const double SAFE = 0.8, SHORTER = 0.2, LONGER = 2.0;      /* of macro steps */
 static const double SHORTEST = 1e-9, FIRST = 1e-3, LONGEST = 0.1; /* macro steps, of the span */
+static const double HARDLY = 1e-3;                                /* progress, of the span */
+static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
 
+/* Whether all that the parts have recorded in a row are numbers. Returns how the run goes on. */
+static inline int check_row(Coupling *self, long long row) {
+    const System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Recording *recording = system->parts[p].recording;
+        if (all_finite(recording->width, recording->rows + row * recording->width)) continue;
+        self->system->input = -1; /* the row tells which variable it is */
+        return give_up(self, p), NOT_A_NUMBER;
+    }
+    return DONE;
+}
+
+/* Returns how the run goes on. */
 static inline int record_all(Coupling *self, long long row) {
     System *system = self->system;
     for (long long p = 0; p < system->n_parts; ++p)
-        if (part_record(&self->fmu, system->parts + p, row)) return give_up(self, p);
-    return 0;
+        if (part_record(&self->fmu, system->parts + p, row)) return give_up(self, p), CALL_FAILED;
+    return check_row(self, row);
+}
+
+/* Record the present point as the next row. */
+static inline int record_next(Coupling *self) {
+    const int how = record_all(self, self->system->rows);
+    if (how == DONE) ++self->system->rows;
+    return how;
 }
 
 static inline int save_all(Coupling *self) {
@@ -44,7 +67,8 @@ static inline int end_here(Coupling *self) {
     if (system->rows == system->points ||
         (system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t)))
         --system->rows;
-    if (record_all(self, system->rows++)) return CALL_FAILED;
+    const int how = record_next(self);
+    if (how != DONE) return how;
     system->part = part;
     return ENDED_BY_FMU;
 }
@@ -100,7 +124,7 @@ static inline int back_to_event(Coupling *self) {
     const System *system = self->system;
     const int recorded =
         system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t);
-    return recorded && record_all(self, system->rows - 1) ? CALL_FAILED : DONE;
+    return recorded ? record_all(self, system->rows - 1) : DONE;
 }
 
 /* The point that has been reached becomes the present one. */
@@ -113,13 +137,15 @@ static inline int arrive(Coupling *self) {
     if (self->known < PAST) ++self->known;
     copy(self, &self->now, &self->next);
     system->time = self->now.t;
-    while (is_before(system, system->rows, self->now.t))
-        ++system->rows; /* recorded within the step */
-    const int how = pass_events(self);
+    for (; is_before(system, system->rows, self->now.t); ++system->rows) { /* within the step */
+        const int how = check_row(self, system->rows);
+        if (how != DONE) return how;
+    }
+    int how = pass_events(self);
+    if (how == DONE && system->rows < system->points &&
+        same_time(system->times[system->rows], self->now.t))
+        how = record_next(self);
     if (how != DONE) return how;
-    if (system->rows < system->points && same_time(system->times[system->rows], self->now.t) &&
-        record_all(self, system->rows++))
-        return CALL_FAILED;
     for (long long k = 0; k < system->inputs; ++k)
         if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
     ++system->macro_steps;
@@ -137,16 +163,56 @@ static inline int iterates(const Coupling *self) {
            (isfinite(self->event) || self->next.t - self->now.t > 1.01 * LONGER * before);
 }
 
+/* Attempts of macro steps, in windows of equal number. */
+typedef struct {
+    long long made, rejected;
+    double begin; /* its time */
+} Attempts;
+
+/* Note an attempt; tells whether the run hardly comes on, since many attempts are rejected. */
+static inline int is_held_up(const Coupling *self, Attempts *window, int rejected) {
+    const double span = self->system->stop - self->system->start;
+    if (window->made == 0) *window = (Attempts){.begin = self->now.t};
+    ++window->made;
+    window->rejected += rejected;
+    if (window->made < WINDOW) return 0;
+    window->made = 0;
+    return self->now.t - window->begin < HARDLY * span && window->rejected > WINDOW / 4;
+}
+
+/* How a run ends whose macro steps become too short, for a reason. */
+static inline int vanished(Coupling *self, int reason) {
+    const System *system = self->system;
+    const double length = FIRST * (system->stop - system->start);
+    const double allowed = OF_PARTS * system->tolerance;
+    return reason == STEP_VANISHED && is_noisy(self, length, allowed) ? NOISY : reason;
+}
+
+/* The end of the next macro step, about `h` long. */
+static inline double next_end(const Coupling *self, double h) {
+    const System *system = self->system;
+    if (system->quantum > 0) {
+        const double taken = (self->now.t - system->start) / system->quantum;
+        const double steps = fmax(floor(1.01 * h / system->quantum), 1);
+        const double end = system->start + (round(taken) + steps) * system->quantum;
+        return end >= system->stop || same_time(end, system->stop) ? system->stop : end;
+    }
+    const double goal = fmin(system->stop, self->event);
+    return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
+}
+
 static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
+    const double least = fmax(SHORTEST * span, 1.01 * system->quantum);
     double h = FIRST * span;
-    long long forced = 0;
+    Attempts window = {0};
+    if (save_all(self)) return CALL_FAILED;
+    if (is_noisy(self, h, system->tolerance)) return NOISY;
     while (system->time < system->stop && !same_time(system->time, system->stop)) {
         if (halted) return INTERRUPTED;
         double error = 0;
-        const double goal = fmin(system->stop, self->event);
-        self->next.t = system->time + 1.01 * h >= goal ? goal : system->time + h;
+        self->next.t = next_end(self, h);
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);
@@ -157,12 +223,14 @@ static inline int run_adaptive(Coupling *self) {
             if (isfinite(self->event)) h = self->event - system->time;
             continue;
         }
-        const int shortest = length <= SHORTEST * span;
+        const int shortest = length <= least;
         const int too_far = error > system->tolerance && self->all_roll_back;
         const double factor =
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
-        if (how == REJECTED || (too_far && !shortest)) {
-            if (shortest && !self->ends) return STEP_VANISHED;
+        const int rejected = how == REJECTED || (too_far && !shortest);
+        if (rejected && shortest && !self->ends) return vanished(self, self->reason);
+        if (is_held_up(self, &window, rejected)) return vanished(self, STEP_VANISHED);
+        if (rejected) {
             ++system->rejected;
             const long long part = system->part;
             if (restore_all_but(self, NULL)) return CALL_FAILED;
@@ -171,7 +239,8 @@ static inline int run_adaptive(Coupling *self) {
             h = length * fmin(fmax(factor, SHORTER), SAFE);
             continue;
         }
-        if (too_far && ++forced > MOST_FORCED) return STEP_VANISHED;
+        if (too_far && ++system->forced > MOST_FORCED && !system->quantum)
+            return vanished(self, STEP_VANISHED);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         h = fmin(fmax(length * fmin(fmax(factor, SHORTER), LONGER), SHORTEST * span),
@@ -200,7 +269,7 @@ static inline int run_fixed(Coupling *self) {
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
-        if (how == REJECTED) return NOT_A_NUMBER;
+        if (how == REJECTED) return self->reason;
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;
@@ -227,7 +296,7 @@ static inline double *take(double **memory, long long count) {
 static inline int make_room(Coupling *self) {
     const long long m = self->system->inputs + 1, y = self->system->outputs + 1, n = 2 * m;
     const long long count =
-        2 * m * (2 + PAST) + 2 * y + 2 * m * m + 4 * m + n + 3 * n + n * (2 + 3 * MOST_KEPT);
+        2 * m * (2 + PAST) + 2 * y + 2 * m * m + 4 * m + n + 4 * n + n * (2 + 3 * MOST_KEPT);
     double *memory = self->memory = calloc((size_t)count, sizeof *memory);
     if (!memory) return 1;
     Interface *points[2 + PAST] = {&self->now, &self->next};
@@ -245,6 +314,7 @@ static inline int make_room(Coupling *self) {
     self->change = take(&memory, n);
     self->w = take(&memory, n);
     self->found = take(&memory, 2 * n);
+    self->best = take(&memory, n);
     FixedPoint *iteration = &self->iteration;
     iteration->n = 2 * self->system->inputs;
     iteration->w = take(&memory, n);
@@ -285,14 +355,15 @@ static inline int run_from_start(Coupling *self) {
     self->all_roll_back = 1;
     for (long long p = 0; p < system->n_parts; ++p)
         self->all_roll_back &= system->parts[p].rolls_back != 0;
-    self->ends_at_events &= self->all_roll_back;
+    self->ends_at_events &= self->all_roll_back && !system->quantum;
     for (long long i = 0; i < system->outputs * m; ++i) self->feedthrough |= system->feeds[i] != 0;
     int in_event_mode = 0; /* after the initialization */
     for (long long p = 0; p < system->n_parts; ++p)
         in_event_mode |= system->parts[p].event_mode != 0;
     const int how = in_event_mode ? let_happen(self) : settle(self, &self->now);
     if (how != DONE) return how;
-    if (record_all(self, system->rows++)) return CALL_FAILED;
+    const int recorded = record_next(self);
+    if (recorded != DONE) return recorded;
     if (gather_crew(self)) return CALL_FAILED;
     const int end = system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
     if (self->crew.count) crew_end(&self->crew);
@@ -306,12 +377,13 @@ static inline int settle_start(Coupling *self) {
 }
 
 static inline void answer_of(System *system, int (*task)(Coupling *)) {
-    Coupling self = {.system = system, .fmu = {NULL, NULL, OK}};
+    Coupling self = {.system = system, .fmu = {.called = system->called}};
     system->part = system->input = -1;
     for (long long p = 1; p < system->n_parts; ++p) {
         const Part *before = system->parts + p - 1;
         system->parts[p].first_input = before->first_input + before->inputs;
         system->parts[p].first_output = before->first_output + before->outputs;
+        system->parts[p].place = p;
     }
     system->how = make_room(&self) ? CALL_FAILED : task(&self);
     system->function = self.fmu.function;

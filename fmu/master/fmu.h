@@ -56,8 +56,9 @@ typedef struct {
 
 typedef struct {
     const Functions *call;
-    const char *function; /* what failed; NULL where nothing did */
-    int status;           /* and how */
+    const char *function;       /* what failed; NULL where nothing did */
+    int status;                 /* and how */
+    volatile long long *called; /* where a coupled system notes the part that it calls, or NULL */
 } Fmu;
 
 /* Notes a failure; tells whether there is one. */

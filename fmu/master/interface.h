@@ -11,8 +11,8 @@
 #include "part.h"
 #include "run.h"
 
-enum { JACOBI, GAUSS_SEIDEL, EXTRAPOLATED, ITERATED }; /* as `Method` in cosim/coupling */
-enum { LOOP_UNSOLVED = NOT_A_NUMBER + 1 };             /* how a run ended, after those of run.h */
+enum { JACOBI, GAUSS_SEIDEL, EXTRAPOLATED, ITERATED };       /* as `Method` in cosim/coupling */
+enum { LOOP_UNSOLVED = NOT_A_NUMBER + 1, UNSETTLED, NOISY }; /* how a run ended, after run.h's */
 enum { MOST_SOLUTIONS = 30, PAST = 3 };
 
 static const double ROUNDED = 1e-13; /* relative difference of interfaces that agree */
@@ -31,12 +31,15 @@ typedef struct {
     double start, stop;
     double macro_step; /* 0: chosen by the error */
     double tolerance;  /* of the inputs, in their scales */
+    double quantum;    /* macro steps are multiples of it; 0: any */
     long long method;
     long long threads; /* whether parts step at the same time, where their order does not matter */
+    long long *called; /* the part that is being called, for who looks on; NULL */
     /* answers */
-    long long how, rows, macro_steps, rejected, iterations, unsettled, part, input, status;
+    long long how, rows, macro_steps, rejected, iterations, unsettled, forced, part, input, status;
     const char *function;
     double time, mismatch; /* of inputs and outputs where steps are given, the largest */
+    double noise;          /* of an input, in its scale, where it keeps steps from getting longer */
 } System;
 
 /* Whether two times are the same but for rounding. */
@@ -57,12 +60,13 @@ typedef struct {
     double event;       /* the time of one that ends the next macro step */
     int standstills;    /* events without a step between */
     int ends;           /* whether a part ends the run within the macro step */
+    int reason;         /* why a macro step was rejected, as the end of a run */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
     int agreed_at;                   /* the pass in which the last step's interface agreed */
     double mismatch;                 /* of outputs and inputs, at output times within the step */
-    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found;
+    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found, *best;
     FixedPoint iteration;
     Crew crew; /* of `Stepper`s; none if its count is 0 */
     double *memory, *crew_numbers;
@@ -77,6 +81,12 @@ static inline int give_up(Coupling *self, long long part) {
 static inline int is_discarded(Fmu *fmu) {
     if (fmu->status != DISCARD) return 0;
     fmu->function = NULL;
+    return 1;
+}
+
+static inline int all_finite(long long n, const double *values) {
+    for (long long i = 0; i < n; ++i)
+        if (!isfinite(values[i])) return 0;
     return 1;
 }
 
@@ -120,7 +130,7 @@ static inline int find_gain(Coupling *self, const double *u) {
             if (!direct) continue;
             const int known = part->directional && !part_column(&self->fmu, part, i, self->column);
             if (part->directional && !known && !is_discarded(&self->fmu)) return give_up(self, p);
-            if (!known) {
+            if (!known || !all_finite(part->outputs, self->column)) {
                 const double step = 1e-6 * system->scale[input];
                 memcpy(self->part_u, u + input - i, (size_t)part->inputs * sizeof *u);
                 self->part_u[i] += step;
@@ -160,7 +170,7 @@ static inline int settle_values(Coupling *self, double *u) {
     if (!self->feedthrough) { /* no output feels an input at once */
         if (get_outputs(self, system->n_parts)) return CALL_FAILED;
         for (long long k = 0; k < m; ++k)
-            if (!isfinite(u[k] = driven(self, k))) return NOT_A_NUMBER;
+            if (!isfinite(u[system->input = k] = driven(self, k))) return NOT_A_NUMBER;
         return set_inputs(self, u) ? CALL_FAILED : DONE;
     }
     for (int n = 0; n < MOST_SOLUTIONS; ++n) {
@@ -173,8 +183,8 @@ static inline int settle_values(Coupling *self, double *u) {
                 worst = off;
                 system->input = k;
             }
+            if (!isfinite(off)) return NOT_A_NUMBER;
         }
-        if (!isfinite(worst)) return NOT_A_NUMBER;
         if (worst <= ROUNDED || (worst >= last / 2 && last < 1e-10)) return DONE;
         if (n % 4 == 0 && find_gain(self, u)) return CALL_FAILED;
         if (through_loops(self, self->change)) return LOOP_UNSOLVED;
@@ -216,7 +226,7 @@ static inline int settle_rates(Coupling *self, Interface *at) {
     const long long m = system->inputs;
     for (long long k = 0; k < m; ++k) {
         at->r[k] = system->factor[k] * self->y[system->source[k]];
-        if (!isnan(at->r[k])) continue;
+        if (isfinite(at->r[k])) continue;
         at->r[k] = rate_of_values(self, at, k); /* which holds what passes through loops */
         memset(self->gain + k * m, 0, (size_t)m * sizeof *self->gain);
     }

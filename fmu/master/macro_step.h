@@ -14,7 +14,7 @@
 #include "interrupt.h"
 
 enum { MOST_POINTS = 3 }; /* of a prediction */
-enum { MOST_ITERATIONS = 40, MOST_PIECES = 10000 };
+enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
 
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
@@ -107,6 +107,7 @@ static inline long long pieces_of(const Coupling *self, const Part *part, double
                                   double length) {
     const System *system = self->system;
     double change = 0;
+    if (part->own_step > 0) return llround(length / part->own_step);
     if (part->order || system->method < EXTRAPOLATED || system->tolerance <= 0) return 1;
     for (long long i = part->first_input; i < part->first_input + part->inputs; ++i) {
         double a[4], b[4];
@@ -135,7 +136,7 @@ static inline int step_through(Coupling *self, Part *part, double from, double t
         self->refused = 0;
         stepping.coupling = self;
         stepping.part = part;
-        int how = part_step(&self->fmu, part, t, to - t);
+        int how = part_step(&self->fmu, part, t, part->own_step > 0 ? part->own_step : to - t);
         stepping.coupling = NULL;
         if (how == AT_EVENT && !self->ends_at_events) how = part_passes_event(self, part);
         if (how != STEPPED) return how;
@@ -184,15 +185,18 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
 
 /* Inputs of a part that parts drive which have stepped already: their values there. */
 static inline int take_new_outputs(Coupling *self, long long p) {
-    const System *system = self->system;
+    System *system = self->system;
     const Part *part = system->parts + p;
-    if (get_outputs(self, system->n_parts)) return 1;
+    if (get_outputs(self, system->n_parts)) return PART_FAILED;
     for (long long k = part->first_input; k < part->first_input + part->inputs; ++k) {
         const Part *source = system->parts;
         while (system->source[k] >= source->first_output + source->outputs) ++source;
-        if (source->turn < part->turn) self->next.u[k] = driven(self, k);
+        if (source->turn >= part->turn) continue;
+        self->next.u[k] = driven(self, k);
+        system->input = k;
+        if (!isfinite(self->next.u[k])) return INPUT_NOT_FINITE;
     }
-    return 0;
+    return STEPPED;
 }
 
 /* A part that steps at the same time as others, with room of its own for what that writes. */
@@ -232,10 +236,12 @@ static inline int step_together(Coupling *self, int pass, int recording) {
         one->own = *self;
         one->own.part_u = one->part_u;
         one->own.given = one->given;
+        one->own.fmu.called = NULL; /* at the same time there is more than one */
         one->part = part_at(system, turn);
         one->pass = pass;
         one->recording = recording;
     }
+    if (system->called) *system->called = -1;
     crew_work(&self->crew);
     int how = STEPPED;
     for (long long turn = 0; turn < system->n_parts; ++turn) {
@@ -246,6 +252,7 @@ static inline int step_together(Coupling *self, int pass, int recording) {
         }
         how = one->how;
         self->fmu = one->own.fmu;
+        self->fmu.called = system->called;
         if (!(one->own.mismatch <= self->mismatch)) self->mismatch = one->own.mismatch;
         system->part = one->part;
     }
@@ -258,8 +265,8 @@ static inline int step_parts(Coupling *self, int pass, int recording) {
     if (self->crew.count) return step_together(self, pass, recording);
     for (long long turn = 0; turn < system->n_parts; ++turn) {
         const long long p = system->part = part_at(system, turn);
-        if (system->method == GAUSS_SEIDEL && take_new_outputs(self, p)) return PART_FAILED;
-        const int how = step_again(self, system->parts + p, pass, recording);
+        int how = system->method == GAUSS_SEIDEL ? take_new_outputs(self, p) : STEPPED;
+        if (how == STEPPED) how = step_again(self, system->parts + p, pass, recording);
         if (how != STEPPED) return how;
     }
     return STEPPED;
@@ -321,6 +328,7 @@ static inline double largest(long long n, const double *a, const double *b) {
     for (long long i = 0; i < n; ++i) {
         const double difference = fabs(b ? a[i] - b[i] : a[i]);
         if (!(difference <= found)) found = difference;
+        if (!isfinite(found)) return found;
     }
     return found;
 }
@@ -339,11 +347,11 @@ static inline int after_failed_step(Coupling *self, int how) {
         return EVENT_WITHIN;
     }
     self->ends = how == PART_ENDED;
-    if ((how == NOT_STEPPED || self->ends) && may_be_shortened(self)) {
-        self->fmu.function = NULL;
-        return REJECTED;
-    }
-    system->how = how == PART_ENDED ? ENDED_BY_FMU : CALL_FAILED;
+    self->reason = how == PART_ENDED         ? ENDED_BY_FMU
+                   : how == INPUT_NOT_FINITE ? NOT_A_NUMBER
+                                             : CALL_FAILED;
+    if ((how == NOT_STEPPED || self->ends) && may_be_shortened(self)) return REJECTED;
+    system->how = self->reason;
     return BROKEN;
 }
 
@@ -351,13 +359,30 @@ static inline int settled_next(Coupling *self) {
     System *system = self->system;
     const int how = settle(self, &self->next);
     if (how == DONE) return ACCEPTED;
+    self->reason = how;
     if (how != CALL_FAILED && may_be_shortened(self)) return REJECTED;
     system->how = how;
     return BROKEN;
 }
 
-/* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree. `error` is the
- * estimate of the interface's error within, in scales. */
+/* Whether differences that iterations do not make smaller are those of parts that round their
+ * results: far below the error that is allowed, or all that there is where the step is given. */
+static inline int is_small_enough(const Coupling *self, double left) {
+    return may_be_shortened(self) ? left <= self->system->tolerance / 10 : left < 1;
+}
+
+/* The input whose given and found value or rate differ most. */
+static inline long long worst_input(const Coupling *self, const double *given) {
+    const long long m = self->system->inputs;
+    long long worst = 0;
+    for (long long i = 1; i < 2 * m; ++i)
+        if (fabs(self->found[i] - given[i]) > fabs(self->found[worst] - given[worst])) worst = i;
+    return worst % m;
+}
+
+/* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree, or their
+ * difference gets no smaller: then the best of all counts. `error` is the estimate of the
+ * interface's error within, in scales. */
 static inline int macro_step(Coupling *self, int iterates, double *error) {
     System *system = self->system;
     const long long m = system->inputs, n = 2 * m;
@@ -371,41 +396,52 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     as_vector(self, &self->next, predicted);
     if (iterates) predict(self, MOST_POINTS, &self->next);
     as_vector(self, &self->next, w);
-    double first = 0;
+    double first = 0, best = INFINITY;
     self->ends = 0;
-    int agreed = !iterates;
-    for (int pass = 0; pass < MOST_ITERATIONS; ++pass) {
+    int agreed = !iterates, idle = 0, final = 0;
+    for (int pass = 0; pass <= MOST_ITERATIONS; ++pass) {
         ++system->iterations;
-        const int recording = records && (agreed || pass >= self->agreed_at);
+        const int recording = records && (agreed || final || pass >= self->agreed_at);
         self->mismatch = 0;
         const int how = step_parts(self, pass, recording);
         if (how != STEPPED) return after_failed_step(self, how);
         const int settled = settled_next(self);
         if (settled != ACCEPTED) return settled;
         as_vector(self, &self->next, self->found);
-        if (agreed) break;
+        if (agreed || final) break;
         for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
         const double left = largest(n, self->change, NULL);
         const double correction = largest(n, self->found, predicted);
         if (pass == 0) first = left;
-        if (!isfinite(left) || (left > DIVERGED * first && may_be_shortened(self))) return REJECTED;
+        self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
+        const int diverges = !isfinite(left) || left > DIVERGED * first;
+        if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
         agreed = left <= fmax(share * correction, ROUNDED);
         if (agreed) self->agreed_at = pass;
         if (agreed && (recording || !records)) break;
+        idle = left < best ? 0 : idle + 1;
+        if (left < best) memcpy(self->best, w, (size_t)n * sizeof *w);
+        best = fmin(left, best);
+        final = !agreed && (diverges || idle == MOST_IDLE || pass + 1 == MOST_ITERATIONS);
         if (agreed)
             memcpy(w, self->found, (size_t)n * sizeof *w);
+        else if (final)
+            memcpy(w, self->best, (size_t)n * sizeof *w);
         else
             accelerate(&self->iteration, w, self->change, pass == 0);
         from_vector(self, w, &self->next);
     }
-    if (!agreed) {
-        if (may_be_shortened(self)) return REJECTED;
-        ++system->unsettled;
+    if (!agreed && !is_small_enough(self, best)) {
+        system->input = worst_input(self, w);
+        self->reason = may_be_shortened(self) ? STEP_VANISHED : UNSETTLED;
+        return REJECTED;
     }
+    system->unsettled += !agreed && !may_be_shortened(self);
     const double h = self->next.t - self->now.t;
     const double before = self->known ? self->now.t - self->past[0].t : h;
     *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;
     *error = fmax(*error, self->mismatch);
+    if (*error > system->tolerance) system->input = worst_input(self, predicted);
     return ACCEPTED;
 }
 

@@ -10,7 +10,7 @@ enum { TOGETHER = 32 };  /* variables of a call that wants an order for each */
 typedef struct {
     const Functions *call;
     const Recording *recording;
-    long long turn;                      /* when it steps, of the parts */
+    long long place, turn;               /* among the parts; when it steps */
     long long inputs, outputs;           /* connected ones */
     long long first_input, first_output; /* where they begin among those of all parts */
     const uint32_t *input_references, *output_references;
@@ -19,6 +19,7 @@ typedef struct {
     long long rolls_back; /* whether its state can be saved and restored */
     long long directional;
     long long event_mode; /* whether its steps end at events, which happen in event mode */
+    double own_step;      /* the only length of its steps; 0 if it takes any */
     /* answers */
     long long steps, restored;
     long long waits; /* whether an event is to happen where it is */
@@ -26,12 +27,18 @@ typedef struct {
     void *saved; /* its state at the last communication point; NULL at first */
 } Part;
 
+/* The functions of a part that is about to be called. */
+static inline const Functions *calls_of(Fmu *fmu, const Part *self) {
+    if (fmu->called) *fmu->called = self->place;
+    return fmu->call = self->call;
+}
+
 static inline size_t together(long long left) {
     return (size_t)(left < TOGETHER ? left : TOGETHER);
 }
 
 static inline int part_get(Fmu *fmu, const Part *self, double *y) {
-    const Functions *call = self->call;
+    const Functions *call = calls_of(fmu, self);
     const size_t n = (size_t)self->outputs;
     if (n == 0) return 0;
     if (call->version == 2)
@@ -42,7 +49,7 @@ static inline int part_get(Fmu *fmu, const Part *self, double *y) {
 }
 
 static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
-    const Functions *call = self->call;
+    const Functions *call = calls_of(fmu, self);
     const size_t n = (size_t)self->inputs;
     if (n == 0) return 0;
     if (call->version == 2)
@@ -55,7 +62,7 @@ static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
 /* Derivatives of one order of all inputs, for the next step; an FMU of version 3 asks instead. */
 static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
                                        const double *values) {
-    const Functions *call = self->call;
+    const Functions *call = calls_of(fmu, self);
     int32_t orders[TOGETHER];
     if (call->version == 3) return 0;
     for (int k = 0; k < TOGETHER; ++k) orders[k] = order;
@@ -69,7 +76,7 @@ static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
 
 /* First derivatives of the outputs by time. */
 static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
-    const Functions *call = self->call;
+    const Functions *call = calls_of(fmu, self);
     int32_t orders[TOGETHER];
     for (int k = 0; k < TOGETHER; ++k) orders[k] = 1;
     for (long long i = 0; i < self->outputs; i += TOGETHER) {
@@ -88,7 +95,7 @@ static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
 
 /* Derivatives of all outputs by one input. */
 static inline int part_column(Fmu *fmu, const Part *self, long long input, double *column) {
-    const Functions *call = self->call;
+    const Functions *call = calls_of(fmu, self);
     const uint32_t *unknown = self->output_references, *known = self->input_references + input;
     const size_t n = (size_t)self->outputs;
     const double seed = 1;
@@ -100,16 +107,18 @@ static inline int part_column(Fmu *fmu, const Part *self, long long input, doubl
 }
 
 static inline int part_save(Fmu *fmu, Part *self) {
-    return self->rolls_back &&
-           failed(fmu, self->call->version == 2 ? "fmi2GetFMUstate" : "fmi3GetFMUState",
-                  self->call->get_fmu_state(self->call->instance, &self->saved));
+    if (!self->rolls_back) return 0;
+    const Functions *call = calls_of(fmu, self);
+    return failed(fmu, call->version == 2 ? "fmi2GetFMUstate" : "fmi3GetFMUState",
+                  call->get_fmu_state(call->instance, &self->saved));
 }
 
 static inline int part_restore(Fmu *fmu, Part *self) {
     ++self->restored;
     self->waits = 0;
-    return failed(fmu, self->call->version == 2 ? "fmi2SetFMUstate" : "fmi3SetFMUState",
-                  self->call->set_fmu_state(self->call->instance, self->saved));
+    const Functions *call = calls_of(fmu, self);
+    return failed(fmu, call->version == 2 ? "fmi2SetFMUstate" : "fmi3SetFMUState",
+                  call->set_fmu_state(call->instance, self->saved));
 }
 
 static inline void part_forget(Part *self) {
@@ -118,18 +127,18 @@ static inline void part_forget(Part *self) {
 
 /* Writes a row of what the part records. */
 static inline int part_record(Fmu *fmu, const Part *self, long long row) {
-    fmu->call = self->call;
+    calls_of(fmu, self);
     return record(fmu, self->recording, row);
 }
 
-enum { STEPPED, NOT_STEPPED, AT_EVENT, PART_ENDED, PART_FAILED };
+enum { STEPPED, NOT_STEPPED, AT_EVENT, PART_ENDED, PART_FAILED, INPUT_NOT_FINITE };
 
 /* A communication step, after which a state may be restored. A part that ends the run within it
  * says so; one that discards the step may take a shorter one. It may reach an event only. */
 static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
-    const Functions *call = self->call;
+    const Functions *call = calls_of(fmu, self);
     bool event = false, terminate = false, early = false;
-    double last = time + length;
+    double last = time + length; /* of the solver inside, which may be behind the step's end */
     int status;
     ++self->steps;
     if (call->version == 2)
@@ -147,24 +156,26 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
         return NOT_STEPPED;
     }
     if (failed(fmu, function, status)) return PART_FAILED;
-    self->reached = last;
+    self->reached = early || terminate ? last : time + length;
     self->waits = event && self->event_mode;
     return terminate ? PART_ENDED : self->waits ? AT_EVENT : STEPPED;
 }
 
 static inline int part_enter_event_mode(Fmu *fmu, const Part *self) {
-    return failed(fmu, "fmi3EnterEventMode", self->call->enter_event_mode(self->call->instance));
+    const Functions *call = calls_of(fmu, self);
+    return failed(fmu, "fmi3EnterEventMode", call->enter_event_mode(call->instance));
 }
 
 static inline int part_enter_step_mode(Fmu *fmu, Part *self) {
+    const Functions *call = calls_of(fmu, self);
     self->waits = 0;
-    return failed(fmu, "fmi3EnterStepMode", self->call->enter_step_mode(self->call->instance));
+    return failed(fmu, "fmi3EnterStepMode", call->enter_step_mode(call->instance));
 }
 
 /* What happens at an event, in event mode. */
 static inline int part_update(Fmu *fmu, const Part *self) {
     Events events = {0};
-    fmu->call = self->call;
+    calls_of(fmu, self);
     if (update(fmu, &events)) return PART_FAILED;
     return events.terminate ? PART_ENDED : STEPPED;
 }

@@ -35,7 +35,7 @@ typedef struct {
 
 /* Runs an FMU; its answers tell how that went. */
 static inline void answer(Run *run, int (*interface)(Run *, Fmu *)) {
-    Fmu fmu = {run->functions, NULL, OK};
+    Fmu fmu = {.call = run->functions};
     run->time = run->start;
     run->how = interface(run, &fmu);
     run->function = fmu.function;

@@ -1,7 +1,7 @@
 """Co-simulation of coupled FMUs by the compiled master of fmu/master/coupling.h."""
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -17,11 +17,14 @@ from casadi_models.dae.coupled import Connection
 from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
-from cosim.coupling.opened_part import OpenedPart, explained
-from cosim.errors import FmuError, Interrupted, SolverError, UsageError
+from cosim.coupling.failures import Wiring, failure
+from cosim.coupling.opened_part import Ability, OpenedPart, explained
+from cosim.coupling.own_steps import own_steps
+from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending, Functions, Recording
 from cosim.fmi.run.instance import by_name, why_it_ended
 from cosim.fmi.run.request import column_of, output_names
+from cosim.host.last_call import noted_calls
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.times import time_grid
@@ -32,7 +35,6 @@ _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _SMOOTH, _OTHERS = 1.5, 0.25  # tolerance of the first run, of the accuracy
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _FALLS, _TIGHTEST = 0.75, 1e-13
-_LOOP_UNSOLVED = len(Ending)
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
@@ -68,17 +70,35 @@ class Settings:
             )
 
 
+@dataclass(frozen=True)
+class _Task:
+    """A checked request.
+
+    Attributes:
+        settings: How to simulate.
+        values: Start values by part, by variable.
+        columns: Names of the recorded variables by part.
+        called: Shows the place of the part that is being called.
+    """
+
+    settings: Settings
+    values: Mapping[str, Mapping[str, float]]
+    columns: Mapping[str, list[str]]
+    called: ctypes.c_longlong
+
+
 class _Part(ctypes.Structure):
     """`Part` in fmu/master/part.h."""
 
     _fields_ = (
         ("call", ctypes.POINTER(Functions)),
         ("recording", ctypes.POINTER(Recording)),
-        *((name, _LONG) for name in ("turn", "inputs", "outputs")),
+        *((name, _LONG) for name in ("place", "turn", "inputs", "outputs")),
         *((name, _LONG) for name in ("first_input", "first_output")),
         ("input_references", _POINTER),
         ("output_references", _POINTER),
         *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional", "event_mode")),
+        ("own_step", _DOUBLE),
         *((name, _LONG) for name in ("steps", "restored", "waits")),
         ("reached", _DOUBLE),
         ("saved", _POINTER),
@@ -97,13 +117,13 @@ class _System(ctypes.Structure):
         ),
         ("times", _POINTER),
         ("points", _LONG),
-        *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance")),
+        *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance", "quantum")),
         *((name, _LONG) for name in ("method", "threads")),
+        ("called", _POINTER),
         *((name, _LONG) for name in ("how", "rows", "macro_steps", "rejected", "iterations")),
-        *((name, _LONG) for name in ("unsettled", "part", "input", "status")),
+        *((name, _LONG) for name in ("unsettled", "forced", "part", "input", "status")),
         ("function", ctypes.c_char_p),
-        ("time", _DOUBLE),
-        ("mismatch", _DOUBLE),
+        *((name, _DOUBLE) for name in ("time", "mismatch", "noise")),
     )
 
 
@@ -114,12 +134,19 @@ class CoSimulation:
         name: Of the system.
         files: FMUs by part.
         wires: What drives what.
+        unused: Abilities of parts that are not used, by part.
 
     Raises:
         FmuError: A file cannot be loaded.
     """
 
-    def __init__(self, name: str, files: Mapping[str, Path], wires: Sequence[Connection]) -> None:
+    def __init__(
+        self,
+        name: str,
+        files: Mapping[str, Path],
+        wires: Sequence[Connection],
+        unused: Mapping[str, Sequence[Ability]],
+    ) -> None:
         self.name = name
         self._open, self._turns = ExitStack(), list(files)
         wires = sorted(wires, key=lambda wire: wire.input)
@@ -130,9 +157,11 @@ class CoSimulation:
             inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
             outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})
             sources += [(part, output) for output in outputs]
-            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback)
+            without = unused.get(part, ())
+            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback, without)
             self._open.callback(opened.close)
         self._inputs = [wire.input for wire in wires]
+        self._wiring = Wiring(self.parts, self._inputs, [wire.output for wire in wires])
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
         self._factor = np.array([wire.factor for wire in wires])
         self._offset = np.array([wire.offset for wire in wires])
@@ -162,20 +191,17 @@ class CoSimulation:
             outputs: What to record; all outputs and connected inputs when None.
         """
         began = perf_counter()
-        columns = self._columns(outputs)
-        if settings.macro_step is not None:
-            run = self._once(settings, values, columns, 0.0, settings.tolerance or _TOLERANCE)
-        else:
-            run = self._accurate(settings, values, columns)
+        with noted_calls(list(self.parts)) as called:
+            task = _Task(settings, values, self._columns(outputs), called)
+            if settings.macro_step is not None:
+                run = self._once(task, 0.0, settings.tolerance or _TOLERANCE)
+            else:
+                run = self._accurate(task)
         return replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
 
-    def _accurate(
-        self,
-        settings: Settings,
-        values: Mapping[str, Mapping[str, float]],
-        columns: Mapping[str, list[str]],
-    ) -> Trajectory:
+    def _accurate(self, task: _Task) -> Trajectory:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
+        settings = task.settings
         accuracy = settings.accuracy or _ACCURACY
         last, steps, ratio = None, 0, 1.0
         # where a part falls short of order 4, the estimate may miss what it does within a step
@@ -184,14 +210,17 @@ class CoSimulation:
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run = self._once(settings, values, columns, tolerance, of_parts)
+                run = self._once(task, tolerance, of_parts)
             except SolverError as error:
                 if last is None:
                     raise
+                reason = str(error).removeprefix(f"{self.name}: ")
                 raise SolverError(
-                    f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {error}",
+                    f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}",
                     partial=last,
                 ) from error
+            if "forced_steps" in run.stats:
+                return self._forced(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter = _TIGHTER
             if last is not None:
@@ -217,22 +246,45 @@ class CoSimulation:
             partial=run,
         )
 
-    def _once(
-        self,
-        settings: Settings,
-        values: Mapping[str, Mapping[str, float]],
-        columns: Mapping[str, list[str]],
-        tolerance: float,
-        of_parts: float,
-    ) -> Trajectory:
+    def _forced(self, run: Trajectory, accuracy: float | None) -> Trajectory:
+        """Return a run whose macro steps could not be as short as its tolerance wants them.
+
+        Raises:
+            SolverError: An accuracy is required.
+        """
+        forced, every = run.stats["forced_steps"], run.stats["macro_steps"]
+        fixed = (n for n, part in self.parts.items() if part.internal_step or not part.any_step)
+        reason = (
+            f"the steps of {', '.join(fixed)} have a fixed length, which is too long in {forced} "
+            f"of {every} macro steps"
+        )
+        if accuracy is None:
+            return replace(run, stats={**run.stats, "note": reason})
+        raise SolverError(
+            f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}; allow "
+            "a larger error, or give macro_step",
+            partial=run,
+        )
+
+    def _called(self, called: ctypes.c_longlong) -> Iterator[tuple[str, OpenedPart]]:
+        """Yield the parts by name, each noted as the one that is called, and named in errors."""
+        for place, (name, part) in enumerate(self.parts.items()):
+            called.value = place
+            with explained(self.name, part):
+                yield name, part
+
+    def _once(self, task: _Task, tolerance: float, of_parts: float) -> Trajectory:
+        settings, columns = task.settings, task.columns
         experiment = {"startTime": settings.start, "stopTime": settings.stop}
         experiment["tolerance"] = of_parts
-        for name, part in self.parts.items():
-            with explained(self.name, part):
-                part.start(values[name], **experiment)
+        for name, part in self._called(task.called):
+            part.start(task.values[name], **experiment)
         times = time_grid(settings.start, settings.stop, settings.interval)
         tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
-        parts, held = self._structures(columns, tables)
+        lengths = (settings.macro_step, settings.interval, settings.stop - settings.start)
+        default = settings.accuracy is None
+        steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
+        parts, held = self._structures(columns, tables, steps.of_parts)
         scale, grows = self._scales()
         guess = np.array([float(v.start or 0) for p in self.parts.values() for v in p.inputs] + [0])
         system = _System(
@@ -252,17 +304,18 @@ class CoSimulation:
             stop=settings.stop,
             macro_step=settings.macro_step or 0.0,
             tolerance=tolerance,
+            quantum=steps.quantum,
             method=list(Method).index(settings.method),
             threads=settings.threads,
+            called=ctypes.addressof(task.called),
         )
         library, everything = _library(), np.ones_like(self._feeds)
         system.feeds = everything.ctypes.data  # a start value may follow from any input
         with interruptible(library) as interrupts:
             library.settle_coupled(ctypes.byref(system))
             if system.how == Ending.DONE:
-                for part in self.parts.values():
-                    with explained(self.name, part):
-                        part.instance.exitInitializationMode()
+                for _, part in self._called(task.called):
+                    part.instance.exitInitializationMode()
                 system.feeds = self._feeds.ctypes.data
                 library.run_coupled(ctypes.byref(system))
         del held
@@ -272,14 +325,14 @@ class CoSimulation:
         self,
         system: _System,
         settings: Settings,
-        times: Vector,
+        grid: Vector,
         tables: Mapping[str, Vector],
         columns: Mapping[str, list[str]],
         parts: Any,
         interrupted: bool,
     ) -> Trajectory:
         rows = int(system.rows)
-        times = np.minimum(times[:rows], system.time)
+        times = np.minimum(grid[:rows], system.time)
         shown = [
             _column(f"{name}.{v}", by_name(self.parts[name].description)[v])
             for name, wanted in columns.items()
@@ -293,6 +346,8 @@ class CoSimulation:
             "part_steps": {n: int(parts[list(self.parts).index(n)].steps) for n in self._turns},
             "order": self.orders(settings.method),
         }
+        if system.quantum and system.forced:
+            stats["forced_steps"] = int(system.forced)
         if settings.macro_step is not None:
             stats["macro_step"] = settings.macro_step
             if settings.method in (Method.EXTRAPOLATED, Method.ITERATED):
@@ -317,10 +372,8 @@ class CoSimulation:
             run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
-            failure = self._failure(system)
-            raise SolverError(
-                f"{self.name}: {failure}", partial=replace(run, status=f"stopped: {failure}")
-            )
+            why = failure(system, self._wiring, columns, tables, grid)
+            raise SolverError(f"{self.name}: {why}", partial=replace(run, status=f"stopped: {why}"))
         return run
 
     def _events(self) -> tuple[Event, ...]:
@@ -355,8 +408,9 @@ class CoSimulation:
         notes = []
         if system.unsettled:
             notes.append(
-                f"{system.unsettled} of {system.macro_steps} macro steps did not settle; "
-                "give a shorter macro_step, or accuracy"
+                f"{system.unsettled} of {system.macro_steps} macro steps did not settle: inputs "
+                f"and outputs differ by up to {system.mismatch:.1g} of their size; give a shorter "
+                "macro_step, or accuracy"
             )
         fixed = [n for n, part in self.parts.items() if not part.rolls_back]
         if fixed and settings.macro_step is None:
@@ -364,24 +418,6 @@ class CoSimulation:
                 f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected"
             )
         return notes
-
-    def _failure(self, system: _System) -> str:
-        time = f"{system.time:.9g} s"
-        name = list(self.parts)[system.part] if 0 <= system.part < len(self.parts) else ""
-        if system.how == _LOOP_UNSOLVED:
-            entry = ".".join(self._inputs[system.input])
-            return f"the loop of direct feedthrough through {entry} has no solution at {time}"
-        if system.how == Ending.NOT_A_NUMBER:
-            return f"the inputs are not finite after {time}; give a shorter macro_step"
-        if system.how == Ending.STUCK:
-            return f"events of the parts at {time} cause each other without end"
-        if system.how == Ending.STEP_VANISHED:
-            return f"the macro steps become too short at {time}"
-        if system.how == Ending.CALL_FAILED and system.function and name:
-            call = f"{system.function.decode()} returned {system.status}"
-            why = self.parts[name].explained(FmuError(call))
-            return f"part '{name}' failed after {time}: {why}"
-        return f"it failed at {time}"
 
     @property
     def recorded(self) -> list[tuple[str, str]]:
@@ -400,7 +436,10 @@ class CoSimulation:
         return found
 
     def _structures(
-        self, columns: Mapping[str, list[str]], tables: Mapping[str, Vector]
+        self,
+        columns: Mapping[str, list[str]],
+        tables: Mapping[str, Vector],
+        own_step: Mapping[str, float],
     ) -> tuple[Any, list[Any]]:
         """Return the parts for the C code, and what must live as long as they."""
         parts, held = (_Part * len(self.parts))(), list[Any]()
@@ -420,6 +459,7 @@ class CoSimulation:
             place.order, place.rates = int(part.order), part.rates
             place.rolls_back, place.directional = part.rolls_back, part.directional
             place.event_mode = part.event_mode
+            place.own_step = own_step.get(name, 0.0)
         return parts, held
 
     def _scales(self) -> tuple[Vector, NDArray[np.int64]]:

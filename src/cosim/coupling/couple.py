@@ -9,6 +9,7 @@ from typing import Any
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection
+from cosim.coupling.opened_part import unused_abilities
 from cosim.coupling.part import Part, part_of
 from cosim.coupling.system import System, connection_of, split_name, values_of
 from cosim.errors import UsageError
@@ -28,6 +29,7 @@ def couple(
     title: str = "",
     folder: str | os.PathLike[str] = ".",
     open_inputs: Sequence[str] = (),
+    abilities: Mapping[str, str] | None = None,
 ) -> System:
     """Couple models and FMUs.
 
@@ -42,6 +44,9 @@ def couple(
         folder: What relative paths refer to.
         open_inputs: "part.input" of those that keep their start value; `cosim info` and runs name
             all other inputs that nothing drives.
+        abilities: What not to use of a part, by its name, e.g. {"motor": "no rates, no rollback"}:
+            "no interpolation" of inputs, "no rates" (derivatives of outputs), "no rollback",
+            "no directional derivatives", "no event mode".
 
     Raises:
         UnknownName: A part or a variable does not exist.
@@ -72,6 +77,7 @@ def couple(
         connections,
         start_values={} if start_values is None else start_values,
         open_inputs=open_inputs,
+        abilities={} if abilities is None else abilities,
         folder=Path(folder),
         name=name,
         title=title,
@@ -86,6 +92,7 @@ def couple_within(
     *,
     start_values: Mapping[str, float | str],
     open_inputs: Sequence[str],
+    abilities: Mapping[str, str],
     folder: Path,
     within: Within = lambda *_key, word=None: nullcontext(),
     **facts: Any,
@@ -123,7 +130,10 @@ def couple_within(
     for name in open_inputs:
         with within("open_inputs", word=name):
             opened.add(_open_input(found, name, driven))
-    return system_of(found, wires, values, open_inputs=frozenset(opened), **facts)
+    with within("abilities"):
+        unused = unused_abilities(found, abilities)
+    more = {"open_inputs": frozenset(opened), "unused": unused}
+    return system_of(found, wires, values, **more, **facts)
 
 
 def system_of(

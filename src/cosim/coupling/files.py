@@ -13,7 +13,7 @@ from cosim.model.values import number
 from cosim.toml_file import read_toml, texts, typed
 from cosim.trajectory import Trajectory
 
-_TABLES = ("parts", "connections", "start_values")
+_TABLES = ("parts", "connections", "start_values", "abilities")
 _KEYS = ("title", "stop_time", "output_interval", "open_inputs", *_TABLES)
 _PARTS = re.compile(r"^\ufeff?\s*\[\s*parts\s*\]", re.MULTILINE)  # after a byte order mark, too
 _VARIANT = re.compile(r"(.*\.ssp)#([^#/]+)", re.DOTALL)
@@ -65,7 +65,7 @@ def coupling_report(run: Trajectory) -> str:
 def _read_toml(path: Path) -> System:
     file = read_toml(path)
     file.reject_unknown((), file.data, _KEYS)
-    parts, connections, values = (
+    parts, connections, values, abilities = (
         dict(typed(file.data.get(key, {}), dict, f"[{key}]", file.at(key))) for key in _TABLES
     )
     for key, table in (("parts", parts), ("connections", connections)):
@@ -85,6 +85,7 @@ def _read_toml(path: Path) -> System:
         connections,
         start_values=values,
         open_inputs=opened,
+        abilities=abilities,
         folder=path.parent,
         within=file.naming,
         name=identifier(path.stem),

@@ -1,15 +1,15 @@
 """`OpenedPart`: an instance of a part of a coupled system, and what it can do."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.errors import FmuError
+from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.c_structures import Calls
 from cosim.fmi.run.instance import (
     Interface,
@@ -29,6 +29,44 @@ class InputOrder(IntEnum):
     CUBIC = 3
 
 
+class Ability(StrEnum):
+    """An ability of a part that a system may leave unused."""
+
+    INTERPOLATION = "interpolation"  # of its inputs within a step
+    RATES = "rates"  # derivatives of outputs
+    ROLLBACK = "rollback"  # to a saved state
+    DIRECTIONAL = "directional derivatives"
+    EVENTS = "event mode"
+
+
+def unused_abilities(
+    parts: Iterable[str], abilities: Mapping[str, str]
+) -> dict[str, tuple[Ability, ...]]:
+    """Return the abilities that texts such as "no rates, no rollback" switch off, by part.
+
+    Raises:
+        UnknownName, UsageError: A part or an ability does not exist, or a text is none.
+    """
+    example = "texts by part, e.g. {'motor': 'no rates'}"
+    if not isinstance(abilities, Mapping):
+        raise UsageError.of_type("abilities", abilities, example)
+    found, known = (
+        dict[str, tuple[Ability, ...]](),
+        {f"no {ability}": ability for ability in Ability},
+    )
+    for name, text in abilities.items():
+        if name not in parts:
+            raise UnknownName.among("the system", "part", name, parts)
+        if not isinstance(text, str):
+            raise UsageError.of_type(f"abilities of part '{name}'", text, example)
+        words = [word.strip() for word in text.split(",")]
+        for word in words:
+            if word not in known:
+                raise UnknownName.among(f"part '{name}'", "ability to switch off", word, known)
+        found[name] = tuple(known[word] for word in words)
+    return found
+
+
 class OpenedPart:
     """An instance of a part, with what it can do and its connected variables.
 
@@ -36,10 +74,17 @@ class OpenedPart:
         name, path: Of the part and its file.
         inputs, outputs: Names of those that are connected.
         callback: Address of a C function that gives an FMU of version 3 its inputs within a step.
+        unused: Abilities of the file that are not used.
     """
 
     def __init__(
-        self, name: str, path: Path, inputs: Sequence[str], outputs: Sequence[str], callback: int
+        self,
+        name: str,
+        path: Path,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        callback: int,
+        unused: Collection[Ability] = (),
     ) -> None:
         self.name, self.path = name, path
         self._fmu = fmu = OpenedFmu(path, Interface.CO_SIMULATION)
@@ -51,16 +96,24 @@ class OpenedPart:
         self.inputs = [known[name] for name in inputs]
         self.outputs = [known[name] for name in outputs]
         derivatives = int(abilities.maxOutputDerivativeOrder or 0) >= 1
+        derivatives = derivatives and Ability.RATES not in unused
         self.rates = derivatives and all(v.causality == "output" for v in self.outputs)
-        self.rolls_back = bool(abilities.canGetAndSetFMUstate)  # fmpy's name in FMI 3, too
-        self.directional = bool(abilities.providesDirectionalDerivative)
+        self.rolls_back = bool(abilities.canGetAndSetFMUstate) and Ability.ROLLBACK not in unused
+        directional = Ability.DIRECTIONAL not in unused
+        self.directional = bool(abilities.providesDirectionalDerivative) and directional
         self.order = InputOrder.CONSTANT
-        if is_second(fmu.description) and abilities.canInterpolateInputs:
+        interpolates = Ability.INTERPOLATION not in unused
+        if interpolates and is_second(fmu.description) and abilities.canInterpolateInputs:
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
-        self.event_mode = self.rolls_back and getattr(abilities, "hasEventMode", False)
+        events = getattr(abilities, "hasEventMode", False) and Ability.EVENTS not in unused
+        self.event_mode = self.rolls_back and events
+        self.any_step = bool(abilities.canHandleVariableCommunicationStepSize)
+        internal = getattr(abilities, "fixedInternalStepSize", None)
+        self.internal_step = float(internal or 0.0)
+        self.named_step = float(getattr(fmu.description.defaultExperiment, "stepSize", None) or 0)
         if self.event_mode:
             fmu.callback |= {"eventModeUsed": True, "earlyReturnAllowed": True}
-        if fmu.reset_is_enough and asks_for_inputs(fmu.description):
+        if interpolates and fmu.reset_is_enough and asks_for_inputs(fmu.description):
             self.order = InputOrder.CUBIC
             references = [variable.valueReference for variable in self.inputs]
             fmu.callback["requiredIntermediateVariables"] = references

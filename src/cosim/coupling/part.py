@@ -97,7 +97,10 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     with unpacked(path) as folder:
         description = read_description(folder, path)
     if description.coSimulation is None:
-        raise UsageError(f"{path} has no co-simulation; a part of a system needs it")
+        raise UsageError(
+            f"{path} is for model exchange only, and a part of a system needs a solver of its own; "
+            "export it for co-simulation, or simulate it alone"
+        )
     found = {}
     for name, variable in by_name(description).items():
         continuous = variable.type in ("Real", "Float64") and is_number(variable)

@@ -6,6 +6,7 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from threading import RLock
 from typing import Any
 from weakref import finalize
 
@@ -14,7 +15,9 @@ from casadi_models.dae.coupled import Connection, joined
 from casadi_models.units import convert, known
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
+from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part
+from cosim.coupling.pickling import pickled, with_files
 from cosim.errors import (
     Interrupted,
     ParameterError,
@@ -50,6 +53,7 @@ class System:
         open_inputs: Inputs that are declared to keep their start value, by part and variable.
         connectors: Names of the whole system for variables of its parts, as an SSP file has them.
         places: What messages say for the temporary folders of files within a file.
+        unused: Abilities of parts that are not used, by part.
 
     Example:
         >>> import cosim
@@ -69,7 +73,18 @@ class System:
     open_inputs: frozenset[tuple[str, str]] = frozenset()
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     places: Mapping[str, str] = field(default_factory=dict, repr=False)
+    unused: Mapping[str, tuple[Ability, ...]] = field(default_factory=dict)
     _open: ExitStack = field(default_factory=ExitStack, repr=False)
+    _folders: list[Path] = field(default_factory=list, repr=False)
+    _lock: RLock = field(default_factory=RLock, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return pickled(self, self._folders)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state["fields"], _open=ExitStack(), _folders=[], _lock=RLock())
+        if state["files"]:
+            vars(self).update(parts=with_files(self.parts, state["files"], self._temporary()))
 
     def __repr__(self) -> str:
         lines = [f"{self.name}: {len(self.parts)} parts, {len(self.connections)} connections"]
@@ -201,7 +216,7 @@ class System:
         self._reject_no_parts()
         given = values_of(self.parts, start_values or {}, self.connectors)
         names = None if outputs is None else self._resolved(outputs)
-        with self.naming_files():
+        with self.naming_files(), self._lock:  # which owns the instances of the parts
             simulation, values = self._co_simulation, self._of_parts(self.start_values | given)
             try:
                 run = simulation.run(settings, values, self._recorded(simulation, names))
@@ -268,10 +283,23 @@ class System:
         sink, source = (self.parts[part].variable(name) for part, name in (wire.input, wire.output))
         return conversion(sink.name, sink.unit, source.name, source.unit)
 
-    def holds(self, resource: AbstractContextManager[Any]) -> None:
-        """Keep what the parts need, such as unpacked files, as long as the system lives."""
+    def holds(self, resource: AbstractContextManager[Any], *folders: Path) -> None:
+        """Keep what the parts need, such as unpacked files, as long as the system lives.
+
+        Args:
+            resource: Closed with the system.
+            folders: Where files of parts are that are removed with the resource.
+        """
         self._open.push(resource)
         finalize(self, self._open.close)
+        self._folders.extend(folders)
+
+    def _temporary(self) -> Path:
+        """Return a new folder that is removed with the system."""
+        held = ExitStack()
+        folder = Path(held.enter_context(temporary_folder()))
+        self.holds(held, folder)
+        return folder
 
     @cached_property
     def files(self) -> dict[str, Path]:
@@ -279,9 +307,7 @@ class System:
         return self._exported(dict.fromkeys(self.parts, 2))
 
     def _exported(self, versions: Mapping[str, int]) -> dict[str, Path]:
-        held = ExitStack()
-        folder = Path(held.enter_context(temporary_folder()))
-        self.holds(held)
+        folder = self._temporary()
         return {
             name: part.subject
             if isinstance(part.subject, Path)
@@ -296,7 +322,7 @@ class System:
             n: 3 if isinstance(p.subject, Dae) and hybrid(p.subject) else 2
             for n, p in self.parts.items()
         }
-        found = CoSimulation(self.name, self._exported(versions), self.connections)
+        found = CoSimulation(self.name, self._exported(versions), self.connections, self.unused)
         self.holds(closing(found))
         return found
 

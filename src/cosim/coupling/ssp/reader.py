@@ -50,7 +50,7 @@ def read_ssp(path: str | os.PathLike[str], *, variant: str | None = None) -> Sys
         package = Package.outermost(Path(path), held)
         with naming_places(package.places):
             system = _System(package.variant(variant)).system()
-        system.holds(held.pop_all())
+        system.holds(held.pop_all(), *map(Path, package.places))
     return system
 
 

@@ -30,6 +30,7 @@ from cosim.fmi.check.trials.start import (
     time,
 )
 from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, settings, steps, stop
+from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
@@ -40,11 +41,13 @@ from cosim.text import sentence
 TRIALS: tuple[Trial, ...] = (
     *(start, initialization, defaults, settings, time, exchange, reset, instances, rollback),
     *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
-    *(motion, stop, steps, calls, sources),
+    *(motion, switching, stop, steps, calls, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger"})
 """Trials that require more than the FMI does: their findings are advice."""
+NO_CODE = frozenset({"sources"})
+"""Trials that wait for a compiler, and do not run the FMU."""
 
 
 _ANSWER = "answer.jsonl"
@@ -70,10 +73,10 @@ class TrialResults:
         self, lines: list[dict[str, Any]], tasks: list[_TrialTask], code: int | None, timeout: float
     ) -> list[_TrialTask]:
         """Add the answer of a child process; return the trials that are still to be made."""
-        left, stopped, failed = list(tasks), None, set()
+        left, stopped, failed, own = list(tasks), None, set(), 0.0
         for line in lines:
             if begun := line.get("begun"):
-                stopped = (begun[0], begun[1])
+                stopped, own = (begun[0], begun[1]), monotonic() - begun[2]
                 left.remove(stopped)
                 continue
             assert stopped is not None
@@ -90,10 +93,12 @@ class TrialResults:
             if found and stopped[0] == TRIALS[0].__name__:
                 failed.add(stopped[1])
             stopped = None
-        if stopped is not None:
-            how = f"did not end within {timeout:g} s" if code is None else how_it_ended(code)
+        if stopped is not None and code is None and (own < timeout / 2 or stopped[0] in NO_CODE):
+            self.skipped.append(f"{_called(stopped)}: the time is up; --timeout gives more")
+        elif stopped is not None:
             crash = TRIAL_RULES["crash"]
             rule = replace(crash, level=ADVICE) if stopped[0] in OPTIONAL else crash
+            how = f"did not return within {own:.3g} s" if code is None else how_it_ended(code)
             self.findings.append(rule.at(_called(stopped), f"the FMU {how}"))
             failed.update({stopped[1]} if stopped[0] == TRIALS[0].__name__ else ())
         return [task for task in left if task[1] not in failed]  # who does not start, does nothing
@@ -171,7 +176,7 @@ def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, 
     for name, kind in tasks:
         if kind in failed:
             continue
-        yield {"begun": (name, kind)}
+        yield {"begun": (name, kind, monotonic())}
         answer = _tried(bench, trials[name], kind)
         yield answer
         if any("(fatal)" in one["found"] for one in answer["findings"]):

@@ -52,10 +52,12 @@ class Unknown:
     """An entry of the model structure: positions of the unknown and of what it depends on.
 
     -1 stands for what the file does not describe; `needs` is None where nothing is declared.
+    `kinds` are the kinds of the dependencies, where they are declared.
     """
 
     position: int
     needs: tuple[int, ...] | None
+    kinds: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,8 @@ def parse(content: bytes) -> Description:
     def unknown(element: ET.Element) -> Unknown:
         needs = element.get("dependencies")
         places = None if needs is None else tuple(position(word) for word in needs.split())
-        return Unknown(position(element.get("index" if major == "2" else "valueReference")), places)
+        place = position(element.get("index" if major == "2" else "valueReference"))
+        return Unknown(place, places, tuple(element.get("dependenciesKind", "").split()))
 
     def described(element: ET.Element) -> Described:
         facts = element if major == "3" else next(iter(element), ET.Element("nothing"))

@@ -2,8 +2,9 @@
 
 import ctypes
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, chdir, contextmanager
+from contextlib import ExitStack, contextmanager
 from enum import StrEnum
 from functools import cache, lru_cache
 from itertools import count
@@ -194,7 +195,13 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
         return
     others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
     has = f"only for {', '.join(others)}" if others else "for no platform"
-    raise FmuError(f"{name} has a binary {has}, none for {own}; export it with --platform")
+    if str(description.generationTool).startswith("cosim"):
+        remedy = "export it with --platform"
+    elif not others and (folder / "sources").is_dir():
+        remedy = "compile its sources, e.g. with fmpy compile"
+    else:
+        remedy = "run it there, or ask its author for one for this platform"
+    raise FmuError(f"{name} has a binary {has}, none for {own}; {remedy}")
 
 
 @contextmanager
@@ -234,11 +241,10 @@ def instantiated(
     with ExitStack() as afterwards:
         _LOGS[key] = collect
         afterwards.callback(_LOGS.pop, key)
-        with chdir("."):  # fmpy stays in the library's folder if it cannot load the library
-            try:
-                instance = _instance(folder, description, Interface(kind), key, **callback)
-            except Exception as error:
-                raise explained(error) from error
+        try:
+            instance = _instance(folder, description, Interface(kind), key, **callback)
+        except Exception as error:
+            raise explained(error) from error
         afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
         yield instance, explained
@@ -316,8 +322,35 @@ def _checked_class(second: bool, exchange: bool) -> type:
         if not getattr(self, "is_fatal", False):
             base.freeInstance(self)
 
-    # fmpy reads the version from the name
-    return type(name, (base,), {"_call": checked_call, "freeInstance": free})
+    methods = {"_call": checked_call, "freeInstance": free}
+    bases = (base,) if sys.platform == "win32" else (base, _staying_class())
+    return type(name, bases, methods)  # fmpy reads the version from the name
+
+
+@cache
+def _staying_class() -> type:
+    """Return a base that loads a library as fmpy's does, but in the current folder.
+
+    All threads share that folder, so that others find no relative path while fmpy has changed it.
+    Windows looks there for other libraries.
+    """
+    from fmpy import platform, sharedLibraryExtension
+    from fmpy.fmi1 import _FMU
+
+    def load(self: Any, **facts: Any) -> None:
+        place = Path(facts["unzipDirectory"], "binaries", platform)
+        usual = place / f"{facts['modelIdentifier']}{sharedLibraryExtension}"
+        path = facts.pop("libraryPath", usual)
+        vars(self).update({"fmiCallLogger": None, "requireFunctions": True, **facts})
+        vars(self).update(_functions={}, component=None, callbacks=None)
+        self.instanceName = facts.get("instanceName") or facts["modelIdentifier"]
+        try:
+            self.dll = ctypes.CDLL(str(Path(path).absolute()))
+        except OSError as error:
+            raise FmuError(f"Failed to load shared library {path}. {error}") from error
+        self._loadFunctions()
+
+    return type("Staying", (_FMU,), {"__init__": load})
 
 
 def getter_name(variable: Any, description: Any) -> str:

@@ -17,6 +17,7 @@ from cosim import errors
 from cosim.errors import CosimError, FmuError, UsageError
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.child import be_confined, leave, own_folder, run_confined
+from cosim.host.last_call import calls_noted_in, last_called
 from cosim.host.limits import LIMITS_VARIABLE, chosen_limits
 from cosim.host.progress import doing
 from cosim.model.values import number
@@ -54,18 +55,25 @@ def simulate_apart(
     with own_folder() as folder:
         place = str(Path(path).absolute())
         (folder / _REQUEST).write_bytes(pickle.dumps((function, place, options)))
-        with doing(f"running {Path(path).name}"):
-            code, printed = run_confined(__name__, [str(folder)], folder, timeout)
+        try:
+            with doing(f"running {Path(path).name}"):
+                code, printed = run_confined(__name__, [str(folder)], folder, timeout)
+        except KeyboardInterrupt:
+            if part := last_called(folder):
+                print(f"{path}: part '{part}' was being called", file=sys.stderr)
+            raise
         if sys.stderr is not None:
             others = (n for n in printed.splitlines(keepends=True) if not n.startswith(_SUNDIALS))
             sys.stderr.writelines(others)
+        part = last_called(folder)
+        what = f"part '{part}'" if part else "the FMU"
         if code is None:
-            raise FmuError(f"{path}: the FMU did not end within {timeout:g} s and was stopped")
+            raise FmuError(f"{path}: {what} did not end within {timeout:g} s and was stopped")
         try:
             return _read_answer(folder, place, str(path))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise FmuError(
-                f"{path}: the FMU {how_it_ended(code)} while it ran; do not use it"
+                f"{path}: {what} {how_it_ended(code)} while it ran; do not use it"
             ) from error
 
 
@@ -101,7 +109,8 @@ def _main(folder: Path) -> None:
     be_confined()
     function, path, options = pickle.loads((folder / _REQUEST).read_bytes())
     try:
-        run = function(path, **options)
+        with calls_noted_in(folder):
+            run = function(path, **options)
     except CosimError as error:
         partial = getattr(error, "partial", None)
         if kept := isinstance(partial, Trajectory):

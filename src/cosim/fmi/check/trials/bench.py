@@ -129,10 +129,13 @@ class Bench:
         attributes = self.described.interfaces[kind]
         return any(attributes.get(name) == "true" for name in names)
 
+    def internal_step(self, kind: str) -> float:
+        """Return the fixed size of the steps of the solver inside, s; 0 if none is declared."""
+        return float(self.described.interfaces[kind].get("fixedInternalStepSize", "0"))
+
     def step_size(self, kind: str) -> float:
         """Return the size of communication steps that the file names, s; 0.01 if it does not."""
-        fixed = float(self.described.interfaces[kind].get("fixedInternalStepSize", "0"))
-        return fixed or self.experiment("stepSize") or 0.01
+        return self.internal_step(kind) or self.experiment("stepSize") or 0.01
 
     @contextmanager
     def session(self, kind: str) -> Iterator["Session"]:
@@ -203,6 +206,13 @@ class Session:
         """Set the continuous states, (n,)."""
         self.instance.setContinuousStates((ctypes.c_double * len(values))(*values), len(values))
 
+    def all_of(self, function: str, size: int) -> Vector:
+        """Return what a function gives for all states or event indicators, (size,)."""
+        found = (ctypes.c_double * size)()
+        if size:
+            getattr(self.instance, function)(found, size)
+        return np.array(found)
+
     def slopes(self, unknowns: Sequence[Described], known: Described) -> Vector:
         """Return directional derivatives of unknowns to one known, (n,)."""
         references = [int(v.reference) for v in unknowns]
@@ -221,6 +231,8 @@ class Session:
             if isinstance(result, tuple) and result[1]:  # it requests the end of the simulation
                 return
             self.time += size
+            self.instance.logged_events.clear()  # no memory of the FMU's
+            self.instance.log_texts.clear()
             yield self.time
 
     def _terminated(self) -> bool:

@@ -1,6 +1,6 @@
 """Trials of declared dependencies and directional derivatives against differences."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 
@@ -70,7 +70,10 @@ def offers_directional(bench: Bench, kind: str) -> bool:
 
 
 _POINTS = 5
+_MORE_POINTS = 3  # for directional derivatives, beside the start
 _FEWEST = 3  # points needed for a statement on missing influence
+_LINEAR = ("constant", "fixed", "tunable")  # kinds with a factor that no state or input changes
+_BENT = 1e-4  # change of a factor, of its size, that is no rounding
 _ROUNDING = {True: 1e-9, False: 1e-6}  # of directional derivatives, and of differences
 
 
@@ -85,10 +88,10 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
         raise Skipped("it lists no dependencies, or has neither states nor inputs")
     unknowns = [every[u.position] for u in listed]
     needed = [{every[i].reference for i in u.needs or ()} for u in listed]
-    largest, points = np.zeros((len(unknowns), len(knowns))), 0
-    for matrix in _matrices(bench, kind, unknowns, knowns):
+    matrices = list(_matrices(bench, kind, unknowns, knowns))
+    largest, points = np.zeros((len(unknowns), len(knowns))), len(matrices)
+    for matrix in matrices:
         largest = np.where(np.abs(matrix) > np.abs(largest), matrix, largest)
-        points += 1
     exact = offers_directional(bench, kind)  # differences lose small influences in rounding
     rounding = _ROUNDING[exact]
     idle: list[str] = []
@@ -107,7 +110,37 @@ def dependencies(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     if idle and points >= _FEWEST:
         found = f"{len(idle)} that are listed have no influence at {points} points: "
         yield TRIAL_RULES["idle"].at("ModelStructure", found + shortened(idle, MOST_NAMES))
+    kinds = [
+        {every[i].reference: k for i, k in zip(u.needs or (), u.kinds, strict=False)}
+        for u in listed
+    ]
+    yield from _bent(unknowns, knowns, kinds, matrices)
     yield Note(f"{points} points")
+
+
+def _bent(
+    unknowns: Sequence[Described],
+    knowns: Sequence[Known],
+    kinds: Sequence[Mapping[str, str]],
+    matrices: Sequence[Vector],
+) -> Iterator[Finding]:
+    """Yield dependencies that are declared to be linear and are not.
+
+    Args:
+        unknowns, knowns: The rows and columns of the matrices.
+        kinds: The declared kind by the value reference of the known, for each unknown.
+        matrices: Derivatives at points; all but the first have the same parameters.
+    """
+    for row, (unknown, declared) in enumerate(zip(unknowns, kinds, strict=True)):
+        for column, known in enumerate(knowns):
+            kind = declared.get(known.variable.reference, "dependent")
+            if kind not in _LINEAR:
+                continue
+            slopes = [m[row, column] for m in matrices[0 if kind == "constant" else 1 :]]
+            if len(slopes) > 1 and np.ptp(slopes) > _BENT * np.abs(slopes).max():
+                found = f"its dependency on '{known.variable.name}' is declared {kind}, but its "
+                found += f"derivative goes from {min(slopes):.6g} to {max(slopes):.6g}"
+                yield TRIAL_RULES["bent"].at(unknown.name, found)
 
 
 def _matrices(
@@ -148,11 +181,7 @@ def _matrix(
 ) -> Vector:
     """Return derivatives of unknowns to knowns at their values; 0 where they cannot be had."""
     states, columns = states_among(knowns, at), []
-    for known, value in zip(knowns, at, strict=True):
-        if known.state is None and known.required:
-            session.put(known.variable, value)
-    if len(states):
-        session.put_states(states)
+    _go_to(session, knowns, at)
     for known, value in zip(knowns, at, strict=True):
         column = np.zeros(len(unknowns))
         if directional:
@@ -180,28 +209,52 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
     knowns = [known for known in knowns_of(bench) if known.required]
     with bench.session(kind) as session:
         session.start()
-        at = session.values([known.variable for known in knowns])
-        states = states_among(knowns, at)
-        sizes = np.abs(session.values(unknowns))
-        forward = list[Vector]()
-        for known, value in zip(knowns, at, strict=True):
-            reported = session.slopes(unknowns, known.variable)
-            forward.append(reported)
-            scale = max(abs(value), known.variable.nominal)
-            coarse, fine, bend = _differences(session, unknowns, known, states, value, scale)
-            noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
-            doubt = 20 * np.abs(coarse - fine) + bend + noise
-            size = np.maximum(np.abs(reported), np.abs(coarse))
-            bad = np.abs(reported - coarse) > 1e-3 * size + doubt
-            bad &= np.array([unknown.reference != known.variable.reference for unknown in unknowns])
-            for k in np.flatnonzero(bad)[:MOST_NAMES]:
-                yield TRIAL_RULES["derivatives"].at(
-                    unknowns[k].name,
-                    f"its derivative to '{known.variable.name}' is reported as {reported[k]:.6g}, "
-                    f"differences give {coarse[k]:.6g}",
-                )
-        if not bench.second and bench.offers(kind, "providesAdjointDerivatives"):
-            yield from _adjoint(session, unknowns, knowns, np.array(forward))
+        start = session.values([known.variable for known in knowns])
+        findings = list(_compared(session, unknowns, knowns, start))
+        rng = np.random.default_rng(0)
+        scale = np.maximum(np.abs(start), [known.variable.nominal for known in knowns])
+        with suppress(Exception):  # the FMU may reject a point
+            for _ in range(_MORE_POINTS if not findings else 0):
+                at = start + 0.1 * scale * rng.standard_normal(len(start))
+                _go_to(session, knowns, at)
+                findings = findings or list(_compared(session, unknowns, knowns, at))
+        yield from findings
+
+
+def _go_to(session: Session, knowns: Sequence[Known], at: Vector) -> None:
+    """Set states and inputs."""
+    for known, value in zip(knowns, at, strict=True):
+        if known.state is None and known.required:
+            session.put(known.variable, value)
+    if len(states := states_among(knowns, at)):
+        session.put_states(states)
+
+
+def _compared(
+    session: Session, unknowns: Sequence[Described], knowns: Sequence[Known], at: Vector
+) -> Iterator[Finding]:
+    """Compare directional derivatives with differences at values of the knowns."""
+    states, bench = states_among(knowns, at), session.bench
+    sizes = np.abs(session.values(unknowns))
+    forward = list[Vector]()
+    for known, value in zip(knowns, at, strict=True):
+        reported = session.slopes(unknowns, known.variable)
+        forward.append(reported)
+        scale = max(abs(value), known.variable.nominal)
+        coarse, fine, bend = _differences(session, unknowns, known, states, value, scale)
+        noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
+        doubt = 20 * np.abs(coarse - fine) + bend + noise
+        size = np.maximum(np.abs(reported), np.abs(coarse))
+        bad = np.abs(reported - coarse) > 1e-3 * size + doubt
+        bad &= np.array([unknown.reference != known.variable.reference for unknown in unknowns])
+        for k in np.flatnonzero(bad)[:MOST_NAMES]:
+            yield TRIAL_RULES["derivatives"].at(
+                unknowns[k].name,
+                f"its derivative to '{known.variable.name}' is reported as {reported[k]:.6g}, "
+                f"differences give {coarse[k]:.6g}",
+            )
+    if not bench.second and bench.offers(session.kind, "providesAdjointDerivatives"):
+        yield from _adjoint(session, unknowns, knowns, np.array(forward))
 
 
 def _adjoint(

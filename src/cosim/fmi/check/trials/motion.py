@@ -96,8 +96,7 @@ class _Course:
     @property
     def internal_step(self) -> float:
         """Size of the FMU's own steps, s; 0 if it declares none."""
-        declared = self.bench.described.interfaces["CoSimulation"]
-        return float(declared.get("fixedInternalStepSize", "0"))
+        return self.bench.internal_step("CoSimulation")
 
     def allowed(self, exact: Vector) -> Vector:
         """Return the difference of each output that its solver's tolerance or step explains."""

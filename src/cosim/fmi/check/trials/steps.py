@@ -12,14 +12,12 @@ from time import monotonic
 
 import numpy as np
 
-from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
 from cosim.fmi.check.trials.bench import (
     MEMORY_GROWTH,
     MOST_NAMES,
     Bench,
     Note,
-    Session,
     Skipped,
     altered,
     memory_in_use,
@@ -173,10 +171,10 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
         session.start()
         if session.next_event < session.start_time:
             yield rule.at(kind, f"its next event is at {session.next_event:.6g} s, in the past")
-        nominals = _all(session, "getNominalsOfContinuousStates", len(states))
+        nominals = session.all_of("getNominalsOfContinuousStates", len(states))
         if not (np.isfinite(nominals) & (nominals > 0)).all():
             yield rule.at(kind, f"a state has the nominal value {nominals.min():g}")
-        _all(session, "getEventIndicators", bench.fmpy.numberOfEventIndicators or 0)
+        session.all_of("getEventIndicators", bench.fmpy.numberOfEventIndicators or 0)
         _, ends = session.instance.completedIntegratorStep()
         if ends:
             yield rule.at(kind, "it ends the run after a step of length 0")
@@ -187,19 +185,12 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
         for function, variables in ("getContinuousStates", states), (slopes, rates):
             own = session.values(variables)
             expected = given if variables is states else own
-            found = _all(session, function, len(own))
+            found = session.all_of(function, len(own))
             allowed = _NOISE * np.maximum(np.abs(expected), 1.0)
             wrong = ~((np.abs(found - expected) <= allowed) & (np.abs(own - expected) <= allowed))
             for i in np.flatnonzero(wrong)[:MOST_NAMES]:
                 fault = f"{function} gives {found[i]:.10g}, its variable is {own[i]:.10g}"
                 yield rule.at(variables[i].name, fault)
-
-
-def _all(session: Session, function: str, size: int) -> Vector:
-    """Return what a function gives for all states or event indicators."""
-    found = (ctypes.c_double * size)()
-    getattr(session.instance, function)(found, size)
-    return np.array(found)
 
 
 def settings(bench: Bench, kind: str) -> Iterator[Finding]:

@@ -1,0 +1,100 @@
+"""Parts whose steps have one length, and the macro steps that they allow."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import isclose
+
+from cosim.coupling.opened_part import OpenedPart
+from cosim.errors import UsageError
+
+_MOST_MULTIPLES = 1000
+
+
+@dataclass(frozen=True)
+class OwnSteps:
+    """The lengths of steps, s.
+
+    Attributes:
+        of_parts: The only length of the steps of a part, by its name.
+        quantum: Macro steps are multiples of it; 0 if they may have any length.
+    """
+
+    of_parts: Mapping[str, float]
+    quantum: float
+
+
+def own_steps(
+    system: str,
+    parts: Mapping[str, OpenedPart],
+    macro_step: float | None,
+    interval: float,
+    span: float,
+    *,
+    at_internal_steps: bool,
+) -> OwnSteps:
+    """Return the steps of parts that take steps of one length only.
+
+    It is the length that the file names, or else the macro step or the output interval.
+
+    Args:
+        system: Its name.
+        parts: By name.
+        macro_step: s; None if it is chosen by the accuracy.
+        interval, span: Distance of the output times and length of the run, s.
+        at_internal_steps: Whether macro steps that are chosen end with steps of the solvers inside
+            the parts where their length is fixed. Outputs change there only.
+
+    Raises:
+        UsageError: The macro step, the output interval or the span is no multiple of it, or the
+            lengths of two parts have no common multiple.
+    """
+    found = dict[str, float]()
+    for name, part in parts.items():
+        if part.any_step:
+            continue
+        named = part.internal_step or part.named_step
+        found[name] = named or macro_step or interval
+        if (
+            macro_step is not None
+            and not part.internal_step
+            and not _is_multiple(macro_step, found[name])
+        ):
+            found[name] = macro_step  # another length may do as well if it is always the same
+        for what, length in (
+            ("macro_step", macro_step),
+            ("output_interval", interval),
+            ("the span of the run", span),
+        ):
+            if length is not None and not _is_multiple(length, found[name]):
+                raise UsageError(
+                    f"{system}: {what} = {length:g} s is no multiple of {found[name]:g} s, the "
+                    f"only step of part '{name}'; choose one that is"
+                )
+    quantum = _common_multiple(found.values())
+    if found and not quantum:
+        steps = ", ".join(f"{name}: {step:g} s" for name, step in found.items())
+        raise UsageError(
+            f"{system}: the only steps of the parts have no common multiple ({steps}); export the "
+            "parts with other ones"
+        )
+    if macro_step is not None:
+        return OwnSteps(found, 0.0)
+    internal = {part.internal_step for part in parts.values() if at_internal_steps}
+    return OwnSteps(found, _common_multiple({quantum, *internal} - {0.0}) or quantum)
+
+
+def _is_multiple(length: float, step: float) -> bool:
+    return (
+        step > 0
+        and length > step / 2
+        and isclose(length / step, round(length / step), rel_tol=1e-9)
+    )
+
+
+def _common_multiple(steps: Iterable[float]) -> float:
+    """Return the least common multiple of lengths; 0 if there are none, or it has none."""
+    every = sorted(steps)
+    if not every:
+        return 0.0
+    multiples = (n * every[-1] for n in range(1, _MOST_MULTIPLES))
+    return next((m for m in multiples if all(_is_multiple(m, step) for step in every)), 0.0)

@@ -1,0 +1,207 @@
+"""Parts as other tools write them: what they return is checked, and a failing part is named."""
+
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from helpers.foreign_part import foreign_part
+
+import cosim
+from cosim.coupling.files import read_system
+from cosim.errors import SolverError, UnknownName, UsageError
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+TIMES = {"stop_time": 1.0, "output_interval": 0.01}
+WAYS = [
+    {"method": "jacobi", "macro_step": 0.01},
+    {"method": "gauss_seidel", "macro_step": 0.01},
+    {"method": "extrapolated", "macro_step": 0.01},
+    {"method": "iterated", "macro_step": 0.01},
+    {"method": "extrapolated", "accuracy": 1e-4},
+    {"method": "iterated", "accuracy": 1e-4},
+]
+EVERY_WAY = pytest.mark.parametrize("way", WAYS, ids=lambda way: "-".join(map(str, way.values())))
+LOOP = {"motor.u": "load.y", "load.u": "motor.y"}
+
+
+def two_lags(motor, load, wires=LOOP, **options):
+    """Couple two lags, x' = u - x, in a loop; from 1 and 0, motor.x(1) = (1 + exp(-2))/2."""
+    start = {"motor.x": 1.0}
+    parts = {"motor": motor, "load": load}
+    return cosim.couple(parts, wires, start_values=start, **TIMES, **options)
+
+
+@EVERY_WAY
+@pytest.mark.parametrize("wires", [LOOP, {"load.u": "motor.y"}, {}], ids=len)
+@pytest.mark.parametrize("value", ["NAN", "INFINITY"])
+def test_value_that_is_not_finite_ends_the_run_with_the_part_and_its_output(
+    way, wires, value, tmp_path
+):
+    bad = foreign_part(tmp_path, "lag", fault=f"if (time > 0.4) self->x = {value}")
+    system = two_lags(bad, foreign_part(tmp_path, "lag"), wires)
+    with pytest.raises(SolverError, match=r"part 'motor': .*\by is not finite") as caught:
+        system.simulate(**way)
+    assert np.isfinite(caught.value.partial.values).all()
+    assert caught.value.partial.time[-1] == pytest.approx(0.4, abs=0.02)
+
+
+@EVERY_WAY
+def test_output_derivatives_that_are_not_finite_count_as_none(way, tmp_path):
+    motor, load = (foreign_part(tmp_path, "lag", divides=True) for _ in range(2))
+    run = two_lags(motor, load).simulate(**way)
+    bound = 5e-3 if way["method"] in ("jacobi", "gauss_seidel") else 1e-4  # 3.4e-3; 7e-6
+    assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=bound)
+
+
+@EVERY_WAY
+@pytest.mark.parametrize(("status", "word"), [(2, "discard"), (3, "error"), (4, "fatal")])
+def test_part_that_fails_is_named_with_its_status(way, status, word, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault=f"if (time > 0.4) return {status}")
+    system = two_lags(bad, foreign_part(tmp_path, "lag"))
+    words = rf"part 'motor' failed after .*fmi2DoStep returned {status} \({word}\)"
+    with pytest.raises(SolverError, match=words):
+        system.simulate(**way)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize(
+    ("fault", "limit", "words"),
+    [
+        ("abort()", "60", "part 'motor' crashed (SIGABRT)"),
+        ("exit(3)", "60", "part 'motor' ended the process with exit code 3"),
+        pytest.param(
+            *("for (volatile int i = 0;; i = 1) {}", "10", "part 'motor' was being called"),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["crash", "exit", "hang"],
+)
+def test_part_that_ends_or_stops_its_process_is_named(fault, limit, words, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault=f"if (time > 0.4) {fault}")
+    toml = tmp_path / "pair.toml"
+    toml.write_text(
+        f"stop_time = 1.0\n[parts]\nmotor = '{bad}'\nload = '{foreign_part(tmp_path, 'lag')}'\n"
+        "[connections]\n'load.u' = 'motor.y'\n'motor.u' = 'load.y'\n"
+    )
+    call = [sys.executable, "-m", "cosim", "simulate", str(toml), "--trust", "--timeout", limit]
+    done = subprocess.run(call, capture_output=True, text=True, check=False, timeout=90)
+    assert done.returncode == 1
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize("grid", [1e-12, 1e-9, 1e-7, 1e-6, 1e-5])
+def test_parts_that_round_their_results_stay_at_rest(grid, tmp_path):
+    """At rest v = 0 and y = -10; no force within the limits moves the mass by 7.4 in a second."""
+    parts = {n: foreign_part(tmp_path, n, grid=grid) for n in ("controller", "plant")}
+    wires = {"controller.u": "plant.y", "plant.u": "controller.y"}
+    system = cosim.couple(parts, wires, stop_time=2.0, output_interval=0.01)
+    run = system.simulate(method="iterated", macro_step=0.01)
+    assert np.abs(run["plant.y"]).max() < 0.075  # measured 0.0711 with each
+    assert run.final["plant.y"] == pytest.approx(0, abs=3 * grid)
+
+
+def test_accuracy_below_the_noise_of_a_part_is_an_error_that_names_it(tmp_path):
+    """The load rounds its results to 1e-4, which keeps the motor from its motion in short steps."""
+    motor, load = foreign_part(tmp_path, "lag"), foreign_part(tmp_path, "lag", grid=1e-4)
+    for accuracy in (1e-4, 1e-6, 1e-10):
+        with pytest.raises(SolverError, match=r"part 'load' .* noise of about 0.0001 of their"):
+            two_lags(motor, load).simulate(accuracy=accuracy)
+    run = two_lags(motor, load).simulate(accuracy=1e-2)
+    assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=1e-2)
+
+
+OWN = "if (fabs(size - 0.02) > 1e-9) return 3"  # as files of others that take no other step
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        {"accuracy": 0.1},
+        {"method": "extrapolated", "accuracy": 0.1},
+        {"macro_step": 0.02},
+        {"macro_step": 0.1, "output_interval": 0.1},
+        {"macro_step": 0.02, "method": "jacobi"},
+    ],
+    ids=str,
+)
+def test_part_gets_no_other_step_than_its_own(way, tmp_path):
+    facts = {"fault": OWN, "step_size": 0.02, "canHandleVariableCommunicationStepSize": "false"}
+    motor, load = foreign_part(tmp_path, "lag", **facts), foreign_part(tmp_path, "lag")
+    run = two_lags(motor, load).simulate(**{"output_interval": 0.02} | way)
+    bound = 1e-2 if way.get("method") == "jacobi" else 2e-3  # measured 6.8e-3; 7e-4
+    assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=bound)
+
+
+@pytest.mark.parametrize(
+    ("ways", "words"),
+    [
+        ({"macro_step": 0.02, "output_interval": 0.03}, "output_interval = 0.03 s is no multiple"),
+        ({"accuracy": 1e-2, "output_interval": 0.03}, "output_interval = 0.03 s is no multiple"),
+        ({"accuracy": 1e-2, "stop_time": 1.01}, "the span of the run = 1.01 s is no multiple"),
+    ],
+    ids=str,
+)
+def test_times_that_do_not_fit_the_only_step_of_a_part_are_rejected(ways, words, tmp_path):
+    motor = foreign_part(
+        tmp_path, "lag", step_size=0.02, canHandleVariableCommunicationStepSize="false"
+    )
+    system = two_lags(motor, foreign_part(tmp_path, "lag"))
+    with pytest.raises(UsageError, match=rf"{words}.*part 'motor'"):
+        system.simulate(**{"output_interval": 0.02, "macro_step": None} | ways)
+
+
+def test_accuracy_that_the_only_step_of_a_part_does_not_allow_is_an_error(tmp_path):
+    motor = foreign_part(
+        tmp_path, "lag", step_size=0.02, canHandleVariableCommunicationStepSize="false"
+    )
+    system = two_lags(motor, foreign_part(tmp_path, "lag"))
+    with pytest.raises(SolverError, match="the steps of motor have a fixed length") as caught:
+        system.simulate(accuracy=1e-12, output_interval=0.02)
+    assert len(caught.value.partial) == 51
+    run = system.simulate(output_interval=0.02)
+    assert "the steps of motor have a fixed length" in run.stats["note"]
+    assert "error_estimate" not in run.stats
+
+
+def test_abilities_that_are_switched_off_are_not_used(tmp_path):
+    motor, load = foreign_part(tmp_path, "lag"), foreign_part(tmp_path, "lag")
+    full = two_lags(motor, load).simulate(macro_step=0.01)
+    assert full.stats["order"] == {"motor": "linear inputs", "load": "linear inputs"}
+    text = "no rates, no interpolation, no rollback, no directional derivatives, no event mode"
+    run = two_lags(motor, load, abilities={"motor": text}).simulate(macro_step=0.01)
+    assert run.stats["order"]["motor"] == (
+        "constant inputs, output derivatives from values, one step without repetition: it cannot "
+        "restore its state"
+    )
+    assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=1e-4)
+    toml = tmp_path / "pair.toml"
+    toml.write_text(
+        f"[parts]\nmotor = '{motor}'\nload = '{load}'\n[connections]\n'load.u' = 'motor.y'\n"
+        "[abilities]\nmotor = 'no rates'\n"
+    )
+    order = read_system(toml).simulate(macro_step=0.01).stats["order"]
+    assert order["motor"] == "linear inputs, output derivatives from values"
+
+
+@pytest.mark.parametrize(
+    ("abilities", "kind", "words"),
+    [
+        ({"motor": "no rate"}, UnknownName, "no ability to switch off 'no rate'"),
+        ({"motors": "no rates"}, UnknownName, "no part 'motors'"),
+        ({"motor": 1}, UsageError, "abilities of part 'motor'"),
+        ("no rates", UsageError, "abilities"),
+    ],
+    ids=str,
+)
+def test_wrong_abilities_are_rejected(abilities, kind, words):
+    with pytest.raises(kind, match=words):
+        cosim.couple({"motor": "crank_shaft"}, {}, abilities=abilities)
+
+
+def test_part_for_model_exchange_only_is_rejected_with_the_remedy(tmp_path):
+    path = foreign_part(tmp_path, "lag", interface="ModelExchange")
+    with pytest.raises(UsageError, match=r"for model exchange only.*export it for co-sim"):
+        cosim.couple({"motor": path}, {})

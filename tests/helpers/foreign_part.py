@@ -1,0 +1,83 @@
+"""Small FMUs of FMI 2.0 for co-simulation as other tools write them, with chosen faults."""
+
+import subprocess
+from itertools import count
+from pathlib import Path
+
+from cosim.codegen.compiler import find_compiler
+from cosim.fmi.export.package import zipped
+
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{{{name}}}"
+    generationTool="other" numberOfEventIndicators="0">
+  <{interface} modelIdentifier="{name}" {abilities}/>
+  <DefaultExperiment startTime="0" stopTime="1"{step_size}/>
+  <ModelVariables>
+    <ScalarVariable name="u" valueReference="0" causality="input" variability="continuous">
+      <Real start="0"/>
+    </ScalarVariable>
+    <ScalarVariable name="y" valueReference="1" causality="output" variability="continuous"
+        initial="calculated"><Real/></ScalarVariable>
+    <ScalarVariable name="x" valueReference="2" causality="local" variability="continuous"
+        initial="exact"><Real start="0"/></ScalarVariable>
+  </ModelVariables>
+  <ModelStructure>
+    <Outputs><Unknown index="2"/></Outputs>
+    <InitialUnknowns><Unknown index="2"/></InitialUnknowns>
+  </ModelStructure>
+</fmiModelDescription>"""
+ABILITIES = {
+    "canHandleVariableCommunicationStepSize": "true",
+    "canInterpolateInputs": "true",
+    "maxOutputDerivativeOrder": "1",
+    "canGetAndSetFMUstate": "true",
+    "canSerializeFMUstate": "true",
+    "providesDirectionalDerivative": "true",
+}
+KINDS = ("plant", "controller", "lag")
+_number = count()
+
+
+def foreign_part(
+    folder: Path,
+    kind: str,
+    *,
+    fault: str = "",
+    grid: float = 0.0,
+    divides: bool = False,
+    step_size: float | None = None,
+    interface: str = "CoSimulation",
+    **abilities: str,
+) -> Path:
+    """Write an FMU.
+
+    Args:
+        folder: Where to write it.
+        kind: plant, v' = (u + 10)/3, y = v; controller with integral part and limited output;
+            lag, x' = u - x, y = x.
+        fault: C statements at the begin of each step; `self`, `time` and `size` are known there.
+        grid: The state after a step is rounded to a multiple of this number.
+        divides: The derivative of the output is y/0 until the first step.
+        step_size: The file declares steps of this size, s.
+        interface: That the file declares.
+        abilities: Attributes of the interface that differ from those of a file that can do all.
+    """
+    name = f"{kind}_{next(_number)}"
+    source, library = folder / f"{name}.c", folder / f"{name}.so"
+    defines = {"KIND": KINDS.index(kind), "DIVIDES": int(divides), "GRID": float(grid)}
+    lines = [f"#define {key} {value}\n" for key, value in (defines | {"FAULT": fault}).items()]
+    source.write_text("".join(lines) + Path(__file__).with_name("foreign_part.c").read_text())
+    flags = ["-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-lm"]
+    subprocess.run([*find_compiler(), *flags], check=True)
+    attributes = " ".join(f'{key}="{value}"' for key, value in (ABILITIES | abilities).items())
+    text = DESCRIPTION.format(
+        name=name,
+        interface=interface,
+        abilities=attributes,
+        step_size="" if step_size is None else f' stepSize="{step_size}"',
+    )
+    files = {"modelDescription.xml": text.encode()}
+    files[f"binaries/linux64/{name}.so"] = library.read_bytes()
+    target = folder / f"{name}.fmu"
+    target.write_bytes(zipped(files))
+    return target
