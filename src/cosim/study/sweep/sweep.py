@@ -19,6 +19,7 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
+from cosim.host.signals import ended_by_signals
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.lanes import processors
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
@@ -286,6 +287,7 @@ def sweep(
     layout = Layout(manifest, chosen, columns, time, stored, block)
     job = Job(opened, recorded, len(time), stored, processors())
     with ExitStack() as held:
+        held.enter_context(ended_by_signals())  # and with it the workers
         if folder is None:
             results = Store(layout)
         else:
