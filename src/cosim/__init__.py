@@ -47,7 +47,7 @@ def __getattr__(name: str) -> Any:
         return version("cosim-rigid")
     if name not in _MODULES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'{_hint(name)}")
-    from cosim.host.extensions import deferred_signals
+    from cosim.extensions import deferred_signals
 
     module = _MODULES[name]
     with deferred_signals():

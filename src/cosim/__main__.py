@@ -14,7 +14,7 @@ def main(*, own_process: bool = False) -> int:
     """
     try:
         if own_process:
-            from cosim.host.extensions import load_extensions_whole
+            from cosim.extensions import load_extensions_whole
 
             load_extensions_whole()
         from cosim.cli.main import main as run_command_line

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.host.extensions import deferred_signals
+from cosim.extensions import deferred_signals
 
 _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _PROCESSORS = {"X86_64": "x86_64", "AMD64": "x86_64", "AARCH64": "aarch64", "ARM64": "aarch64"}

@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import Any
 
 from cosim.errors import MissingTool
-from cosim.host.extensions import deferred_signals
+from cosim.extensions import deferred_signals
 
 
 def optional_module(name: str, extra: str) -> Any:

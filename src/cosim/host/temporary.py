@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 from cosim.errors import FmuError
+from cosim.host.signals import ended_by_signals
 
 _OLD = 7 * 86400  # s; older folders are removed even if a process has their number today
 PREFIX = "cosim"
@@ -23,7 +24,7 @@ PREFIX = "cosim"
 
 @contextmanager
 def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Yield a new folder (mode 0700) that is removed afterwards with its content.
+    """Yield a new folder (mode 0700) that is removed afterwards with its content, also by SIGTERM.
 
     Args:
         parent: The folder to make it in; the system's temporary folder when None.
@@ -34,9 +35,10 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
     place = Path(tempfile.gettempdir() if parent is None else parent)
     remove_leftovers(place)
     # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
-    with tempfile.TemporaryDirectory(
+    folder = tempfile.TemporaryDirectory(
         prefix=f"{PREFIX}-{process_mark()}-", dir=place, ignore_cleanup_errors=True
-    ) as name:
+    )
+    with ended_by_signals(), folder as name:
         yield Path(name)
 
 
