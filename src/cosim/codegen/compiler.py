@@ -30,6 +30,8 @@ from cosim.errors import CompilerTimeout, MissingTool, UsageError
 from cosim.host.progress import doing
 from cosim.host.temporary import loads_no_library, temporary_folder
 
+# First bytes of libraries for Linux, Windows, macOS (of one and of several processors), and WASM
+_BINARIES = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe", b"\0asm")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
 TIMEOUT = 600  # s, for one compiler call
@@ -144,6 +146,12 @@ def compile_library(
         raise MissingTool(
             f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
         )
+    with target.open("rb") as stream:
+        if not stream.read(4).startswith(_BINARIES):
+            raise MissingTool(
+                f"{shlex.join(call)} wrote something else than a shared library; use another "
+                f"compiler (CC=...), or {_HOW}"
+            )
     return target
 
 
