@@ -103,15 +103,16 @@ def test_ctrl_c_in_the_first_second_of_an_export_ends_it_in_one_word(delay, tmp_
 
 FOLDER = """
 import os, signal
+from cosim.codegen.compiler import compiling
 from cosim.host.temporary import temporary_folder
-with temporary_folder() as folder:
+with compiling(), temporary_folder() as folder:
     print(folder, flush=True)
     os.kill(os.getpid(), signal.SIGTERM)
 """
 
 
 @posix
-def test_sigterm_leaves_no_temporary_folder():
+def test_sigterm_while_compiling_leaves_no_temporary_folder():
     done = subprocess.run([sys.executable, "-c", FOLDER], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
     assert not pathlib.Path(done.stdout.strip()).exists()

@@ -28,6 +28,7 @@ from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerTimeout, MissingTool, UsageError
 from cosim.host.progress import doing
+from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import loads_no_library, temporary_folder
 
 # First bytes of libraries for Linux, Windows, macOS (of one and of several processors), and WASM
@@ -249,10 +250,13 @@ def reject_unlinked(code: str, beside: Mapping[str, str]) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Show progress while code is generated and compiled, and measure the time."""
+    """Show progress while code is generated and compiled, and measure the time.
+
+    SIGTERM leaves the context, and temporary folders inside it, before it ends the process.
+    """
     began = perf_counter()
     try:
-        with doing("compiling (once)"):
+        with ended_by_signals(), doing("compiling (once)"):
             yield
     finally:
         _SPENT.set(_SPENT.get() + perf_counter() - began)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Self
 
 from cosim.host.limits import LIMITS_VARIABLE, apply_limits, chosen_limits, waiting_time
+from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import fmu_folder, remove_leftovers
 from cosim.text import visible
 
@@ -197,7 +198,7 @@ def own_folder() -> Iterator[Path]:
     Raises:
         FmuError: It cannot be made.
     """
-    with fmu_folder() as folder:
+    with ended_by_signals(), fmu_folder() as folder:
         for name in ("work", "temporary"):
             (folder / name).mkdir()
         yield folder

@@ -16,7 +16,6 @@ from functools import cache
 from pathlib import Path
 
 from cosim.errors import FmuError
-from cosim.host.signals import ended_by_signals
 
 _OLD = 7 * 86400  # s; older folders are removed even if a process has their number today
 PREFIX = "cosim"
@@ -24,7 +23,7 @@ PREFIX = "cosim"
 
 @contextmanager
 def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Yield a new folder (mode 0700) that is removed afterwards with its content, also by SIGTERM.
+    """Yield a new folder (mode 0700) that is removed afterwards with its content.
 
     Args:
         parent: The folder to make it in; the system's temporary folder when None.
@@ -35,10 +34,9 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
     place = Path(tempfile.gettempdir() if parent is None else parent)
     remove_leftovers(place)
     # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
-    folder = tempfile.TemporaryDirectory(
+    with tempfile.TemporaryDirectory(
         prefix=f"{PREFIX}-{process_mark()}-", dir=place, ignore_cleanup_errors=True
-    )
-    with ended_by_signals(), folder as name:
+    ) as name:
         yield Path(name)
 
 

@@ -287,7 +287,8 @@ def sweep(
     layout = Layout(manifest, chosen, columns, time, stored, block)
     job = Job(opened, recorded, len(time), stored, processors())
     with ExitStack() as held:
-        held.enter_context(ended_by_signals())  # and with it the workers
+        if scheduler is not None:  # this process waits for workers, which end with it
+            held.enter_context(ended_by_signals())
         if folder is None:
             results = Store(layout)
         else:
