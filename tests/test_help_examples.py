@@ -3,6 +3,7 @@
 import re
 import shlex
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -35,4 +36,7 @@ def test_example_of_the_help_runs(example, exported, tmp_path, monkeypatch):
         pytest.skip("a tool or an extra of the package is missing")
     assert code == 0
     for file in re.findall(r"(?:-o|--figure) (\S+)", example):
-        assert (tmp_path / file).stat().st_size > 0
+        path = Path(file)
+        written = [*tmp_path.glob(f"{path.stem}*{path.suffix}")]  # a picture file for each figure
+        assert written
+        assert all(each.stat().st_size for each in written)
