@@ -8,9 +8,10 @@
 5. A C loop over co-simulation, by solver.
 6. 2001 outputs through both interfaces: fmpy compared with the compiled master.
 
-Times are medians of interleaved repeats; compare their ratios.
+Times are medians of interleaved repeats; compare their ratios. `--short` repeats twice.
 """
 
+import argparse
 import ctypes
 import statistics
 import subprocess
@@ -47,7 +48,7 @@ static void ignore(fmi2ComponentEnvironment e, fmi2String n, fmi2Status s, fmi2S
 }
 
 __attribute__((visibility("default")))
-void measure(int count, double results[5]) {
+void time_calls(int count, double results[5]) {
     static const fmi2CallbackFunctions host = {ignore, calloc, free, NULL, NULL};
     double start = now();
     fmi2Component fmu = NULL;
@@ -164,18 +165,22 @@ def co_simulation(path: Path) -> float:
     return perf_counter() - began
 
 
-def masters(path: Path) -> None:
+def _fastest_tenth(times: list[float]) -> float:
+    return statistics.quantiles(times, n=10, method="inclusive")[0]
+
+
+def masters(path: Path, repeats: int) -> None:
     """Print the total time of a run by master: the fastest tenth of the repeats."""
     for interface in ("ModelExchange", "CoSimulation"):
         times: dict[str, list[float]] = {"fmpy": [], "c": []}
-        for _ in range(REPEATS):
+        for _ in range(repeats):
             for master, taken in times.items():
                 began = thread_time()
                 cosim.simulate_fmu(
                     path, interface=interface, stop_time=20, output_interval=0.01, master=master
                 )
                 taken.append(thread_time() - began)
-        slow, fast = (statistics.quantiles(times[master], n=10)[0] for master in ("fmpy", "c"))
+        slow, fast = (_fastest_tenth(times[master]) for master in ("fmpy", "c"))
         print(f"{interface}, 2001 outputs: fmpy {slow * 1e3:.0f} ms, compiled master "
               f"{fast * 1e3:.1f} ms, ratio {slow / fast:.0f}")  # fmt: skip
 
@@ -196,6 +201,10 @@ def c_loop(fmu: Path, folder: Path) -> ctypes.CDLL:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--short", action="store_true", help="repeat twice")
+    short = parser.parse_args().short
+    repeats, short_repeats = (2, 2) if short else (REPEATS, SHORT_REPEATS)
     dae = cosim.load("bicycle")
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
@@ -204,13 +213,13 @@ def main() -> None:
             "nothing": cosim.export_fmu(do_nothing(dae), place / "nothing.fmu"),
         }
         times: dict[str, list[float]] = {name: [] for name in paths}
-        for _ in range(REPEATS):
+        for _ in range(repeats):
             for name, path in paths.items():
                 times[name].append(co_simulation(path))
         busy, idle = (statistics.median(times[name]) for name in ("bicycle", "nothing"))
         print(f"fmpy, co-simulation, 2001 outputs: {busy * 1e3:.1f} ms, "
               f"doing nothing {idle * 1e3:.1f} ms, ratio {busy / idle:.2f}")  # fmt: skip
-        masters(paths["bicycle"])
+        masters(paths["bicycle"], repeats)
 
         loops = {}
         for solver in SOLVERS:
@@ -220,9 +229,9 @@ def main() -> None:
         steps: dict[str, list[float]] = {solver: [] for solver in SOLVERS}
         driver = loops["dop853"]
         rows = []
-        for _ in range(SHORT_REPEATS):
+        for _ in range(short_repeats):
             results = (ctypes.c_double * 5)()
-            driver.measure(200, results)
+            driver.time_calls(200, results)
             rows.append(list(results))
             for solver, loop in loops.items():
                 steps[solver].append(loop.co_simulate(2000, ctypes.c_double(0.01)))

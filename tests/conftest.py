@@ -1,6 +1,7 @@
 """Fixtures and selection of all tests; they need no screen and leave the user's cache alone."""
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -16,10 +17,27 @@ os.environ["MPLBACKEND"] = "Agg"  # before any test module imports matplotlib
 SLOW = frozenset(Path(__file__).with_name("slow.txt").read_text(encoding="utf-8").splitlines())
 
 
+TIME_LIMIT = 600  # s; the slowest test takes about 100 s on two busy cores
+
+
+def pytest_configure() -> None:
+    """Receive signals that a shell has ignored for a command in the background (`nohup ... &`)."""
+    usual = {"SIGINT": signal.default_int_handler, "SIGHUP": signal.SIG_DFL}
+    for name, handler in usual.items():
+        kind = getattr(signal, name, None)
+        if kind is not None and signal.getsignal(kind) is signal.SIG_IGN:
+            signal.signal(kind, handler)
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark the tests of slow.txt as slow."""
+    """Mark the tests of slow.txt as slow, and give every test a time limit but the nightly ones.
+
+    A thread ends the session at the limit: signals belong to the tests, and would not end C code.
+    """
     if item.nodeid in SLOW:
         item.add_marker("slow")
+    if item.config.pluginmanager.has_plugin("timeout") and not item.get_closest_marker("nightly"):
+        item.add_marker(pytest.mark.timeout(TIME_LIMIT, method="thread"), append=False)
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k

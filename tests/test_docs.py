@@ -116,3 +116,33 @@ def test_links_of_a_page_lead_to_files(page):
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text())
     missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
     assert missing == []
+
+
+PRINTED = ("conditions", "reduce")  # their console blocks show what a command prints, or its end
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+SIZE = re.compile(r"\d+ kB")
+
+
+def numbers_and_words(text):
+    """Return the numbers of a text but sizes of files, and the words of each line without them."""
+    text = SIZE.sub("kB", text)
+    numbers = [float(number) for number in NUMBER.findall(text)]
+    return numbers, [NUMBER.sub("0", line).split() for line in text.splitlines()]
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_console_blocks_of_a_page_show_what_the_program_prints(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = "".join(blocks(ROOT / "docs" / f"{name}.md", "console"))
+    for part in re.split(r"^\$ cosim ", text, flags=re.MULTILINE)[1:]:
+        command, _, shown = part.partition("\n")
+        main(shlex.split(command))
+        printed = "".join(capsys.readouterr())
+        if shown.startswith("...\n"):
+            shown = shown.removeprefix("...\n")
+            printed = "\n".join(printed.splitlines()[-len(shown.splitlines()) :])
+        numbers, words = numbers_and_words(printed)
+        expected_numbers, expected_words = numbers_and_words(shown)
+        assert words == expected_words
+        # last digits differ between processors; drift is rounding
+        assert numbers == pytest.approx(expected_numbers, rel=1e-6, abs=1e-12)

@@ -47,8 +47,11 @@ def __getattr__(name: str) -> Any:
         return version("cosim-rigid")
     if name not in _MODULES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'{_hint(name)}")
+    from cosim.extensions import deferred_signals
+
     module = _MODULES[name]
-    value = vars(import_module(module)).get(name) or import_module(f"{module}.{name}")
+    with deferred_signals():
+        value = vars(import_module(module)).get(name) or import_module(f"{module}.{name}")
     if callable(value) and not isinstance(value, type):
         value = import_module("cosim.errors").naming_keywords(value)
         value.__module__ = "cosim"  # where pickle finds it

@@ -4,12 +4,19 @@ import signal
 import sys
 
 
-def main() -> int:
+def main(*, own_process: bool = False) -> int:
     """Run the command line; return the exit code.
 
     Imports take most of the time of a short command: Ctrl-C ends it there, too.
+
+    Args:
+        own_process: Whether the process is for nothing else.
     """
     try:
+        if own_process:
+            from cosim.extensions import load_extensions_whole
+
+            load_extensions_whole()
         from cosim.cli.main import main as run_command_line
 
         return run_command_line()
@@ -24,7 +31,7 @@ def command() -> int:
     When it is done Ctrl-C has nothing left to end, and only the word of a process that Python is
     leaving would say so.
     """
-    code = main()
+    code = main(own_process=True)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     return code
 

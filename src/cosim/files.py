@@ -134,10 +134,16 @@ def _explained(target: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        folder = Path(target).parent
-        hint = f"; create {folder} first" if isinstance(error, FileNotFoundError) else ""
+        hint = _what_to_create(Path(target)) if isinstance(error, FileNotFoundError) else ""
         reason = getattr(error, "strerror", None) or error
         raise ExportError(f"cannot write {target}: {reason}{hint}") from error
+
+
+def _what_to_create(target: Path) -> str:
+    if not target.is_symlink():
+        return f"; create {target.parent} first"
+    place = Path(os.path.realpath(target))
+    return f"; it is a link to {place}: create {place.parent} first"
 
 
 def _umask() -> int:

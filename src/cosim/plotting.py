@@ -2,7 +2,8 @@
 
 import io
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -78,9 +79,28 @@ def embedded(figure: Figure, alt: str) -> str:
 def picture(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
     """Return the content of a picture file; the same figure gives the same bytes."""
     content = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "cosim"}):
+    with _valid_formulas(), matplotlib.rc_context({"svg.hashsalt": "cosim"}):
         figure.savefig(content, format=kind, dpi=dpi, metadata=UNDATED[kind])
     return content.getvalue()
+
+
+@contextmanager
+def _valid_formulas() -> Iterator[None]:
+    """Reject a text whose part between dollar signs matplotlib cannot read as a formula.
+
+    Raises:
+        UsageError: It is a title, or the description of a variable.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if "Parse" not in str(error):
+            raise
+        formula = str(error).strip().splitlines()[0]
+        raise UsageError(
+            f"a text of the figure has the formula '{formula}', which matplotlib cannot read; "
+            "correct it, or write \\$ for a dollar sign"
+        ) from error
 
 
 FORMATS = ("png", "svg", "pdf")
@@ -158,7 +178,7 @@ def _pages(figures: Sequence[Figure]) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages  # loads slowly
 
     content = io.BytesIO()
-    with PdfPages(content, metadata=UNDATED["pdf"]) as pdf:
+    with _valid_formulas(), PdfPages(content, metadata=UNDATED["pdf"]) as pdf:
         for figure in figures:
             pdf.savefig(figure)
     return content.getvalue()

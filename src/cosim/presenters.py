@@ -23,5 +23,8 @@ def present_by(**places: str) -> None:
 def presenter(method: str) -> Callable[..., Any]:
     """Return the function that a method of a result stands for."""
     module, _, function = _PRESENTERS[method].partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), function)
+    from cosim.extensions import deferred_signals
+
+    with deferred_signals():
+        found: Callable[..., Any] = getattr(import_module(module), function)
     return found

@@ -86,6 +86,10 @@ def read_toml(path: Path) -> TomlFile:
         place = _PLACE.search(str(error))
         where = f", {place[1]}" if place else ""
         raise UsageError(f"{path}{where}: {_PLACE.sub('', str(error))}") from error
+    except ValueError as error:
+        raise UsageError(f"{path}: a number has too many digits; write it as 1e300") from error
+    except RecursionError as error:
+        raise UsageError(f"{path}: brackets are nested too deeply; write fewer") from error
     rows = tuple(text.splitlines())
     return TomlFile(path, data, dict(reversed(list(_lines(rows)))), rows)
 

@@ -249,7 +249,7 @@ def test_two_processes_may_make_the_same_library(cache):
 def test_windows_compilers_but_the_bundled_one_get_neither_fpic_nor_libm(
     bundled, given, script, tmp_path, monkeypatch
 ):
-    script(f'echo "$@" >> {tmp_path}/calls', 'touch "$WANTED"')
+    script(f'echo "$@" >> {tmp_path}/calls', 'printf MZ >"$WANTED"')
     monkeypatch.setenv("WANTED", str(tmp_path / "code.dll"))
     monkeypatch.setattr(compiling.sys, "platform", "win32")
     command = [str(tmp_path / "compiler"), *["ziglang"] * bundled]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -70,9 +71,13 @@ def seconds(text: str) -> float:
 
 
 def _time_limit(text: str) -> float:
+    """Read a time limit; `inf` is none."""
+    with suppress(ValueError):
+        if float(text) == inf:
+            return inf
     limit = seconds(text)
-    if not 0 < limit < inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a positive, finite time in seconds")
+    if not limit > 0:  # nor is it nan
+        raise argparse.ArgumentTypeError(f"{text} is not a positive time in seconds")
     return limit
 
 

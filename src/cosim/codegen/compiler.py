@@ -28,8 +28,11 @@ from cosim.codegen.cache import alone, plain_file, private_folder, prune, remove
 from cosim.codegen.pieces import in_pieces
 from cosim.errors import CompilerTimeout, MissingTool, UsageError
 from cosim.host.progress import doing
+from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import loads_no_library, temporary_folder
 
+# First bytes of libraries for Linux, Windows, macOS (of one and of several processors), and WASM
+_BINARIES = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe", b"\0asm")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 FLAGS = ("-O2", "-fPIC", "-shared", "-g0")
 TIMEOUT = 600  # s, for one compiler call
@@ -144,6 +147,12 @@ def compile_library(
         raise MissingTool(
             f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
         )
+    with target.open("rb") as stream:
+        if not stream.read(4).startswith(_BINARIES):
+            raise MissingTool(
+                f"{shlex.join(call)} wrote something else than a shared library; use another "
+                f"compiler (CC=...), or {_HOW}"
+            )
     return target
 
 
@@ -241,10 +250,13 @@ def reject_unlinked(code: str, beside: Mapping[str, str]) -> None:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Show progress while code is generated and compiled, and measure the time."""
+    """Show progress while code is generated and compiled, and measure the time.
+
+    SIGTERM leaves the context, and temporary folders inside it, before it ends the process.
+    """
     began = perf_counter()
     try:
-        with doing("compiling (once)"):
+        with ended_by_signals(), doing("compiling (once)"):
             yield
     finally:
         _SPENT.set(_SPENT.get() + perf_counter() - began)

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.extensions import deferred_signals
+
 _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _PROCESSORS = {"X86_64": "x86_64", "AMD64": "x86_64", "AARCH64": "aarch64", "ARM64": "aarch64"}
 _PROCESSORS |= {"I386": "x86"}  # by the names of ELF, PE and Mach-O
@@ -44,7 +46,8 @@ def read_libraries(content: bytes) -> tuple[Library, ...]:
     Raises:
         ValueError: It is no shared library of a known kind, or damaged.
     """
-    import lief
+    with deferred_signals():
+        import lief
 
     lief.logging.disable()
     try:

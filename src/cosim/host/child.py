@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Self
 
-from cosim.host.limits import LIMITS_VARIABLE, apply_limits, chosen_limits
+from cosim.host.limits import LIMITS_VARIABLE, apply_limits, chosen_limits, waiting_time
 from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import fmu_folder, remove_leftovers
 from cosim.text import visible
@@ -114,7 +114,7 @@ class Child:
     def wait(self, timeout: float | None = None) -> int | None:
         """Return the exit code, negative for a signal; None after the timeout, s."""
         try:
-            return self._process.wait(timeout)
+            return self._process.wait(waiting_time(timeout))
         except subprocess.TimeoutExpired:
             return None
 

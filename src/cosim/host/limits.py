@@ -1,4 +1,4 @@
-"""Resource limits of foreign FMUs: they stop accidents and are no sandbox."""
+"""Limits of time, and of the resources of foreign FMUs: they stop accidents, no attacks."""
 
 import os
 import sys
@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from cosim.errors import UsageError
 
+MOST_WAIT = 4e6  # s, 46 days: timers of every system can wait for so long
 LIMITS_VARIABLE = "COSIM_FMU_LIMITS"
 # Address space, bytes; processor time, s; size of a file, bytes; open files; 0 means no limit
 _USUAL = {"memory": 16 * 2**30, "cpu": 4 * 3600, "file": 2**30, "files": 256}
@@ -33,6 +34,11 @@ def chosen_limits() -> dict[str, int]:
             )
         chosen[name] = int(number)
     return chosen
+
+
+def waiting_time(seconds: float | None) -> float | None:
+    """Return a time limit, s, for a timer; None, which is no limit, beyond `MOST_WAIT`."""
+    return None if seconds is None or seconds > MOST_WAIT else seconds
 
 
 def apply_limits(limits: Mapping[str, int]) -> None:

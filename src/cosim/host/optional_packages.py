@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import Any
 
 from cosim.errors import MissingTool
+from cosim.extensions import deferred_signals
 
 
 def optional_module(name: str, extra: str) -> Any:
@@ -17,7 +18,8 @@ def optional_module(name: str, extra: str) -> Any:
         MissingTool: The package is not installed.
     """
     try:
-        return import_module(name)
+        with deferred_signals():
+            return import_module(name)
     except ImportError as error:
         raise MissingTool(
             f"{name.partition('.')[0]} is not installed; "

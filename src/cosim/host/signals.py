@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from threading import Timer, current_thread, main_thread
 from types import FrameType
 
+from cosim.host.limits import waiting_time
+
 
 @contextmanager
 def interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
@@ -60,11 +62,11 @@ class TimeLimit:
 
 @contextmanager
 def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
-    """Raise `TimeLimitReached` in the main thread after a time, s; never for None.
+    """Raise `TimeLimitReached` in the main thread after a time, s; never for None or infinity.
 
     An interval timer does it; on Windows, which has none, a thread.
     """
-    limit = TimeLimit()
+    limit, seconds = TimeLimit(), waiting_time(seconds)
     if seconds is None:
         yield limit
         return

@@ -3,7 +3,8 @@
 import ast
 import operator
 import re
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
+from contextlib import contextmanager
 from functools import reduce
 from math import e, pi
 from typing import Any
@@ -63,7 +64,9 @@ def expression(
             a unit, which become SI values, and variables in other units.
         UnknownName: A name in it does not exist.
     """
-    return SX(_Reader(owner, text, symbols).value(_parsed(owner, text, symbols, units or {})))
+    node = _parsed(owner, text, symbols, units or {})
+    with _shallow(owner, text):
+        return SX(_Reader(owner, text, symbols).value(node))
 
 
 def condition(
@@ -75,7 +78,20 @@ def condition(
         ParameterError: It is no condition, or see `expression`.
         UnknownName: A name in it does not exist.
     """
-    return SX(_Reader(owner, text, symbols).condition(_parsed(owner, text, symbols, units or {})))
+    node = _parsed(owner, text, symbols, units or {})
+    with _shallow(owner, text):
+        return SX(_Reader(owner, text, symbols).condition(node))
+
+
+@contextmanager
+def _shallow(owner: str, text: str) -> Iterator[None]:
+    """Reject a formula that is nested more deeply than Python allows."""
+    try:
+        yield
+    except (RecursionError, MemoryError):
+        raise ParameterError(
+            f"{owner}: the formula '{text}' is nested too deeply; split it, or write a model"
+        ) from None
 
 
 def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, str]) -> ast.expr:
@@ -92,8 +108,9 @@ def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, st
                 )
     plain = plain.replace("^", "**")  # ^ would bind less than +
     try:
-        return ast.parse(plain.strip(), mode="eval").body
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        with _shallow(owner, text):
+            return ast.parse(plain.strip(), mode="eval").body
+    except (SyntaxError, ValueError) as error:
         raise ParameterError(
             f"{owner}: '{text}' is no formula ({getattr(error, 'msg', error)}); write it as in "
             "Python, e.g. 10*sin(2*pi*t)"
@@ -143,11 +160,22 @@ class _Reader:
                 return -self.value(operand)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.value(operand)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-                return _OPERATORS[type(op)](SX(self.value(left)), SX(self.value(right)))
+            case ast.BinOp(op=op) if type(op) in _OPERATORS:
+                return self.chained(node)
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self.called(node, name, arguments)
         raise self.refusal(node)
+
+    def chained(self, node: ast.expr) -> Any:
+        """Return the value of a sum or product of any length, whose first terms lie deepest."""
+        operations: list[ast.BinOp] = []
+        while isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+            operations.append(node)
+            node = node.left
+        value = SX(self.value(node))
+        for operation in reversed(operations):
+            value = _OPERATORS[type(operation.op)](value, SX(self.value(operation.right)))
+        return value
 
     def condition(self, node: ast.expr) -> Any:
         """Return whether a condition holds, 1 or 0."""

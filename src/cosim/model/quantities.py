@@ -4,6 +4,7 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 
 from casadi_models.units import PARTS, UNITS, Unit
@@ -12,7 +13,9 @@ from cosim.text import LONGEST_WORD, bounded
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
-_FACTOR = re.compile(r"([A-Za-z\u00b0\u03a9\u00b5\u03bc%]+)(?:(?:\^|\*\*)?([-+]?\d+))?|1(?![\d^*])")
+_FACTOR = re.compile(
+    r"([A-Za-z\u00b0\u03a9\u00b5\u03bc%]+)(?:(?:\^|\*\*)?([-+]?\d{1,2})(?!\d))?|1(?![\d^*])"
+)
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
 
 
@@ -117,10 +120,13 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
         if match is None or unit is None:
             return None
         power = sign * int(match[2] or 1)
-        factor *= unit.factor**power
+        try:
+            factor *= unit.factor**power
+        except OverflowError:
+            return None
         for name, exponent in unit.base:
             base[name] = base.get(name, 0) + power * exponent
         position, expected = match.end(), False
-    if expected:
+    if expected or not 0 < factor < inf:
         return None
     return Unit(factor, tuple((name, n) for name, n in base.items() if n))

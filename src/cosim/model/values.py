@@ -56,6 +56,17 @@ def number(owner: str, name: str, value: Any, *, positive: bool = False) -> floa
     return result
 
 
+def time_limit_from(owner: str, value: Any) -> float:
+    """Return a time limit, s; infinite if there is none.
+
+    Raises:
+        ParameterError: The value is no positive number.
+    """
+    if value is None or (isinstance(value, float) and value == inf):
+        return inf
+    return number(owner, "timeout", value, positive=True)
+
+
 def listed(call: str, names: Any) -> tuple[str, ...]:
     """Return names as a tuple.
 

@@ -189,8 +189,18 @@ def rows_of(path: Path) -> list[tuple[int, list[str]]]:
         raise UsageError(f"{path} is empty; give a CSV file with a header")
     head = lines[0][1]
     mark = next((mark for mark in (";", "\t", ",") if mark in head), ",")
-    rows = [(i, next(csv.reader(io.StringIO(line), delimiter=mark))) for i, line in lines]
+    rows = [(i, _cells(f"{path}, line {i}", line, mark)) for i, line in lines]
     return [(i, cells) for i, cells in rows if any(cell.strip() for cell in cells)]
+
+
+def _cells(place: str, line: str, mark: str) -> list[str]:
+    try:
+        return next(csv.reader(io.StringIO(line), delimiter=mark))
+    except csv.Error as error:
+        most = csv.field_size_limit()
+        raise UsageError(
+            f"{place} has a cell of more than {most} characters; write numbers"
+        ) from error
 
 
 def numbers_of(

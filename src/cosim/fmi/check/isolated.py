@@ -35,7 +35,7 @@ from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
 from cosim.host.limits import chosen_limits
-from cosim.model.values import number
+from cosim.model.values import time_limit_from
 from cosim.text import sentence
 
 TRIALS: tuple[Trial, ...] = (
@@ -111,12 +111,12 @@ def try_apart(
 
     Args:
         path: The FMU. Its binary runs with the rights of this user.
-        timeout: Wall time, s, after which the child is ended.
+        timeout: Wall time, s, after which the child is ended; infinity for no limit.
 
     Raises:
         FmuError, SecurityError: It cannot be run here at all, see `simulate_fmu`.
     """
-    number(str(path), "timeout", timeout, positive=True)
+    timeout = time_limit_from(str(path), timeout)
     chosen_limits()
     with own_folder() as folder, unpacked(path) as files:
         bench = Bench(files, str(path))

@@ -15,6 +15,7 @@ from cosim.errors import CacheError, ExportError
 from cosim.fmi.platforms import Target
 from cosim.fmi.shared_library import fat_library
 from cosim.host.progress import doing
+from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import temporary_folder
 
 _LONG = 200_000  # characters; longer code is made 6 % smaller, and at most 4 % slower
@@ -70,7 +71,7 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
         return known
     try:
         folder = private_folder()
-        with temporary_folder(folder) as build:
+        with ended_by_signals(), temporary_folder(folder) as build:
             for file, text in sources.items():
                 (build / file).write_bytes(text)
             files, runtime = set(build.glob("*.c")), {entry.name for entry in runtime_sources()}

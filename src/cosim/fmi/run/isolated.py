@@ -20,7 +20,7 @@ from cosim.host.child import be_confined, leave, own_folder, run_confined
 from cosim.host.last_call import calls_noted_in, last_called
 from cosim.host.limits import LIMITS_VARIABLE, chosen_limits
 from cosim.host.progress import doing
-from cosim.model.values import number
+from cosim.model.values import time_limit_from
 from cosim.text import sentence
 from cosim.trajectory import Trajectory
 
@@ -41,7 +41,7 @@ def simulate_apart(
     parent, and ends with every process that it started. The first 10 kB of its output go to stderr.
 
     Args:
-        timeout: Wall time, s, after which the child is ended; None for no limit.
+        timeout: Wall time, s, after which the child is ended; None or infinity for no limit.
         function: What simulates the file, of a module.
         options: Of that function; of inputs, formulas and series.
 
@@ -49,15 +49,14 @@ def simulate_apart(
         FmuError: The FMU crashed, ended the process, or took too long.
         CosimError: See `simulate_fmu`.
     """
-    if timeout is not None:
-        number(str(path), "timeout", timeout, positive=True)
+    limit = time_limit_from(str(path), timeout)
     chosen_limits()  # refuses before anything has been started
     with own_folder() as folder:
         place = str(Path(path).absolute())
         (folder / _REQUEST).write_bytes(pickle.dumps((function, place, options)))
         try:
             with doing(f"running {Path(path).name}"):
-                code, printed = run_confined(__name__, [str(folder)], folder, timeout)
+                code, printed = run_confined(__name__, [str(folder)], folder, limit)
         except KeyboardInterrupt:
             if part := last_called(folder):
                 print(f"{path}: part '{part}' was being called", file=sys.stderr)
@@ -68,7 +67,7 @@ def simulate_apart(
         part = last_called(folder)
         what = f"part '{part}'" if part else "the FMU"
         if code is None:
-            raise FmuError(f"{path}: {what} did not end within {timeout:g} s and was stopped")
+            raise FmuError(f"{path}: {what} did not end within {limit:g} s and was stopped")
         try:
             return _read_answer(folder, place, str(path))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

@@ -19,8 +19,9 @@ from typing import Any
 from casadi_models.extreme_cases import Case, Counterpart, catalogue
 from cosim.errors import UsageError
 from cosim.host.child import Child, answer_questions, look_where_the_parent_does
+from cosim.host.limits import MOST_WAIT
 from cosim.model.catalogue import formulations
-from cosim.model.values import number
+from cosim.model.values import time_limit_from
 from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, assess
 from cosim.text import Table
 
@@ -104,7 +105,7 @@ def explore(
         jobs: Number of child processes.
         runner: Function that runs a case, as `MODULE:FUNCTION`; a benchmark passes another tool's.
     """
-    limit = number("extremes", "timeout", timeout, positive=True)
+    limit = time_limit_from("extremes", timeout)
     workers: list[_CaseWorker] = []
     own = threading.local()
 
@@ -118,9 +119,9 @@ def explore(
     try:
         yield from pool.map(run, cases)
     finally:
-        pool.shutdown(cancel_futures=True)
-        for worker in workers:
+        for worker in workers:  # first: the pool waits for the cases that run
             worker.close()
+        pool.shutdown(cancel_futures=True)
 
 
 def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
@@ -153,17 +154,21 @@ class _CaseWorker:
 
     def __init__(self, runner: str) -> None:
         self._runner = runner
+        self._lock = threading.Lock()
+        self._is_closed = False
         self._process = self._start()
 
     def assess(self, case: Case, timeout: float) -> CaseEnding:
         began = perf_counter()
-        guard = threading.Timer(timeout, self._process.kill)
+        guard = threading.Timer(min(timeout, MOST_WAIT), self._process.kill)
         guard.start()
         try:
             return CaseEnding(*json.loads(self._process.ask(json.dumps(asdict(case)))))
         except (OSError, EOFError):
             seconds, code = perf_counter() - began, self._process.end()
-            self._process = self._start()
+            with self._lock:
+                if not self._is_closed:
+                    self._process = self._start()
         finally:
             guard.cancel()
         if seconds >= timeout:
@@ -171,6 +176,9 @@ class _CaseWorker:
         return CaseEnding("crash", None, f"the process ended with code {code}", seconds)
 
     def close(self) -> None:
+        """End the child process, also while it runs a case."""
+        with self._lock:
+            self._is_closed = True
         self._process.end()
 
     def _start(self) -> Child:

@@ -19,7 +19,7 @@ dask: Any = optional_module("dask", "sweep")
 distributed: Any = optional_module("distributed", "sweep")
 
 _PATIENCE = 120  # s, for the first worker
-_WORKER = "distributed.cli.dask_worker"
+_WORKER = "cosim.study.sweep.worker"
 _MOST_PROCESSES = 10_000  # of a worker, one after the other
 
 

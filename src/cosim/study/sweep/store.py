@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +17,10 @@ from cosim.errors import ExportError, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.host.temporary import temporary_folder
 from cosim.study.sweep.block import NOT_COMPUTED, STATES, Block
+from cosim.study.sweep.folder import DIGEST_BYTES, MANIFEST, Folder, locked, writing
 from cosim.study.sweep.reductions import Keep, Moments, Statistics, merged
 from cosim.study.sweep.samples import Samples
+from cosim.text import shortened
 from cosim.trajectory import Column
 
 if TYPE_CHECKING:
@@ -24,8 +28,10 @@ if TYPE_CHECKING:
 
 _STATISTICS = ("mean", "variance", "minimum", "maximum")  # of all runs
 _MOMENTS = ("count", "mean", "squares", "low", "high")  # of each block
-_BLOCKS = "blocks/"  # a group of the store for them; xarray does not show it
-_MANIFEST = "sweep"  # an attribute of the store
+_BLOCKS = "blocks/"  # a group of the store for what concerns blocks; xarray does not show it
+_DIGESTS = f"{_BLOCKS}digest"  # of the files of each finished block
+_CHUNKED = ("run", "block")  # dimensions along which a chunk is a block
+_SWEEP = "sweep"  # an attribute of the store: the manifest
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +76,19 @@ class Store:
 
     Args:
         layout: Their shape and meaning.
-        folder: A zarr folder with a sweep (see `created`, `reopened`); None for memory.
+        folder: A zarr folder with a sweep (see `opened`); None for memory.
     """
 
     def __init__(self, layout: Layout, folder: Path | None = None) -> None:
         self.layout, self.folder = layout, folder
-        self._arrays: Any = {}
-        if folder is not None:
-            self._arrays = optional_module("zarr", "sweep").open_group(folder, mode="a")
+        self._files = None if folder is None else Folder(folder)
+        self._arrays: Any = {} if self._files is None else self._files
         self._lengths = {
             "run": len(layout.samples),
             "time": len(layout.time),
             "output": len(layout.columns),
             "block": sum(1 for _ in layout.blocks()),
+            "digest": DIGEST_BYTES,
         }
         self._variables: dict[str, tuple[tuple[str, ...], Mapping[str, Any]]] = {}
         self._moments: Moments | None = None  # of the first blocks
@@ -90,7 +96,28 @@ class Store:
         self._merged = 0  # number of blocks in `_moments`
         self._add_all()
         self.numbers = [reduction.name for reduction in layout.keep.reductions]
-        self.numbers += sorted(set(self._arrays) - {"blocks", *self._variables})
+        if self._files is not None:
+            for name in sorted(self._files.names() - {"blocks", *self._variables}):
+                self._add_numbers(name)
+
+    @classmethod
+    @contextmanager
+    def opened(cls, layout: Layout, folder: Path, *, resume: bool) -> Iterator[Store]:
+        """Yield a new sweep in a folder, or one that continues, as its only writer.
+
+        Raises:
+            UsageError: The folder holds something else, or another process writes to it.
+            ExportError: It cannot be written.
+        """
+        if resume:
+            _stored_manifest(folder)
+        else:
+            cls.created(layout, folder)
+        with ExitStack() as held:
+            with writing(folder):
+                held.enter_context(locked(folder))
+                store = cls.reopened(layout, folder)
+            yield store
 
     @classmethod
     def created(cls, layout: Layout, folder: Path) -> Store:
@@ -109,11 +136,11 @@ class Store:
             folder.parent.mkdir(parents=True, exist_ok=True)
             with temporary_folder(folder.parent) as place:  # so that it is whole or not there
                 store = cls(layout, place / "store")
-                store._arrays.attrs.update(
+                store._arrays.set_attributes(
                     {
                         "model": layout.manifest["model"],
                         "coordinates": " ".join(layout.varied.values()),  # xarray reads this
-                        _MANIFEST: json.dumps(layout.described()),
+                        _SWEEP: json.dumps(layout.described()),
                     }
                 )
                 if folder.exists():
@@ -125,7 +152,7 @@ class Store:
 
     @classmethod
     def reopened(cls, layout: Layout, folder: Path) -> Store:
-        """Return the store of a sweep that continues.
+        """Return the store of a sweep that continues; damaged blocks count as not computed.
 
         Raises:
             UsageError: The folder holds no sweep, or another one.
@@ -137,49 +164,44 @@ class Store:
                     f"{folder} holds another sweep: its {name} is {found.get(name)!r}, now "
                     f"{now.get(name)!r}; resume with the same, or name another store"
                 )
-        for left in folder.rglob("*.partial"):  # of a process that was killed while it wrote
-            left.unlink(missing_ok=True)
         store = cls(layout, folder)
+        store._remove_unfinished()
         if layout.keep.statistics:
             store._waiting = {first // layout.block: None for first, _ in store.finished()}
             store._merge()
         return store
 
     def finished(self) -> list[tuple[int, int]]:
-        """Return first run and number of runs of each block that is stored."""
-        left = self["status"] == NOT_COMPUTED
-        return [
-            (first, n) for first, n in self.layout.blocks() if not left[first : first + n].any()
-        ]
+        """Return first run and number of runs of each block that is stored completely."""
+        blocks = [*self.layout.blocks()]
+        if self._files is None:
+            left = self["status"] == NOT_COMPUTED
+            return [(first, n) for first, n in blocks if not left[first : first + n].any()]
+        whole = self[_DIGESTS].any(axis=1)
+        return [part for part, is_whole in zip(blocks, whole, strict=True) if is_whole]
 
     def write(self, block: Block) -> None:
-        """Store a block; its status comes last and marks it as finished."""
-        part = slice(block.first, block.first + len(block))
-        for name, column in block.numbers.items():
-            if name not in self.numbers:
-                self._add(name, ("run",), np.nan, {})
-                self.numbers.append(name)
-            self._arrays[name][part] = column
-        if block.values is not None:
-            for i, output in enumerate(self.layout.columns):
-                self._arrays[output.name][part] = block.values[:, :, i]
-        if block.moments is not None:
-            self._add_moments(block.first // self.layout.block, block.moments)
-        texts = [block.reasons.get(run, "") for run in range(part.start, part.stop)]
-        self._arrays["reason"][part] = np.array(texts, dtype=object)
-        self._arrays["steps"][part] = block.steps
-        self._arrays["reached"][part] = block.reached
-        self._arrays["status"][part] = block.states
+        """Store a block; the digest of its files comes last and marks it as finished.
+
+        Raises:
+            ExportError: The disk is full, or the folder cannot be written.
+        """
+        with writing(self.folder):
+            self._write(block)
 
     def finish(self) -> None:
-        """Store the statistics over all runs."""
+        """Store the statistics over all runs.
+
+        Raises:
+            ExportError: As for `write`.
+        """
         if (statistics := self.statistics()) is None:
             return
-        for output in self.layout.columns:
-            for kind in _STATISTICS:
-                self._arrays[f"{output.name}_over_runs_{kind}"][:] = getattr(statistics, kind)(
-                    output.name
-                )
+        with writing(self.folder):
+            for output in self.layout.columns:
+                for kind in _STATISTICS:
+                    place = f"{output.name}_over_runs_{kind}"
+                    self._arrays[place][:] = getattr(statistics, kind)(output.name)
 
     def statistics(self) -> Statistics | None:
         """Return the statistics over the blocks that are stored."""
@@ -193,11 +215,11 @@ class Store:
 
     def __getitem__(self, name: str) -> Any:
         """Return a whole array."""
-        return np.asarray(self._arrays[name][:])
+        return self._read(name)
 
     def row(self, name: str, run: int) -> Vector:
         """Return one run of an array, (times,)."""
-        return np.asarray(self._arrays[name][run])
+        return self._read(name, run)
 
     def to_xarray(self) -> xr.Dataset:
         """Return everything as a dataset; of a folder, its arrays are read when they are used."""
@@ -232,36 +254,88 @@ class Store:
                 self._add(output.name, ("run", "time"), np.nan, output.facts)
             for kind in _STATISTICS if layout.keep.statistics else ():
                 self._add(f"{output.name}_over_runs_{kind}", ("time",), np.nan, output.facts)
-        if layout.keep.statistics and self.folder is not None:
-            for kind in _MOMENTS:
-                self._add(f"{_BLOCKS}{kind}", ("block", "time", "output"), np.nan, {})
+        if self.folder is None:
+            return
+        self._add(_DIGESTS, ("block", "digest"), np.uint8(0), {"long_name": "SHA-256 of the files"})
+        for kind in _MOMENTS if layout.keep.statistics else ():
+            self._add(f"{_BLOCKS}{kind}", ("block", "time", "output"), np.nan, {})
 
     def _add(
         self, name: str, dimensions: tuple[str, ...], content: Any, attributes: Mapping[str, Any]
     ) -> None:
         """Add an array with a content, or with one number for every entry that is not computed."""
         self._variables[name] = dimensions, attributes
-        if name in self._arrays:
-            return
         shape = tuple(self._lengths[dimension] for dimension in dimensions)
-        single = np.ndim(content) == 0
-        kind: Any = str if isinstance(content, str) else np.asarray(content).dtype
-        if self.folder is None:
-            filled = np.full(shape, content, dtype=object if kind is str else kind)
-            self._arrays[name] = filled if single else np.array(content)
+        if self._files is None:
+            kind: Any = object if isinstance(content, str) else np.asarray(content).dtype
+            single = np.ndim(content) == 0
+            self._arrays[name] = np.full(shape, content, kind) if single else np.array(content)
             return
-        pieces = {"run": self.layout.block, "block": 1}
-        array = self._arrays.create_array(
-            name,
-            shape=shape,
-            chunks=tuple(min(pieces.get(d, n), n) for d, n in zip(dimensions, shape, strict=True)),
-            dtype=kind,
-            fill_value=content if single else 0,
-            dimension_names=dimensions,
-            attributes=dict(attributes),
-        )
-        if not single:
-            array[:] = content
+        pieces = dict(zip(_CHUNKED, (self.layout.block, 1), strict=True))
+        chunks = tuple(min(pieces.get(d, n), n) for d, n in zip(dimensions, shape, strict=True))
+        self._files.add(name, shape, chunks, dimensions, content, attributes)
+
+    def _add_numbers(self, name: str) -> None:
+        """Add the array of a number that a user's function returns."""
+        self._add(name, ("run",), np.nan, {})
+        self.numbers.append(name)
+
+    def _in_blocks(self) -> list[str]:
+        """Return the arrays of results whose chunks are blocks."""
+        others = {_DIGESTS, *self.layout.varied.values()}
+        in_blocks = [
+            n for n, (dimensions, _) in self._variables.items() if dimensions[0] in _CHUNKED
+        ]
+        return [name for name in in_blocks if name not in others]
+
+    def _remove_unfinished(self) -> None:
+        """Remove what an interrupted process has left, and blocks that were changed since."""
+        assert self._files is not None
+        self._files.remove_partial_files()
+        names, damaged = self._in_blocks(), list[str]()
+        for number, (first, count) in enumerate(self.layout.blocks()):
+            try:
+                stored = self._files.read(_DIGESTS, number).tobytes()
+            except UsageError:  # the digest itself is damaged
+                stored = b"damaged"
+            if stored == self._files.digest(names, number):
+                continue
+            if any(stored):
+                damaged.append(f"{first} to {first + count - 1}")
+            self._files.remove([*names, _DIGESTS], number)
+        if damaged:
+            warnings.warn(
+                f"{self.folder}: the stored results of the runs {shortened(damaged, 6)} were "
+                "damaged; these runs are computed again",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+
+    def _read(self, name: str, part: int | slice = slice(None)) -> Vector:
+        if self._files is None:
+            return np.asarray(self._arrays[name][part])
+        return self._files.read(name, part)
+
+    def _write(self, block: Block) -> None:
+        part = slice(block.first, block.first + len(block))
+        for name, column in block.numbers.items():
+            if name not in self.numbers:
+                self._add_numbers(name)
+            self._arrays[name][part] = column
+        if block.values is not None:
+            for i, output in enumerate(self.layout.columns):
+                self._arrays[output.name][part] = block.values[:, :, i]
+        number = block.first // self.layout.block
+        if block.moments is not None:
+            self._add_moments(number, block.moments)
+        texts = [block.reasons.get(run, "") for run in range(part.start, part.stop)]
+        self._arrays["reason"][part] = np.array(texts, dtype=object)
+        self._arrays["steps"][part] = block.steps
+        self._arrays["reached"][part] = block.reached
+        self._arrays["status"][part] = block.states
+        if self._files is not None:
+            digest = self._files.digest(self._in_blocks(), number)
+            self._files[_DIGESTS][number] = np.frombuffer(digest, dtype=np.uint8)
 
     def _add_moments(self, block: int, moments: Moments) -> None:
         if self.folder is None:
@@ -280,7 +354,7 @@ class Store:
             self._moments = moments if self._moments is None else merged(self._moments, moments)
 
     def _stored_moments(self, block: int) -> Moments:
-        tables = (np.asarray(self._arrays[_BLOCKS + kind][block]) for kind in _MOMENTS)
+        tables = (self._read(_BLOCKS + kind, block) for kind in _MOMENTS)
         return Moments(*tables)
 
 
@@ -291,15 +365,25 @@ def stored_samples(folder: Path) -> Samples:
         UsageError: The folder holds no sweep.
     """
     manifest = _stored_manifest(folder)
-    arrays = optional_module("zarr", "sweep").open_group(folder, mode="r")
-    columns = {name: np.asarray(arrays[place][:]) for name, place in manifest["varied"].items()}
-    return Samples(columns, manifest["samples"])
+    files = Folder(folder)
+    try:
+        columns = {name: files.read(place) for name, place in manifest["varied"].items()}
+        samples = Samples(columns, manifest["samples"])
+        whole = samples.digest == manifest["samples_digest"]
+    except (KeyError, ValueError, TypeError, UsageError):  # of a description of an array
+        whole = False
+    if not whole:
+        raise UsageError(
+            f"{folder}: the stored samples are damaged; name them again "
+            "(--samples, --design or -p) with resume=True (--resume)"
+        )
+    return samples
 
 
 def _stored_manifest(folder: Path) -> dict[str, Any]:
     try:
-        attributes = json.loads((folder / "zarr.json").read_text(encoding="utf-8"))["attributes"]
-        found: dict[str, Any] = json.loads(attributes[_MANIFEST])
-    except (OSError, ValueError, KeyError) as error:
+        attributes = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["attributes"]
+        found: dict[str, Any] = json.loads(attributes[_SWEEP])
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{folder} holds no sweep ({error}); begin one without resume") from error
     return found

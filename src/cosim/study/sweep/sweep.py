@@ -19,6 +19,7 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
+from cosim.host.signals import ended_by_signals
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.lanes import processors
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
@@ -189,7 +190,7 @@ class SweepResult:
         return self.data.to_xarray()
 
 
-_STORE_FORMAT = 3
+_STORE_FORMAT = 4
 _LANE_BLOCK = 16, 1024  # fewest and most runs of a block in SIMD lanes
 _BLOCK = 1, 16  # fewest and most runs of a block, run one by one
 _BLOCKS = 24  # blocks of a sweep, if these bounds allow it
@@ -284,34 +285,50 @@ def sweep(
     }
     block = _block_size(len(chosen), len(time) * len(names), in_lanes=in_lanes)
     layout = Layout(manifest, chosen, columns, time, stored, block)
-    if folder is None:
-        results = Store(layout)
-    else:
-        results = (Store.reopened if resume else Store.created)(layout, folder)
+    job = Job(opened, recorded, len(time), stored, processors())
+    with ExitStack() as held:
+        if scheduler is not None:  # this process waits for workers, which end with it
+            held.enter_context(ended_by_signals())
+        if folder is None:
+            results = Store(layout)
+        else:
+            results = held.enter_context(Store.opened(layout, folder, resume=resume))
+        _fill(results, job, scheduler, workers, progress)
+    return SweepResult.of(results)
+
+
+def _fill(
+    results: Store, job: Job, scheduler: Any, workers: int | None, progress: bool | None
+) -> None:
+    """Compute the blocks that a store does not hold yet.
+
+    Raises:
+        Interrupted: Ctrl-C; the store holds the finished blocks.
+    """
+    layout, total = results.layout, len(results.layout.samples)
     finished = {*results.finished()}
     left = [part for part in layout.blocks() if part not in finished]
-    job = Job(opened, recorded, len(time), stored, processors())
     bar = tqdm(
-        total=len(chosen),
-        initial=len(chosen) - sum(count for _, count in left),
+        total=total,
+        initial=total - sum(count for _, count in left),
         unit=" runs",
         disable=None if progress is None else not progress,  # None: if stderr is no terminal
     )
-    computing = _computed(job, chosen, left, scheduler, workers or processors())
+    computing = _computed(job, layout.samples, left, scheduler, workers or processors())
     try:
         with bar, closing(computing) as blocks:
             for part in blocks:
                 results.write(part)
                 bar.update(len(part))
+        results.finish()
     except KeyboardInterrupt as stopped:
         result = SweepResult.of(results)
-        done = f"sweep: interrupted; {int(result.computed.sum())} of {len(chosen)} runs"
+        ended = sum(count for _, count in results.finished())
+        done = f"sweep: interrupted; {ended} of {total} runs"
         where = " had ended"
-        if store is not None:
-            where = f" are stored in {store}; continue with resume=True (--resume)"
+        if results.folder is not None:
+            where = f" are stored in {results.folder}; continue with resume=True (--resume)"
         raise Interrupted(done + where, result) from stopped
-    results.finish()
-    return SweepResult.of(results)
 
 
 def _chosen_scheduler(scheduler: Any, workers: int | None, *, alone: bool) -> Any:

@@ -133,6 +133,10 @@ class Settings {
   }
 
   choose(setting, value) {
+    if (!Number.isFinite(value)) { // 1e308 in a small unit
+      this.show(setting);
+      return;
+    }
     if (value === setting.value) this.chosen.delete(setting.name);
     else this.chosen.set(setting.name, value);
     this.show(setting);
