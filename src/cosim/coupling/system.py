@@ -12,13 +12,14 @@ from weakref import finalize
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
 from casadi_models.dae.variables import is_name
-from casadi_models.units import convert, known
+from casadi_models.units import Unit, conversion, parse_unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.errors import ParameterError, UnknownName, UsageError, naming_keywords
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description, unit_of
 from cosim.fmi.ssp import write_ssp
+from cosim.fmi.units import units_for
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import named, requested
 from cosim.integrate.modes import hybrid
@@ -35,6 +36,7 @@ class Variable:
 
     Attributes:
         name, unit: Name and unit.
+        units: Definitions of units by name, with that of its own unit if there is one.
         is_input, is_source, is_start: Whether it can be driven, can drive, has a start value.
     """
 
@@ -43,6 +45,12 @@ class Variable:
     is_input: bool
     is_source: bool
     is_start: bool
+    units: Mapping[str, Unit] = field(default_factory=dict)
+
+    @property
+    def definition(self) -> Unit | None:
+        """What the unit means; None if there is no unit, or nothing defines it."""
+        return None if self.unit is None else self.units.get(self.unit) or parse_unit(self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +126,8 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         is_input = continuous and variable.causality == "input"
         source = continuous and variable.causality in ("output", "local")
         start = is_number(variable) and may_be_set(variable)
-        found[name] = Variable(name, unit_of(variable), is_input, source, start)
+        units = units_for(variable, description)
+        found[name] = Variable(name, unit_of(variable), is_input, source, start, units)
     return found
 
 
@@ -258,7 +267,13 @@ class System:
         )
         values = self.start_values | _values(self.parts, start_values or {})
         wanted = None if outputs is None else [split_name(self.parts, name) for name in outputs]
-        return self._co_simulation.run(settings, self._of_parts(values), wanted)
+        run = self._co_simulation.run(settings, self._of_parts(values), wanted)
+        notes = [run.stats["note"]] if "note" in run.stats else []
+        notes += [
+            f"no file defines the unit '{unit}': {connection} is not converted"
+            for unit, connection in _undefined_units(self.parts, self.connections).items()
+        ]
+        return replace(run, stats={**run.stats, "note": "; ".join(notes)}) if notes else run
 
     def write_ssp(self, target: str | os.PathLike[str]) -> Path:
         """Write the system with its FMUs as an SSP 1.0 file; models are exported as FMI 2.0.
@@ -424,19 +439,36 @@ def _connection(parts: Mapping[str, Part], sink: str, source: str) -> Connection
         )
     if not driving.is_source:
         raise UsageError(f"{source} is no output and no state; connect one that is")
-    factor, offset = _conversion(sink, driven.unit, source, driving.unit)
-    return Connection(*ends, factor, offset)
+    return Connection(*ends, *_conversion(sink, driven, source, driving))
 
 
-def _conversion(sink: str, to: str | None, source: str, of: str | None) -> tuple[float, float]:
-    """Return factor and offset from one unit to another; units that are not named are equal."""
-    if to == of or not (known(to) and known(of)):
+def _conversion(sink: str, driven: Variable, source: str, driving: Variable) -> tuple[float, float]:
+    """Return factor and offset from one unit to another; units without definition are equal."""
+    of, to = driving.definition, driven.definition
+    if of is None or to is None:
         return 1.0, 0.0
     try:
-        offset = convert(0.0, str(of), str(to))
-        return convert(1.0, str(of), str(to)) - offset, offset
+        return conversion(of, to)
     except ValueError as error:
-        raise UsageError(f"{source} [{of}] cannot drive {sink} [{to}]: {error}") from error
+        raise UsageError(
+            f"{source} [{driving.unit}] cannot drive {sink} [{driven.unit}]: {error}"
+        ) from error
+
+
+def _undefined_units(
+    parts: Mapping[str, Part], connections: Sequence[Connection]
+) -> Mapping[str, str]:
+    """Return the first connection of each unit without a definition, if both ends have units."""
+    found = dict[str, str]()
+    for wire in connections:
+        ends = [parts[part].variable(name) for part, name in (wire.output, wire.input)]
+        if None in (ends[0].unit, ends[1].unit) or ends[0].unit == ends[1].unit:
+            continue
+        for end in ends:
+            if end.definition is None:
+                text = f"{'.'.join(wire.output)} to {'.'.join(wire.input)}"
+                found.setdefault(str(end.unit), text)
+    return found
 
 
 def _values(
@@ -451,7 +483,7 @@ def _values(
         if not variable.is_start:
             raise UsageError(f"{name} cannot be given; it is calculated")
         if isinstance(value, str):
-            value = quantity(name, value, variable.unit or "1")
+            value = quantity(name, value, variable.unit or "1", definitions=variable.units)
         found[key] = number(key[0], key[1], value)
     return found
 

@@ -11,6 +11,7 @@ import numpy as np
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set, unit_of
+from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
 from cosim.model.times import reject_backward, time_grid
@@ -130,7 +131,7 @@ class FmuRequest:
     @property
     def columns(self) -> tuple[Column, ...]:
         """The recorded variables with their units."""
-        return tuple(map(column_of, self.recorded))
+        return tuple(column_of(variable, self.description) for variable in self.recorded)
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -254,14 +255,17 @@ def _check_series(
 
 
 @lru_cache(1024)
-def column_of(variable: Any) -> Column:
+def column_of(variable: Any, description: Any) -> Column:
     """Return a variable of fmpy's as a column of a result."""
+    display, factor, offset = display_of(variable, description)
     return Column(
         variable.name,
         unit_of(variable) or "1",
-        variable.displayUnit,
+        display,
         float(variable.nominal or 1.0),
         variable.description or "",
+        factor,
+        offset,
     )
 
 
