@@ -7,7 +7,7 @@ from cosim.errors import ParameterError, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.instance import by_name, read_description
 from cosim.fmi.run.request import column_of
-from tests.helpers.described_files import described_file
+from helpers.described_files import described_file
 
 PRESSURE, POWER, TIME = 'kg="1" m="-1" s="-2"', 'kg="1" m="2" s="-3"', 's="-1"'
 
@@ -31,7 +31,7 @@ def factors(tmp_path):
     [
         ("Pa", PRESSURE, "bar", f'{PRESSURE} factor="1e5"', (1e-5, 0)),
         ("W", POWER, "kW", f'{POWER} factor="1000"', (1e-3, 0)),
-        ("m3/s", f'm="3" {TIME}', "l/min", f'm="3" {TIME} factor="1.6666666666666667e-5"', (6e4, 0)),
+        ("m3/s", f'm="3" {TIME}', "l/h", f'm="3" {TIME} factor="2.777777777777778e-7"', (3.6e6, 0)),
         ("%", 'factor="0.01"', "1", "", (0.01, 0)),
         ("K", 'K="1"', "degC", 'K="1" offset="273.15"', (1, -273.15)),
         ("degC", 'K="1" offset="273.15"', "degF", 'K="1" factor="0.5555555555555556" '

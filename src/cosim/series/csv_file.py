@@ -107,8 +107,7 @@ def read_samples(
         written, body = units_line, body[1:]
     if not body:
         raise UsageError(f"{path}: there is no sample below the header; give one line or more")
-    at = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), 0)
-    at = at if time is None else _place(path, cells, names, time)
+    at = _place_of_time(path, cells, names, time)
     chosen = [(name, i) for i, name in enumerate(names) if i != at]
     if headers is not None:
         chosen = [(name, _place(path, cells, names, text)) for name, text in headers.items()]
@@ -142,6 +141,16 @@ def _named(cell: str) -> tuple[str, str | None]:
     if match is None or _WITHOUT_UNIT.fullmatch(cell):
         return cell, None
     return match[1], match[2] if match[3] is None else match[3]
+
+
+def _place_of_time(path: Path, cells: Sequence[str], names: Sequence[str], time: str | None) -> int:
+    """Return the place of the times; a header `time` is also found as `Time` or `t`."""
+    found = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), None)
+    if time is None:
+        return found or 0
+    if time == "time" and time not in names and found is not None:
+        return found
+    return _place(path, cells, names, time)
 
 
 def _place(path: Path, cells: Sequence[str], names: Sequence[str], text: str) -> int:

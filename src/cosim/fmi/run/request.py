@@ -11,6 +11,7 @@ import numpy as np
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set, unit_of
+from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
@@ -208,9 +209,17 @@ def checked_values(
         if variable not in variables:
             settable = [v.name for v in variables.values() if _is_settable(v)]
             raise UnknownName.among(str(name), "start value", variable, settable)
+        if variables[variable].causality == "structuralParameter":
+            raise UsageError(
+                f"{name}: {variable} is a structural parameter, which changes the sizes of arrays; "
+                "it cannot be set here, leave it at its start value"
+            )
         if not _is_settable(variables[variable]):
             raise UsageError(f"{name}: {variable} cannot be set; it is calculated, or not a number")
-    return {variables[key].name: number(str(name), key, value) for key, value in values.items()}
+    return {
+        variables[key].name: typed_value(str(name), variables[key], value)
+        for key, value in values.items()
+    }
 
 
 def _is_settable(variable: Any) -> bool:
@@ -226,11 +235,14 @@ def output_names(
         UnknownName, UsageError: A variable does not exist or is not one number.
     """
     if outputs is None:
-        return [
-            n
-            for n, v in variables.items()
-            if v.causality == "output" and is_number(v) and n == v.name
-        ]
+        own = [n for n, v in variables.items() if v.causality == "output" and n == v.name]
+        found = [n for n in own if is_number(variables[n])]
+        if own and not found:
+            raise UsageError(
+                f"{name}: none of its outputs ({', '.join(own)}) is a single number, so nothing "
+                "can be recorded; name other variables with outputs"
+            )
+        return found
     requested = listed(f"{name}: outputs", outputs)
     for output in requested:
         if output not in variables:
