@@ -1,13 +1,13 @@
 """Units of connections and values by the definitions of the files that use them."""
 
 import pytest
+from helpers.described_files import described_file
 
 import cosim
 from cosim.errors import ParameterError, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.instance import by_name, read_description
 from cosim.fmi.run.request import column_of
-from helpers.described_files import described_file
 
 PRESSURE, POWER, TIME = 'kg="1" m="-1" s="-2"', 'kg="1" m="2" s="-3"', 's="-1"'
 
