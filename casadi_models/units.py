@@ -1,11 +1,14 @@
-"""Units: exact conversion factors and what FMI needs to know of each unit.
+"""Units: names, products of powers, and conversion by exponents, factor and offset.
 
 SI inside; a number is converted once, where it is first written: ``6 * INCH`` is a length in meter.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import pi
+from functools import lru_cache
+from math import inf, pi
+from typing import Any
 
 INCH = 0.0254  # m, exact
 FOOT = 0.3048  # m, exact (12 * 0.0254 is one rounding off)
@@ -18,30 +21,61 @@ RPM = pi / 30  # rad/s
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as factor times a product of SI base units.
+    """A unit by the definition of FMI's BaseUnit: SI value = factor * value + offset.
 
     Attributes:
         factor: One of this unit in SI base units.
         base: Exponents by FMI's names of base units: kg, m, s, A, K, mol, cd, rad.
+        offset: SI value of 0 in this unit; only units of temperature have one.
     """
 
     factor: float
     base: tuple[tuple[str, int], ...]
+    offset: float = 0.0
+
+    @property
+    def is_si(self) -> bool:
+        """Whether a value in this unit is the SI value."""
+        return self.factor == 1 and self.offset == 0
 
     def measures_like(self, other: "Unit") -> bool:
         """Return whether both measure the same kind of quantity."""
         return dict(self.base) == dict(other.base)
 
+    def difference(self) -> "Unit":
+        """Return the unit of a difference of two values, such as that of two temperatures."""
+        return Unit(self.factor, self.base)
 
-def _unit(factor: float = 1.0, **base: int) -> Unit:
-    return Unit(factor, tuple(base.items()))
+
+def converted(value: Any, source: Unit, target: Unit) -> Any:
+    """Convert a number or an array between two units that measure the same kind of quantity."""
+    shift = source.offset - target.offset
+    if source.factor == target.factor and not shift:
+        return value
+    in_si = value * source.factor
+    return (in_si + shift if shift else in_si) / target.factor
+
+
+def conversion(source: Unit, target: Unit) -> tuple[float, float]:
+    """Return factor and offset: value in target = factor * value in source + offset.
+
+    Raises:
+        ValueError: The two do not measure the same kind of quantity.
+    """
+    if not source.measures_like(target):
+        raise ValueError("not the same kind of unit")
+    return converted(1.0, source.difference(), target.difference()), converted(0.0, source, target)
+
+
+def _unit(factor: float = 1.0, offset: float = 0.0, **base: int) -> Unit:
+    return Unit(factor, tuple(base.items()), offset)
 
 
 class Units(dict[str, Unit]):
-    """Units by name; an unknown one counts as a number with factor 1."""
+    """Units by name; a product of powers is one, too; an unknown one is a number with factor 1."""
 
     def __missing__(self, name: str) -> Unit:
-        return product(name) or _unit()
+        return parse_unit(name) or _unit()
 
 
 # Torque per angle is distinct from torque: kg.m2/s2 with and without the radian.
@@ -92,50 +126,135 @@ UNITS = Units(
     }
 )
 
-# Parts of products that are not in the table on their own
-PARTS = {
+# Further names of units, which count everywhere like those above
+MORE = {
     "A": _unit(A=1),
     "K": _unit(K=1),
     "mol": _unit(mol=1),
     "cd": _unit(cd=1),
+    "%": _unit(0.01),
+    "degC": _unit(offset=273.15, K=1),
+    "\u00b0C": _unit(offset=273.15, K=1),
+    "degF": _unit(5 / 9, offset=459.67 * 5 / 9, K=1),
+    "\u00b0F": _unit(5 / 9, offset=459.67 * 5 / 9, K=1),
     "Hz": _unit(s=-1),
     "Pa": _unit(kg=1, m=-1, s=-2),
+    "bar": _unit(1e5, kg=1, m=-1, s=-2),
+    "psi": _unit(6894.757293168361, kg=1, m=-1, s=-2),
     "V": _unit(kg=1, m=2, s=-3, A=-1),
     "C": _unit(s=1, A=1),
     "Ohm": _unit(kg=1, m=2, s=-3, A=-2),
+    "\u03a9": _unit(kg=1, m=2, s=-3, A=-2),
     "F": _unit(kg=-1, m=-2, s=4, A=2),
     "H": _unit(kg=1, m=2, s=-2, A=-2),
     "min": _unit(60.0, s=1),
     "h": _unit(3600.0, s=1),
-    "km": _unit(1e3, m=1),
+    "sec": _unit(s=1),
+    "hr": _unit(3600.0, s=1),
+    "turn": _unit(2 * pi, rad=1),
+    "degree": _unit(DEGREE, rad=1),
+    "degrees": _unit(DEGREE, rad=1),
+    "\u00b0": _unit(DEGREE, rad=1),
+    "RPM": _unit(RPM, rad=1, s=-1),
+    "inch": _unit(INCH, m=1),
+    "feet": _unit(FOOT, m=1),
+    "yd": _unit(3 * FOOT, m=1),
+    "mi": _unit(1609.344, m=1),
+    "mph": _unit(0.44704, m=1, s=-1),
+    "kph": _unit(1 / 3.6, m=1, s=-1),
+    "kmh": _unit(1 / 3.6, m=1, s=-1),
+    "l": _unit(1e-3, m=3),
+    "lb": _unit(POUND, kg=1, m=1, s=-2),  # as in the book; a mass where only a mass fits
+    "lbs": _unit(POUND, kg=1, m=1, s=-2),
+    "lbm": _unit(0.45359237, kg=1),
+    "Nm": _unit(kg=1, m=2, s=-2),
+    "kNm": _unit(1e3, kg=1, m=2, s=-2),
+    "Nms": _unit(kg=1, m=2, s=-1),
 }
-_FACTOR = re.compile(r"([A-Za-z]+)(?:\^?(-?\d+))?")
+PREFIXES = {
+    **{"p": 1e-12, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "c": 1e-2},
+    **{"d": 1e-1, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9},
+}
+PREFIXED = (
+    *("m", "g", "s", "rad", "A", "K", "mol", "N", "J", "W", "Pa", "bar", "l"),
+    *("Hz", "V", "C", "Ohm", "\u03a9", "F", "H"),
+)
+_LETTERS = r"[A-Za-z\u00b0\u03a9\u00b5\u03bc%]+"
+_FACTOR = re.compile(rf"({_LETTERS})(?:(?:\^|\*\*)?([-+]?\d{{1,2}})(?!\d))?|1(?![\d^*])")
+_SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
+_BRACKETS = re.compile(r"\(([^()/]*)\)(?=\s*(?:/|$))")
 
 
-def product(name: str) -> Unit | None:
-    """Return the unit of a name like `kg.m2/s3` or `W/(m.K)`; None where a part is unknown."""
-    if not isinstance(name, str):
-        return None
-    above, *below = re.sub(r"[() ]", "", name).replace("*", ".").split("/")
-    factor, exponents = 1.0, dict[str, int]()
-    for sign, text in ((1, above), *((-1, part) for part in below)):
-        for part in text.split("."):
-            if sign == 1 and part == "1":
-                continue
-            match = _FACTOR.fullmatch(part)
-            unit = match and (dict.get(UNITS, match[1]) or PARTS.get(match[1]))
-            if not (match and unit):
-                return None
-            power = sign * int(match[2] or 1)
+def single_unit(name: str) -> Unit | None:
+    """Return the unit of a name without factors and powers; None if it is unknown."""
+    known = dict.get(UNITS, name) or MORE.get(name)
+    if known is not None:
+        return known
+    for letters in (2, 1):
+        prefix, own = PREFIXES.get(name[:letters]), name[letters:]
+        if prefix is not None and own in PREFIXED:
+            base = dict.get(UNITS, own) or MORE[own]
+            return Unit(base.factor * prefix, base.base)
+    return None
+
+
+@lru_cache(1024)
+def parse_unit(text: str, like: Unit | None = None) -> Unit | None:
+    """Return the unit that a text names; None if a part of it is unknown.
+
+    Args:
+        text: A known unit, or a product of powers of them such as `kg.m2/s3` or `W/(m.K)`. The
+            offset of a temperature counts only where the temperature stands alone.
+        like: What it shall measure; a pound is a force unless only a mass fits.
+    """
+    if (known := dict.get(UNITS, text)) is not None:
+        return known
+    unit = _product(text, single_unit)
+    if unit is not None and like is not None and not unit.measures_like(like) and "lb" in text:
+        by_mass = _product(text, _pound_as_mass)
+        if by_mass is not None and by_mass.measures_like(like):
+            return by_mass
+    return unit
+
+
+def _pound_as_mass(name: str) -> Unit | None:
+    return MORE["lbm"] if name in {"lb", "lbs"} else single_unit(name)
+
+
+def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
+    """Return a product of powers; all factors after a `/` divide, as in FMI."""
+    text = text.strip().replace("\u00b2", "2").replace("\u00b3", "3")
+    if (alone := known(text)) is not None:
+        return alone
+    text = _BRACKETS.sub(r"\1", text)
+    factor, base, sign = 1.0, dict[str, int](), 1
+    position, expected = 0, True
+    while position < len(text):
+        separator = _SEPARATOR.match(text, position)
+        if separator and not expected:
+            sign = -1 if separator[1] == "/" else sign
+            position, expected = separator.end(), True
+            continue
+        match = _FACTOR.match(text, position)
+        unit = known(match[1] or "1") if match and expected else None
+        if match is None or unit is None:
+            return None
+        power = sign * int(match[2] or 1)
+        try:
             factor *= unit.factor**power
-            for base, exponent in unit.base:
-                exponents[base] = exponents.get(base, 0) + power * exponent
-    return Unit(factor, tuple((base, n) for base, n in exponents.items() if n))
+        except OverflowError:
+            return None
+        for name, exponent in unit.base:
+            base[name] = base.get(name, 0) + power * exponent
+        position, expected = match.end(), False
+    if expected or not 0 < factor < inf:
+        return None
+    return Unit(factor, tuple((name, n) for name, n in base.items() if n))
 
 
 def known(name: object) -> bool:
-    """Return whether a unit is in the table or a product of units that are."""
-    return isinstance(name, str) and (name in UNITS or product(name) is not None)
+    """Return whether a name is that of a unit, or a product of powers of units."""
+    return isinstance(name, str) and parse_unit(name) is not None
 
 
 def convert(value: float, unit: str, target: str) -> float:
@@ -147,9 +266,10 @@ def convert(value: float, unit: str, target: str) -> float:
     for name in (unit, target):
         if not known(name):
             raise ValueError(f"unit {name!r} is unknown; known are {', '.join(UNITS)}")
-    source, target_unit = UNITS[unit], UNITS[target]
+    source = UNITS[unit]
+    target_unit = parse_unit(target, source) or UNITS[target]
+    source = parse_unit(unit, target_unit) or source
     if not source.measures_like(target_unit):
         raise ValueError(f"'{unit}' cannot be converted to '{target}': not the same kind of unit")
-    return (
-        value if source.factor == target_unit.factor else value * source.factor / target_unit.factor
-    )
+    result: float = converted(value, source, target_unit)
+    return result

@@ -5,7 +5,8 @@ from fractions import Fraction
 import pytest
 from scipy import constants
 
-from casadi_models.units import UNITS, convert
+from casadi_models.dae import Model
+from casadi_models.units import UNITS, convert, parse_unit
 
 # Independent of the product: CODATA and international definitions as SciPy states them
 IN_SI = {
@@ -86,3 +87,40 @@ def test_unknown_unit_is_refused_with_the_known_ones(unit):
         convert(1.0, unit, "m")
     with pytest.raises(ValueError, match=r"is unknown; known are"):
         convert(1.0, "m", unit)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "target", "expected"),
+    [
+        (300.0, "K", "degC", 26.85),
+        (100.0, "degC", "degF", 212.0),
+        (-40.0, "degF", "degC", -40.0),
+        (0.0, "degC", "K", 273.15),
+        (1.0, "kN", "N", 1e3),
+        (1.0, "MPa", "kPa", 1e3),
+        (3.6, "MJ", "kJ", 3600.0),
+        (1.0, "kW", "W", 1e3),
+        (1.0, "um", "mm", 1e-3),
+        (60.0, "mph", "m/s", 26.8224),
+        (1.0, "lb", "lbf", 1.0),
+        (1.0, "lb", "kg", 0.45359237),
+        (1.0, "kg", "lb", 1 / 0.45359237),
+        (50.0, "%", "1", 0.5),
+        (1.0, "W/(m2.K)", "W/(m2.degC)", 1.0),  # a difference of temperatures
+        (1.0, "hPa", "mbar", 1.0),
+    ],
+)
+def test_units_of_models_are_those_that_people_type(value, unit, target, expected):
+    assert convert(value, unit, target) == pytest.approx(expected, rel=1e-14)  # measured 3e-15
+
+
+@pytest.mark.parametrize("unit", ["W/(m.K).s", "(m", "m)", "kkg", "kdeg", "mrpm", "k", "kdegC"])
+def test_unit_that_can_be_read_in_two_ways_or_has_a_wrong_prefix_is_unknown(unit):
+    assert parse_unit(unit) is None
+
+
+@pytest.mark.parametrize("unit", ["kN", "kPa", "MPa", "kW", "kJ", "um", "mph", "lb", "degC"])
+def test_model_may_declare_each_of_these_units(unit):
+    model = Model("m")
+    model.derivative(model.state("x", unit, 1.0, "state"), 0)
+    assert model.freeze().states[0].unit == unit

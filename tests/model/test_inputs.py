@@ -376,3 +376,10 @@ def test_two_times_that_differ_by_rounding_are_a_jump():
     series = InputSeries(("u",), [0.0, 1.0, 1.0 + 2e-16, 2.0], [[0], [1], [2], [3]])
     assert series.jumps.tolist() == [1.0]
     assert len(series.around(1.5).time) == 2
+
+
+@pytest.mark.parametrize("header", ["Time", "TIME", "t", "time"])
+def test_column_of_the_times_may_have_another_spelling(tmp_path, header):
+    path = tmp_path / "u.csv"
+    path.write_text(f"{header},u\n0,0\n5,50\n")
+    assert read_inputs(path).at(np.array([2.0])).tolist() == [[20.0]]

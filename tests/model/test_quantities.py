@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from casadi_models.units import PARTS, UNITS
+from casadi_models.units import MORE, UNITS, parse_unit
 from cosim.errors import ParameterError
-from cosim.model.quantities import MORE, parse_unit, quantity
+from cosim.model.quantities import quantity
 from cosim.series.csv_file import si_name
 
 
@@ -106,12 +106,12 @@ def test_what_is_no_unit_is_none(text):
     assert parse_unit(text) is None
 
 
-@pytest.mark.parametrize("name", [*UNITS, *PARTS, *MORE])
+@pytest.mark.parametrize("name", [*UNITS, *MORE])
 def test_every_unit_reads_as_itself(name):
-    assert parse_unit(name) in (UNITS.get(name), PARTS.get(name), MORE.get(name))
+    assert parse_unit(name) in (UNITS.get(name), MORE.get(name))
 
 
-@pytest.mark.parametrize("name", [*UNITS, *PARTS, *MORE])
+@pytest.mark.parametrize("name", [*UNITS, *MORE])
 def test_si_unit_of_a_kind_has_factor_1(name):
     unit = parse_unit(name)
     si = si_name(name, unit)

@@ -155,6 +155,8 @@ def value_in(name: str, text: str, unit: str | None) -> float:
     """Return the number of a variable in SI units, or in its own unit if that is not known."""
     if unit is not None:
         return quantity(name, text, unit)
+    if text.lower() in ("true", "false"):
+        return float(text.lower() == "true")
     try:
         return float(text)
     except ValueError:

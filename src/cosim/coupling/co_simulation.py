@@ -334,7 +334,7 @@ class CoSimulation:
         rows = int(system.rows)
         times = np.minimum(grid[:rows], system.time)
         shown = [
-            _column(f"{name}.{v}", by_name(self.parts[name].description)[v])
+            _column(f"{name}.{v}", v, self.parts[name].description)
             for name, wanted in columns.items()
             for v in wanted
         ]
@@ -470,8 +470,8 @@ class CoSimulation:
 
 
 @lru_cache(1024)
-def _column(name: str, variable: Any) -> Column:
-    return replace(column_of(variable), name=name)
+def _column(name: str, variable: str, description: Any) -> Column:
+    return replace(column_of(by_name(description)[variable], description), name=name)
 
 
 @cached_per_thread(1)

@@ -1,14 +1,17 @@
 """`Part`: a model or an FMU in a coupled system, with its variables."""
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from casadi_models.dae import Dae
 from casadi_models.dae.variables import is_name
+from casadi_models.units import Unit, parse_unit
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description, unit_of
+from cosim.fmi.units import units_for
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
 
@@ -19,6 +22,7 @@ class Variable:
 
     Attributes:
         name, unit: Name and unit.
+        units: Definitions of units by name, with that of its own unit if there is one.
         is_input, is_source, is_start: Whether it can be driven, can drive, has a start value.
     """
 
@@ -27,6 +31,12 @@ class Variable:
     is_input: bool
     is_source: bool
     is_start: bool
+    units: Mapping[str, Unit] = field(default_factory=dict)
+
+    @property
+    def definition(self) -> Unit | None:
+        """What the unit means; None if there is no unit, or nothing defines it."""
+        return None if self.unit is None else self.units.get(self.unit) or parse_unit(self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,5 +117,6 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         is_input = continuous and variable.causality == "input"
         source = continuous and variable.causality in ("output", "local")
         start = is_number(variable) and may_be_set(variable)
-        found[name] = Variable(variable.name, unit_of(variable), is_input, source, start)
+        units = units_for(variable, description)
+        found[name] = Variable(variable.name, unit_of(variable), is_input, source, start, units)
     return found

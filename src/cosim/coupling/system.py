@@ -12,7 +12,7 @@ from weakref import finalize
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
-from casadi_models.units import convert, known
+from casadi_models.units import Unit, conversion, parse_unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.coupling.opened_part import Ability
@@ -226,6 +226,13 @@ class System:
                 raise
         if undriven := [name for name in self.undriven_inputs if split_key(name) not in given]:
             run = replace(run, stats={**run.stats, "undriven_inputs": undriven})
+        notes = [run.stats["note"]] if "note" in run.stats else []
+        notes += [
+            f"no file defines the unit '{unit}': {connection} is not converted"
+            for unit, connection in _undefined_units(self.parts, self.connections).items()
+        ]
+        if notes:
+            run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
         return with_outputs(run, self.connectors, names)
 
     def _reject_no_parts(self) -> None:
@@ -281,7 +288,8 @@ class System:
 
     def _change_of_units(self, wire: Connection) -> tuple[float, float]:
         sink, source = (self.parts[part].variable(name) for part, name in (wire.input, wire.output))
-        return conversion(sink.name, sink.unit, source.name, source.unit)
+        ends = (sink.unit, sink.definition), (source.unit, source.definition)
+        return change_of_units(sink.name, ends[0], source.name, ends[1])
 
     def holds(self, resource: AbstractContextManager[Any], *folders: Path) -> None:
         """Keep what the parts need, such as unpacked files, as long as the system lives.
@@ -384,19 +392,56 @@ def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connecti
         )
     if not driving.is_source:
         raise UsageError(f"{source} is no output and no state; connect one that is")
-    factor, offset = conversion(sink, driven.unit, source, driving.unit)
-    return Connection(*ends, factor, offset)
+    measured = (driven.unit, driven.definition), (driving.unit, driving.definition)
+    return Connection(*ends, *change_of_units(sink, measured[0], source, measured[1]))
 
 
-def conversion(sink: str, to: str | None, source: str, of: str | None) -> tuple[float, float]:
-    """Return factor and offset from one unit to another; units that are not named are equal."""
-    if to == of or not (known(to) and known(of)):
+Measured = tuple[str | None, Unit | None]  # name of a unit, and what it means
+
+
+def named_unit(name: str | None) -> Measured:
+    """Return a unit with its usual meaning."""
+    return name, None if name is None else parse_unit(name)
+
+
+def change_of_named_units(
+    sink: str, to: str | None, source: str, of: str | None
+) -> tuple[float, float]:
+    """Return the same as `change_of_units` for units with their usual meaning."""
+    return change_of_units(sink, named_unit(to), source, named_unit(of))
+
+
+def change_of_units(
+    sink: str, driven: Measured, source: str, driving: Measured
+) -> tuple[float, float]:
+    """Return factor and offset from one unit to another; units without definition are equal.
+
+    Raises:
+        UsageError: They measure different quantities.
+    """
+    (to, into), (of, given) = driven, driving
+    if given is None or into is None:
         return 1.0, 0.0
     try:
-        offset = convert(0.0, str(of), str(to))
-        return convert(1.0, str(of), str(to)) - offset, offset
+        return conversion(given, into)
     except ValueError as error:
         raise UsageError(f"{source} [{of}] cannot drive {sink} [{to}]: {error}") from error
+
+
+def _undefined_units(
+    parts: Mapping[str, Part], connections: Sequence[Connection]
+) -> Mapping[str, str]:
+    """Return the first connection of each unit without a definition, if both ends have units."""
+    found = dict[str, str]()
+    for wire in connections:
+        ends = [parts[part].variable(name) for part, name in (wire.output, wire.input)]
+        if None in (ends[0].unit, ends[1].unit) or ends[0].unit == ends[1].unit:
+            continue
+        for end in ends:
+            if end.definition is None:
+                text = f"{'.'.join(wire.output)} to {'.'.join(wire.input)}"
+                found.setdefault(str(end.unit), text)
+    return found
 
 
 def values_of(
@@ -419,21 +464,25 @@ def values_of(
     for name, value in given.items():
         connector = connectors.get(name)
         if connector is not None and connector.is_input:
-            key, unit, ends = ("the system", name), connector.unit, connector.ends
+            key, ends = ("the system", name), connector.ends
+            unit, units = connector.unit, dict[str, Unit]()
         else:
             key = split_name(parts, name)
-            unit, ends = parts[key[0]].variable(key[1]).unit, (End(key, 1.0, 0.0),)
+            variable, ends = parts[key[0]].variable(key[1]), (End(key, 1.0, 0.0),)
+            unit, units = variable.unit, dict(variable.units)
         if not all(parts[part].variable(own).is_start for (part, own), *_ in ends):
             raise UsageError(f"{name} cannot be given; it is calculated")
-        plain = _plain(key, value, unit)
+        plain = _plain(key, value, unit, units)
         found |= {end.variable: end.factor * plain + end.offset for end in ends}
     return found
 
 
-def _plain(key: tuple[str, str], value: object, unit: str | None) -> float:
+def _plain(
+    key: tuple[str, str], value: object, unit: str | None, units: Mapping[str, Unit]
+) -> float:
     """Return a value in a unit, which a text may name; `key` is its owner and its name."""
     if isinstance(value, str):
-        value = quantity(".".join(key), value, unit or "1")
+        value = quantity(".".join(key), value, unit or "1", definitions=units)
     return number(*key, value)
 
 

@@ -48,6 +48,7 @@ def unit_list(tag: str, names: Iterable[str]) -> ET.Element:
         unit = UNITS[name]
         base = {symbol: str(exponent) for symbol, exponent in unit.base}
         factor = {} if unit.factor == 1 else {"factor": repr_17(unit.factor)}
+        factor |= {"offset": repr_17(unit.offset)} if unit.offset else {}
         entry = ET.SubElement(element, f"{{{SSC}}}Unit", name=name)
         ET.SubElement(entry, f"{{{SSC}}}BaseUnit", base | factor)
     return element

@@ -167,7 +167,10 @@ def _accuracy(dae: Dae, text: str, outputs: Sequence[str] | None) -> float:
     with suppress(ValueError):
         return float(text)
     columns = [c for c in all_columns(dae) if outputs is None or c.name in outputs]
-    sizes = (quantity(f"accuracy of {c.name}", text, c.unit) / c.nominal for c in columns)
+    sizes = (
+        quantity(f"accuracy of {c.name}", text, c.unit, difference=True) / c.nominal
+        for c in columns
+    )
     return min(sizes, default=1.0)  # unknown outputs are rejected later
 
 

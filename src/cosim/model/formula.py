@@ -12,9 +12,8 @@ from typing import Any
 import casadi as ca
 from casadi import SX
 
-from casadi_models.units import UNITS
+from casadi_models.units import parse_unit
 from cosim.errors import ParameterError, UnknownName
-from cosim.model.quantities import parse_unit
 
 _POWER = r"[A-Za-z\u00b0\u03a9]+(?:\d+|(?:\^|\*\*)-?\d+)?"
 _NUMBER_WITH_UNIT = re.compile(
@@ -100,8 +99,8 @@ def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, st
     plain = _NUMBER_WITH_UNIT.sub(lambda match: _in_si(owner, match, names), text)
     if plain != text:
         for name in ("", *re.findall(r"[A-Za-z_]\w*", plain)):
-            unit = UNITS.get(units.get(name, ""))
-            if unit is not None and unit.factor != 1:
+            unit = parse_unit(units.get(name, ""))
+            if unit is not None and not unit.is_si:
                 raise ParameterError(
                     f"{owner}: '{text}' has numbers with units, which become SI values, but "
                     f"{name or 'the result'} is in {units[name]}; write all numbers without units"
@@ -139,7 +138,8 @@ def _in_si(owner: str, match: re.Match[str], names: Container[str]) -> str:
                 "write blanks around what does not belong to the unit, and powers as 3cm^2 or "
                 "(3cm)^2"
             )
-        return f"({number}*{found.factor!r}){rest}"
+        offset = f"+{found.offset!r}" if found.offset else ""
+        return f"({number}*{found.factor!r}{offset}){rest}"
     return match[0]
 
 

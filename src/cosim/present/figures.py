@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from casadi_models.units import UNITS
+from casadi_models.units import parse_unit
 from cosim.arrays import Vector
 from cosim.colors import CURVES, INVALID, SECOND
 from cosim.errors import UsageError
@@ -144,18 +144,18 @@ def _overlaid_panel(
     axis: Axes, spec: FigureSpec, panel: Sequence[str], labelled: Sequence[tuple[Trajectory, str]]
 ) -> None:
     several, runs = len(panel) > 1, [run for run, _ in labelled]
-    unit = runs[0].column(panel[0]).shown_unit
+    first = runs[0].column(panel[0])
     for i, name in enumerate(panel):
         for k, (run, label) in enumerate(labelled):
             axis.plot(
                 _displayed(run, spec.x),
-                _displayed(run, name, unit),
+                _displayed(run, name, first),
                 color=CURVES[(i if several else k) % len(CURVES)],
                 linestyle=LINES[k % len(LINES)],
                 linewidth=1.6 - 0.25 * min(k, 3),
                 label=f"{name}, {label}" if several else label,
             )
-    axis.set_ylabel(fill(f"{', '.join(panel)} [{unit}]", 24))
+    axis.set_ylabel(fill(f"{', '.join(panel)} [{first.shown_unit}]", 24))
     over = "s" if spec.x == "time" else runs[0].column(spec.x).shown_unit
     axis.set_xlabel(f"{spec.x_label or spec.x} [{over}]")
     axis.label_outer()
@@ -222,7 +222,8 @@ def draw_residuals(residuals: Trajectory, run: Trajectory, other: Trajectory) ->
             above.plot(run.time, _displayed(run, column.name), color=CURVES[0], label=run.model)
             points = _displayed(other, column.name)
             above.plot(other.time, points, **_POINTS, label=other.model)
-            below.plot(residuals.time, _displayed(residuals, column.name), **_POINTS)
+            gaps = column.shown(residuals[column.name], difference=True)
+            below.plot(residuals.time, gaps, **_POINTS)
             above.set_ylabel(_beside(column.name, column.shown_unit, 19))
             below.set_ylabel(_beside("residual", column.shown_unit, 16))
         axes[0].legend()
@@ -283,13 +284,13 @@ def _panel(
     legends = spec.legends[index] if spec.legends else meanings
     for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
         color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
-        over, values = _displayed(run, spec.x), _displayed(run, column.name, columns[0].shown_unit)
+        over, values = _displayed(run, spec.x), _displayed(run, column.name, columns[0])
         axis.plot(over, values, color=color, linestyle=line, label=legend)
         bad = run.time >= run.validity[0]
         if spec.x != "time" and bad.any():
             axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
         if other is not None:
-            second = _displayed(other, column.name, columns[0].shown_unit)
+            second = _displayed(other, column.name, columns[0])
             axis.plot(_displayed(other, spec.x), second, **_SECOND_RUN)
     label = spec.labels[index] if spec.labels else ", ".join(names)
     letters = 34 if spec.equal or len(spec.panels) == 1 else 19
@@ -305,8 +306,8 @@ def _difference(
     axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
 ) -> None:
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
-        unit = run.column(names[0]).shown_unit
-        gap = _displayed(other, name, unit) - _displayed(run, name, unit)
+        first = run.column(names[0])
+        gap = _displayed(other, name, first) - _displayed(run, name, first)
         color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
         axis.plot(run.time, gap, color=color, linestyle=line, linewidth=0.9, label=legend)
     axis.set_ylabel(_beside("difference", run.column(names[0]).shown_unit, 16))
@@ -344,19 +345,26 @@ def _beside(label: str, unit: str, letters: int) -> str:
     return text if len(text) <= letters else f"{fill(label, letters)}\n[{unit}]"
 
 
-def _displayed(run: Trajectory, name: str, unit: str = "") -> Vector:
-    """Return a variable in the unit of its axis if it converts, else in its display unit."""
+def _displayed(run: Trajectory, name: str, like: Column | None = None) -> Vector:
+    """Return a variable in the unit of the first one on its axis if it converts, else in its own.
+
+    Args:
+        run: The run.
+        name: The variable.
+        like: The first variable on the axis.
+    """
     if name == "time":
         return run.time
     column = run.column(name)
-    own, other = UNITS.get(column.unit), UNITS.get(unit)
-    if own is not None and other is not None and own.measures_like(other):
-        column = replace(column, display_unit=unit)
+    if like is not None and like.shown_unit != column.shown_unit:
+        own, other = parse_unit(column.unit), parse_unit(like.shown_unit)
+        if own is not None and other is not None and own.measures_like(other):
+            column = replace(column, display_unit=like.shown_unit, display_factor=None)
     return column.shown(run[name])
 
 
 def _displayed_nominal(column: Column) -> float:
-    return float(column.shown(np.array(column.nominal)))
+    return float(column.shown(np.array(column.nominal), difference=True))
 
 
 def _run_label(run: Trajectory) -> str:

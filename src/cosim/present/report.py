@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import casadi_models
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.printed import Printed
-from casadi_models.units import UNITS, convert
+from casadi_models.units import convert
 from cosim.drawing.diagram import diagram
 from cosim.drawing.picture import draw_pose
 from cosim.drawing.pose import start_pose
@@ -182,8 +182,8 @@ def printed_rows(scene: Scene, run: Trajectory) -> Iterable[dict[str, Any]]:
         i = int(np.argmin(np.abs(run.time - number.time)))
         if abs(run.time[i] - number.time) > 1e-9:
             continue
-        unit = UNITS[run.column(number.variable).unit]
-        value = float(run[number.variable][i]) * unit.factor / UNITS[number.unit].factor
+        own = float(run[number.variable][i])
+        value = convert(own, run.column(number.variable).unit, number.unit)
         gap = abs(value - float(number.value))
         yield {
             "variable": number.variable,

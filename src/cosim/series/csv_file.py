@@ -10,11 +10,10 @@ from typing import TextIO
 
 import numpy as np
 
-from casadi_models.units import UNITS, Unit
+from casadi_models.units import UNITS, Unit, converted, parse_unit
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.progress import doing
-from cosim.model.quantities import parse_unit
 from cosim.series.samples import Column
 from cosim.text import csv_cell
 
@@ -108,8 +107,7 @@ def read_samples(
         written, body = units_line, body[1:]
     if not body:
         raise UsageError(f"{path}: there is no sample below the header; give one line or more")
-    at = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), 0)
-    at = at if time is None else _place(path, cells, names, time)
+    at = _place_of_time(path, cells, names, time)
     chosen = [(name, i) for i, name in enumerate(names) if i != at]
     if headers is not None:
         chosen = [(name, _place(path, cells, names, text)) for name, text in headers.items()]
@@ -122,17 +120,19 @@ def read_samples(
         if other is not None and other != unit and parse_unit(other) is not None:
             raise UsageError(f"{path}: {key} is in '{other}' by its header; units= says '{unit}'")
     table = np.array([numbers_of(path, line, row, names, places) for line, row in body])
-    _, factor = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
-    times = table[:, 0] * factor
+    _, in_file, target = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
+    times = converted(table[:, 0], in_file, target)
     for wrong, problem in (
         (np.isnan(times), "the time is missing; fill it in"),
         (np.diff(times, prepend=times[0]) < 0, "time decreases; sort the lines by time"),
     ):
         if wrong.any():
             raise ParameterError(f"{path}, line {body[int(np.argmax(wrong))][0]}: {problem}")
-    pairs = [_column(path, n, units.get(n, written[i]), known.get(n)) for n, i in chosen]
-    values = table[:, 1:] * [factor for _, factor in pairs]
-    return times, tuple(column for column, _ in pairs), values, [line for line, _ in body]
+    found = [_column(path, n, units.get(n, written[i]), known.get(n)) for n, i in chosen]
+    values = table[:, 1:]
+    for own, (_, in_file, target) in zip(values.T, found, strict=True):
+        own[:] = converted(own, in_file, target)
+    return times, tuple(column for column, *_ in found), values, [line for line, _ in body]
 
 
 def _named(cell: str) -> tuple[str, str | None]:
@@ -141,6 +141,16 @@ def _named(cell: str) -> tuple[str, str | None]:
     if match is None or _WITHOUT_UNIT.fullmatch(cell):
         return cell, None
     return match[1], match[2] if match[3] is None else match[3]
+
+
+def _place_of_time(path: Path, cells: Sequence[str], names: Sequence[str], time: str | None) -> int:
+    """Return the place of the times; a header `time` is also found as `Time` or `t`."""
+    found = next((i for i, name in enumerate(names) if _TIME.fullmatch(name)), None)
+    if time is None:
+        return found or 0
+    if time == "time" and time not in names and found is not None:
+        return found
+    return _place(path, cells, names, time)
 
 
 def _place(path: Path, cells: Sequence[str], names: Sequence[str], text: str) -> int:
@@ -153,11 +163,14 @@ def _place(path: Path, cells: Sequence[str], names: Sequence[str], text: str) ->
     return found[0]
 
 
-def _column(path: Path, name: str, unit: str | None, known: Column | None) -> tuple[Column, float]:
-    """Return a variable, and the factor from a unit to its SI unit."""
+def _column(
+    path: Path, name: str, unit: str | None, known: Column | None
+) -> tuple[Column, Unit, Unit]:
+    """Return a variable, its unit in the file, and its own unit."""
     target = known.unit if known else None
     if unit is None or unit == target:
-        return known or Column(name), 1.0
+        own = UNITS[target or "1"]
+        return known or Column(name), own, own
     source = parse_unit(unit, UNITS[target] if target else None)
     if source is None:
         raise UsageError(
@@ -167,15 +180,15 @@ def _column(path: Path, name: str, unit: str | None, known: Column | None) -> tu
     target = target or si_name(unit, source)
     if not source.measures_like(UNITS[target]):
         raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
-    shown = unit if unit != target and unit in UNITS else None
-    return known or Column(name, target, shown), source.factor / UNITS[target].factor
+    shown = unit if unit != target and parse_unit(unit) else None
+    return known or Column(name, target, shown), source, UNITS[target]
 
 
 def si_name(name: str, unit: Unit) -> str:
     """Return the name of the SI unit that a unit converts to."""
-    if name in UNITS and unit.factor == 1:
+    if name in UNITS and unit.is_si:
         return name
-    fitting = (n for n, u in UNITS.items() if u.factor == 1 and u.measures_like(unit))
+    fitting = (n for n, u in UNITS.items() if u.is_si and u.measures_like(unit))
     return next(fitting, None) or ".".join(f"{b}{n if n != 1 else ''}" for b, n in unit.base)
 
 

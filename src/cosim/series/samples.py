@@ -7,14 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_models.units import UNITS
+from casadi_models.units import converted, parse_unit
 from cosim.arrays import Vector
 from cosim.errors import ParameterError
 
 
 @dataclass(frozen=True)
 class Column:
-    """Metadata of a recorded variable: name, SI unit, display unit, nominal value, meaning.
+    """Metadata of a recorded variable.
+
+    Attributes:
+        name, unit, display_unit, nominal, meaning: As in a model.
+        display_factor, display_offset: Shown value = factor * value + offset, where a file defines
+            its own display unit; None for the definition that the name of the display unit has.
 
     Example:
         >>> Column("phi", "rad", "deg").shown(np.array([np.pi]))
@@ -26,6 +31,8 @@ class Column:
     display_unit: str | None = None
     nominal: float = 1.0
     meaning: str = ""
+    display_factor: float | None = None
+    display_offset: float = 0.0
 
     @property
     def shown_unit(self) -> str:
@@ -37,11 +44,23 @@ class Column:
         """Unit and meaning under the names of the climate and forecast conventions."""
         return {"units": self.unit, "long_name": self.meaning}
 
-    def shown(self, values: Vector) -> Vector:
-        """Convert SI values of this variable to `shown_unit`."""
-        if self.display_unit is None or self.unit not in UNITS:
+    def shown(self, values: Vector, *, difference: bool = False) -> Vector:
+        """Convert values of this variable to `shown_unit`.
+
+        Args:
+            values: In `unit`.
+            difference: Whether they are differences of values, for which no offset counts.
+        """
+        if self.display_factor is not None:
+            scaled = values * self.display_factor
+            return scaled if difference else scaled + self.display_offset
+        own, shown = parse_unit(self.unit), parse_unit(self.display_unit or self.unit)
+        if own is None or shown is None:
             return values
-        return values * UNITS[self.unit].factor / UNITS[self.display_unit].factor
+        if difference:
+            own, shown = own.difference(), shown.difference()
+        in_display: Vector = converted(values, own, shown)
+        return in_display
 
 
 def summary_rows(

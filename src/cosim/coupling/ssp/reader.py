@@ -16,7 +16,7 @@ from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
 from cosim.coupling.ssp.parameters import Value, bound_values, real
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_system
-from cosim.coupling.system import System, conversion
+from cosim.coupling.system import System, change_of_named_units
 from cosim.errors import CosimError, UnknownName
 from cosim.fmi.archive import naming_places
 
@@ -136,7 +136,10 @@ class _System:
             raise document.fault(f"{sink} is no continuous input, so {source} cannot drive it")
         if not self._variable(source).is_source:
             raise document.fault(f"{source} is no continuous output, so it cannot drive {sink}")
-        change = self._connections.change(way.steps, self._connections.unit(source), conversion)
+        unit = self._connections.unit(source)
+        change = self._connections.change(way.steps, unit, change_of_named_units)
+            way.steps, self._connections.unit(source), change_of_named_units
+        )
         return Connection(self._key(sink), self._key(source), *change)
 
     def _start_value(self, way: Way) -> dict[tuple[str, str], float]:
@@ -159,7 +162,7 @@ class _System:
             number = value.in_unit(str(node), unit)
         except CosimError as error:
             raise document.fault(str(error), type(error)) from error
-        factor, offset = self._connections.change(steps, unit or value.unit, conversion)
+        factor, offset = self._connections.change(steps, unit or value.unit, change_of_named_units)
         return factor * number + offset
 
     def _connector(self, name: str, declared: Declared, exposed: Sequence[Way]) -> Connector:
@@ -170,7 +173,7 @@ class _System:
             End(
                 self._key(one.source if shown else one.sink),
                 *self._connections.change(
-                    one.steps, self._connections.unit(one.source), conversion
+                    one.steps, self._connections.unit(one.source), change_of_named_units
                 ),
             )
             for one in shown or exposed

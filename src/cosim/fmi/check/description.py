@@ -9,7 +9,7 @@ from math import isclose, isfinite
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import UNITS, product
+from casadi_models.units import Unit, parse_unit
 from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check.finding import RULES, Finding, Rule
 from cosim.fmi.check.parsed import BUILD, REAL, Described, Description, Unknown
@@ -219,12 +219,15 @@ def _units(described: Description) -> Iterator[Finding]:
         if count > 1:
             yield RULES["unit"].about(DESCRIPTION, f"unit '{name}' is defined {count} times")
     for unit, name in zip(defined, names, strict=True):
-        base, own = _base(unit), UNITS.get(name) or product(name)
-        if base and own:
+        base = _base(unit)
+        measured = tuple((n, int(base[n])) for n in BASE_UNITS if base.get(n))
+        own = parse_unit(name, Unit(1.0, measured)) if base else None
+        if own:
             exponents = dict(own.base)
             same = all(base[n] == exponents.get(n, 0) for n in BASE_UNITS if n != "rad")
-            close = isclose(base["factor"], own.factor, rel_tol=_ROUNDING) and not base["offset"]
-            if not (same and close):
+            close = isclose(base["factor"], own.factor, rel_tol=_ROUNDING)
+            shifted = not isclose(base["offset"], own.offset, rel_tol=_ROUNDING)
+            if not (same and close) or shifted:
                 fault = "has base units of another quantity, another factor or an offset"
                 yield RULES["unit-base"].about(DESCRIPTION, f"unit '{name}' {fault}")
         if not base:

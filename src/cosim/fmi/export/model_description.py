@@ -6,7 +6,7 @@ from math import inf, isfinite
 from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Start
-from casadi_models.units import UNITS
+from casadi_models.units import UNITS, conversion
 from cosim.fmi.archive import TOOL
 from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
@@ -147,12 +147,18 @@ def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
         unit = rates.get(name) or UNITS[name]
         entry = ET.SubElement(element, "Unit", name=name)
         base = {name: str(exponent) for name, exponent in unit.base}
-        factor = {} if unit.factor == 1 else {"factor": shortest(unit.factor)}
-        ET.SubElement(entry, "BaseUnit", base | factor)
+        ET.SubElement(entry, "BaseUnit", base | _scaled(unit.factor, unit.offset))
         for display in sorted(displays[name]):
-            ratio = shortest(unit.factor / UNITS[display].factor)
-            ET.SubElement(entry, "DisplayUnit", name=display, factor=ratio)
+            factor, offset = conversion(unit, UNITS[display])
+            scaled = _scaled(factor, offset, always=True)
+            ET.SubElement(entry, "DisplayUnit", {"name": display, **scaled})
     return element
+
+
+def _scaled(factor: float, offset: float, *, always: bool = False) -> dict[str, str]:
+    """Return the attributes `factor` and `offset`, without those that are the default."""
+    facts = {"factor": shortest(factor)} if always or factor != 1 else {}
+    return facts | ({"offset": shortest(offset)} if offset else {})
 
 
 def to_bytes(root: ET.Element) -> bytes:

@@ -138,7 +138,7 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
     base["s"] = base.get("s", 0) - 1
     rate = Unit(UNITS[unit].factor, tuple((k, n) for k, n in base.items() if n))
     for name, known in UNITS.items():
-        if known.factor == rate.factor and known.measures_like(rate):
+        if known == Unit(rate.factor, known.base) and known.measures_like(rate):
             return name, known
     return f"{unit}/s", rate
 

@@ -143,12 +143,39 @@ def read_description(folder: Path, name: object) -> Any:
         if variable.name in names:
             variable.aliases = [VariableAlias(name=variable.name)]
             variable.name = names[variable.name]
+    _drop_inverse_display_units(description, root)
+    _read_relative_quantities(description, root)
     if not is_second(description):  # fmpy does not read the flag of FMI 3
         for kind in (description.modelExchange, description.coSimulation):
             for element in root.iterfind(type(kind).__name__):
                 flag = element.get("providesDirectionalDerivatives")
                 kind.providesDirectionalDerivative = flag in ("true", "1")
     return description
+
+
+def _drop_inverse_display_units(description: Any, root: ET.Element) -> None:
+    """Remove the display units that are reciprocals, for which fmpy has no attribute."""
+    for unit, element in zip(
+        description.unitDefinitions, root.iterfind("UnitDefinitions/Unit"), strict=True
+    ):
+        inverse = {
+            display.get("name")
+            for display in element.iterfind("DisplayUnit")
+            if display.get("inverse") in ("true", "1")
+        }
+        unit.displayUnits = [d for d in unit.displayUnits if d.name not in inverse]
+
+
+def _read_relative_quantities(description: Any, root: ET.Element) -> None:
+    """Read the attribute `relativeQuantity`, which fmpy overlooks in variables."""
+    relative = {
+        variable.get("name")
+        for variable in root.iterfind("ModelVariables/*")
+        if any(e.get("relativeQuantity") in ("true", "1") for e in (variable, *variable[:1]))
+    }
+    for variable in description.modelVariables:
+        if variable.name in relative:
+            variable.relativeQuantity = True
 
 
 def choose_interface(

@@ -11,6 +11,8 @@ import numpy as np
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set, unit_of
+from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
 from cosim.model.times import reject_backward, time_grid
@@ -130,7 +132,7 @@ class FmuRequest:
     @property
     def columns(self) -> tuple[Column, ...]:
         """The recorded variables with their units."""
-        return tuple(map(column_of, self.recorded))
+        return tuple(column_of(variable, self.description) for variable in self.recorded)
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -207,9 +209,17 @@ def checked_values(
         if variable not in variables:
             settable = [v.name for v in variables.values() if _is_settable(v)]
             raise UnknownName.among(str(name), "start value", variable, settable)
+        if variables[variable].causality == "structuralParameter":
+            raise UsageError(
+                f"{name}: {variable} is a structural parameter, which changes the sizes of arrays; "
+                "it cannot be set here, leave it at its start value"
+            )
         if not _is_settable(variables[variable]):
             raise UsageError(f"{name}: {variable} cannot be set; it is calculated, or not a number")
-    return {variables[key].name: number(str(name), key, value) for key, value in values.items()}
+    return {
+        variables[key].name: typed_value(str(name), variables[key], value)
+        for key, value in values.items()
+    }
 
 
 def _is_settable(variable: Any) -> bool:
@@ -225,11 +235,14 @@ def output_names(
         UnknownName, UsageError: A variable does not exist or is not one number.
     """
     if outputs is None:
-        return [
-            n
-            for n, v in variables.items()
-            if v.causality == "output" and is_number(v) and n == v.name
-        ]
+        own = [n for n, v in variables.items() if v.causality == "output" and n == v.name]
+        found = [n for n in own if is_number(variables[n])]
+        if own and not found:
+            raise UsageError(
+                f"{name}: none of its outputs ({', '.join(own)}) is a single number, so nothing "
+                "can be recorded; name other variables with outputs"
+            )
+        return found
     requested = listed(f"{name}: outputs", outputs)
     for output in requested:
         if output not in variables:
@@ -254,14 +267,17 @@ def _check_series(
 
 
 @lru_cache(1024)
-def column_of(variable: Any) -> Column:
+def column_of(variable: Any, description: Any) -> Column:
     """Return a variable of fmpy's as a column of a result."""
+    display, factor, offset = display_of(variable, description)
     return Column(
         variable.name,
         unit_of(variable) or "1",
-        variable.displayUnit,
+        display,
         float(variable.nominal or 1.0),
         variable.description or "",
+        factor,
+        offset,
     )
 
 

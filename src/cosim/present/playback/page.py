@@ -152,7 +152,8 @@ def column_facts(column: Column) -> dict[str, Any]:
     """Return what a page knows of a variable."""
     return _plain(column, "name", "meaning") | {
         "unit": column.shown_unit,
-        "factor": float(column.shown(np.ones(1))[0]),
+        "factor": float(column.shown(np.ones(1), difference=True)[0]),
+        "offset": float(column.shown(np.zeros(1))[0]),
     }
 
 

@@ -17,6 +17,7 @@ from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import FmuError, ParameterError, UsageError
+from cosim.fmi.run.instance import by_name
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
@@ -164,7 +165,10 @@ class FmuSubject:
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and the settings; return the method of the runs as text."""
-        self._fmu.request(start_values=dict.fromkeys(names, 0.0))
+        variables = by_name(self._fmu.description)
+        items = {n: v.declaredType.items for n, v in variables.items() if v.type == "Enumeration"}
+        values = {n: float(items[n][0].value) if items.get(n) else 0.0 for n in names}
+        self._fmu.request(start_values=values)
         for name in settings:
             if name not in (*_TAKEN, "outputs"):
                 raise UsageError(

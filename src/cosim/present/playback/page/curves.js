@@ -83,9 +83,9 @@ class Curves {
     const { time } = this.results[0].curves;
     for (const chart of this.charts) {
       const rows = this.results.flatMap(({ curves }, i) => chart.columns.map((k) => {
-        const { factor } = this.data.columns[k], own = curves.values[k];
+        const { factor, offset } = this.data.columns[k], own = curves.values[k];
         const values = i ? sampled(curves.time, own, time) : Array.from(own);
-        return values.map((v) => (Number.isFinite(v) ? v * factor : null));
+        return values.map((v) => (Number.isFinite(v) ? v * factor + offset : null));
       }));
       chart.plot.setData([Array.from(time), ...rows]);
       queueMicrotask(() => this.annotate(chart)); // uPlot finds its scales in one, too

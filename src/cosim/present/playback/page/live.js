@@ -101,22 +101,22 @@ class Settings {
   }
 
   line(setting) {
-    const { name, meaning, unit, factor, low, high } = setting;
+    const { name, meaning, unit, factor, offset, low, high } = setting;
     const line = document.createElement("div"), mark = document.createElement("label");
     const slider = document.createElement("input"), field = document.createElement("input");
     line.className = "setting";
     mark.textContent = name;
     mark.title = meaning;
     mark.htmlFor = slider.id = `setting ${name}`;
-    Object.assign(slider, { type: "range", min: low * factor, max: high * factor, step: "any" });
+    Object.assign(slider, { type: "range", min: low * factor + offset, max: high * factor + offset, step: "any" });
     Object.assign(field, { type: "number", step: "any" });
     field.setAttribute("aria-label", `${name}, ${unit}`);
     const end = document.createElement("span");
     end.textContent = unit === "1" ? "" : unit;
     line.append(mark, slider, field, end);
-    slider.addEventListener("input", () => this.choose(setting, slider.valueAsNumber / factor));
+    slider.addEventListener("input", () => this.choose(setting, (slider.valueAsNumber - offset) / factor));
     field.addEventListener("change", () => {
-      if (Number.isFinite(field.valueAsNumber)) this.choose(setting, field.valueAsNumber / factor);
+      if (Number.isFinite(field.valueAsNumber)) this.choose(setting, (field.valueAsNumber - offset) / factor);
     });
     slider.addEventListener("dblclick", () => this.choose(setting, setting.value));
     this.lines.set(name, { mark, slider, field });
@@ -127,8 +127,9 @@ class Settings {
   show(setting) {
     const { mark, slider, field } = this.lines.get(setting.name);
     const value = this.chosen.has(setting.name) ? this.chosen.get(setting.name) : setting.value;
-    slider.value = value * setting.factor;
-    field.value = Number((value * setting.factor).toPrecision(6));
+    const displayed = value * setting.factor + setting.offset;
+    slider.value = displayed;
+    field.value = Number(displayed.toPrecision(6));
     mark.classList.toggle("changed", this.chosen.has(setting.name));
   }
 

@@ -128,8 +128,9 @@ class Player {
       return;
     }
     for (const k of this.data.labels) {
-      const { name, factor, unit } = this.data.columns[k], { time, values } = this.results[0].curves;
-      parts.push(`${name} = ${shown(sampled(time, values[k], [this.t])[0] * factor)} ${unit}`);
+      const { name, factor, offset, unit } = this.data.columns[k], { time, values } = this.results[0].curves;
+      const value = sampled(time, values[k], [this.t])[0] * factor + offset;
+      parts.push(`${name} = ${shown(value)} ${unit}`);
     }
     $("facts").textContent = parts.join("\n");
     for (const run of this.results) {

@@ -1,0 +1,55 @@
+"""Values of FMU variables, checked against the type of the variable."""
+
+from typing import Any
+
+from cosim.errors import ParameterError
+from cosim.model.values import number
+
+_WORDS = {"true": True, "false": False, "0": False, "1": True}
+_RANGES = {"Integer": (-(2**31), 2**31 - 1)}
+for _bits in (8, 16, 32, 64):
+    _RANGES[f"Int{_bits}"] = (-(2 ** (_bits - 1)), 2 ** (_bits - 1) - 1)
+    _RANGES[f"UInt{_bits}"] = (0, 2**_bits - 1)
+_LARGEST_FLOAT32 = 3.4028234663852886e38
+
+
+def typed_value(owner: str, variable: Any, value: Any) -> Any:
+    """Return a value as the type of a variable requires; nothing is rounded or wrapped.
+
+    Args:
+        owner: Of the variable, for errors.
+        variable: Of fmpy's model description.
+        value: A number in the variable's unit; for a Boolean also a truth value or its word, for an
+            enumeration also the name of an item.
+
+    Raises:
+        ParameterError: The type does not have this value.
+    """
+    name, kind = variable.name, variable.type
+    if kind == "Boolean":
+        found = _WORDS.get(str(value).lower().removesuffix(".0"))
+        if found is None:
+            raise ParameterError(f"{owner}: {name} = {value} is no Boolean; give true or false")
+        return found
+    if kind == "Enumeration" and variable.declaredType is not None:
+        items = {item.name: int(item.value) for item in variable.declaredType.items}
+        if isinstance(value, str) and value in items:
+            return items[value]
+        if not isinstance(value, str) and value in items.values():
+            return int(value)
+        allowed = ", ".join(f"{item} ({n})" for item, n in items.items())
+        raise ParameterError(f"{owner}: {name} = {value} is no item of it; give one of {allowed}")
+    if kind in _RANGES:
+        low, high = _RANGES[kind]
+        plain = number(owner, name, value)
+        whole = value if isinstance(value, int) else int(plain)
+        if whole != value or not low <= whole <= high:
+            raise ParameterError(
+                f"{owner}: {name} = {value!r} is no {kind}; give a whole number from {low} to "
+                f"{high}"
+            )
+        return whole
+    plain = number(owner, name, value)
+    if kind == "Float32" and abs(plain) > _LARGEST_FLOAT32:
+        raise ParameterError(f"{owner}: {name} = {value!r} is too large for a Float32")
+    return plain

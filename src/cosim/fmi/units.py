@@ -1,0 +1,137 @@
+"""Units as files define them by FMI's `BaseUnit` and `DisplayUnit`, in FMI 2.0, FMI 3.0 and SSP."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from math import isclose, isfinite
+from types import MappingProxyType
+from typing import Any
+
+from casadi_models.units import Unit, conversion, parse_unit
+from cosim.fmi.run.instance import unit_of
+
+_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_ROUNDING = 1e-6  # relative, of a factor that a file writes with few digits
+
+
+def base_unit(attributes: Mapping[str, Any]) -> Unit:
+    """Return the unit that the attributes of a `BaseUnit` define.
+
+    Args:
+        attributes: Exponents of the base units, `factor` and `offset`; all of them are optional.
+
+    Raises:
+        ValueError: One of them is no number, or the factor is 0 or not finite.
+
+    Example:
+        >>> from casadi_models.units import conversion
+        >>> pascal = base_unit({"kg": "1", "m": "-1", "s": "-2"})
+        >>> bar = base_unit({"kg": "1", "m": "-1", "s": "-2", "factor": "1e5"})
+        >>> conversion(pascal, bar)
+        (1e-05, 0.0)
+    """
+    exponents = {name: int(attributes.get(name) or 0) for name in _BASE_UNITS}
+    factor, offset = float(attributes.get("factor", 1)), float(attributes.get("offset", 0))
+    if not (factor and isfinite(factor) and isfinite(offset)):
+        raise ValueError(f"factor {factor} and offset {offset} define no unit")
+    return Unit(factor, tuple((name, n) for name, n in exponents.items() if n), offset)
+
+
+@lru_cache(8)
+def definitions(description: Any) -> Mapping[str, Unit]:
+    """Return the units that a file defines, by name.
+
+    Args:
+        description: fmpy's model description.
+    """
+    found = {}
+    for unit in description.unitDefinitions:
+        base = unit.baseUnit
+        if base is not None:
+            attributes = {n: getattr(base, n) for n in (*_BASE_UNITS, "factor", "offset")}
+            try:
+                found[unit.name] = base_unit(attributes)
+            except (TypeError, ValueError):
+                continue  # as if it were not defined
+    return MappingProxyType(found)
+
+
+def definition_of(variable: Any, description: Any) -> Unit | None:
+    """Return the unit of a variable by the definition in its file.
+
+    A name that the file uses without a definition has its usual meaning.
+
+    Returns:
+        None if the variable has no unit, or one that is neither defined nor known.
+    """
+    name = unit_of(variable)
+    if name is None:
+        return None
+    unit = definitions(description).get(name) or parse_unit(name)
+    return unit.difference() if unit is not None and _is_relative(variable) else unit
+
+
+def units_for(variable: Any, description: Any) -> Mapping[str, Unit]:
+    """Return the units by name in which a value of a variable may be written.
+
+    Those of the file, and the display units of the variable's unit.
+    """
+    own = definition_of(variable, description)
+    known = dict(definitions(description))
+    if own is None:
+        return known
+    for name, (factor, offset) in _displays(description).get(unit_of(variable), {}).items():
+        known.setdefault(
+            name, Unit(own.factor / factor, own.base, own.offset - own.factor * offset / factor)
+        )
+    return known | {str(unit_of(variable)): own}
+
+
+def display_of(variable: Any, description: Any) -> tuple[str | None, float | None, float]:
+    """Return the display unit of a variable, and its factor and offset by the file.
+
+    Returns:
+        The name, None if the file does not define it; the factor, None if the definition is that
+        which the name has anyway; and the offset.
+    """
+    declared = variable.declaredType
+    unit, name = unit_of(variable), variable.displayUnit
+    name = name or (declared.displayUnit if declared else None)
+    if name is None or name == unit:
+        return None, None, 0.0
+    found = _displays(description).get(unit, {}).get(name)
+    own, shown = parse_unit(unit or ""), parse_unit(name)
+    usual = None
+    if own is not None and shown is not None and own.measures_like(shown):
+        usual = conversion(own, shown)
+    if found is None:
+        return (name if usual else None), None, 0.0
+    factor, offset = found
+    if _is_relative(variable):
+        offset = 0.0
+    if usual and all(map(_is_close, (factor, offset), usual)):
+        return name, None, 0.0
+    return name, factor, offset
+
+
+@lru_cache(8)
+def _displays(description: Any) -> Mapping[str | None, Mapping[str, tuple[float, float]]]:
+    """Return factor and offset of the display units by unit and name."""
+    found = dict[str | None, Mapping[str, tuple[float, float]]]()
+    for unit in description.unitDefinitions:
+        own = {d.name: (float(d.factor), float(d.offset)) for d in unit.displayUnits}
+        found[unit.name] = {
+            name: (factor, offset)
+            for name, (factor, offset) in own.items()
+            if factor and isfinite(factor) and isfinite(offset)
+        }
+    return found
+
+
+def _is_close(a: float, b: float) -> bool:
+    return isclose(a, b, rel_tol=_ROUNDING, abs_tol=1e-12)
+
+
+def _is_relative(variable: Any) -> bool:
+    """Tell whether a variable is a difference, for which the offset of its unit does not count."""
+    declared = variable.declaredType
+    return bool(variable.relativeQuantity or (declared and declared.relativeQuantity))

@@ -1,0 +1,60 @@
+"""Values of FMU variables by their type."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from cosim.errors import ParameterError
+from cosim.fmi.run.typed_values import typed_value
+
+MODES = SimpleNamespace(
+    items=[SimpleNamespace(name="slow", value="1"), SimpleNamespace(name="fast", value="3")]
+)
+
+
+def value_of(kind, value):
+    return typed_value("m", SimpleNamespace(name="u", type=kind, declaredType=MODES), value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "expected"),
+    [
+        ("Integer", 3.0, 3),
+        ("Int32", -(2**31), -(2**31)),
+        ("UInt8", 255.0, 255),
+        ("UInt64", 2**64 - 1, 2**64 - 1),
+        ("Int64", 2**53 + 1, 2**53 + 1),
+        ("Boolean", "true", True),
+        ("Boolean", 0.0, False),
+        ("Boolean", 1, True),
+        ("Boolean", False, False),
+        ("Enumeration", "fast", 3),
+        ("Enumeration", 1.0, 1),
+        ("Float32", 0.1, 0.1),
+        ("Real", 3, 3.0),
+    ],
+)
+def test_value_that_the_type_has_is_kept(kind, value, expected):
+    found = value_of(kind, value)
+    assert found == expected
+    assert type(found) is type(expected)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "reason"),
+    [
+        ("Integer", 3.7, "no Integer; give a whole number from -2147483648 to 2147483647"),
+        ("Int32", 3e9, "no Int32; give a whole number"),
+        ("UInt8", 256, "no UInt8; give a whole number from 0 to 255"),
+        ("UInt16", -1, "no UInt16"),
+        ("Boolean", 2, "no Boolean; give true or false"),
+        ("Boolean", "yes", "no Boolean"),
+        ("Enumeration", 2, r"give one of slow \(1\), fast \(3\)"),
+        ("Enumeration", "medium", r"give one of slow \(1\)"),
+        ("Float32", 1e39, "too large for a Float32"),
+        ("Real", float("nan"), "not finite"),
+    ],
+)
+def test_value_that_the_type_does_not_have_is_rejected_with_the_type(kind, value, reason):
+    with pytest.raises(ParameterError, match=f"m: u = .*{reason}"):
+        value_of(kind, value)
