@@ -26,7 +26,7 @@ def without_playback(page):
 def test_report_holds_every_part(page):
     for i, part in enumerate(
         ("The system", "In motion", "Numbers", "The book's numbers", "Figures",
-         "How far the numbers can be trusted", "How to make it again")
+         "Accuracy", "Reproduction")
     ):  # fmt: skip
         assert f'<h2 id="{i}">{part}' in page
         assert f'<a href="#{i}">{part}' in page

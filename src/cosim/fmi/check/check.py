@@ -112,7 +112,7 @@ def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Find
             content = entry_content(archive, name)
             if described.token.encode() not in content:
                 found = "the library does not hold the GUID or token: "
-                found += "it reads it elsewhere, or is another's"
+                found += "it reads it elsewhere, or belongs to another FMU"
                 whole = f"{name} was compiled for another GUID or instantiation token"
                 yield RULES["token-elsewhere"].at(name, found, whole)
             for rule, found in _library_faults(content, target, described):
