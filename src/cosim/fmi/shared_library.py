@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.host.optional_packages import optional_module
+
 _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _PROCESSORS = {"X86_64": "x86_64", "AMD64": "x86_64", "AARCH64": "aarch64", "ARM64": "aarch64"}
 _PROCESSORS |= {"I386": "x86"}  # by the names of ELF, PE and Mach-O
@@ -43,9 +45,9 @@ def read_libraries(content: bytes) -> tuple[Library, ...]:
 
     Raises:
         ValueError: It is no shared library of a known kind, or damaged.
+        MissingTool: LIEF is not installed.
     """
-    import lief
-
+    lief = optional_module("lief", "check")
     lief.logging.disable()
     try:
         with warnings.catch_warnings():
