@@ -90,7 +90,7 @@ def test_models_import_casadi_and_nothing_of_the_product(module):
 def test_what_is_imported_is_declared_as_a_dependency():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *extras["data"], *extras["zig"]]
+    declared = [*project["dependencies"], *extras["data"], *extras["zig"], *extras["check"]]
     names = {re.match(r"[\w-]+", requirement)[0] for requirement in declared}
     names |= {"PIL"} if "pillow" in names else set()  # the one whose import name is another
     assert set().union(*map(third_party, MODULES.values())) <= names

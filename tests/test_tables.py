@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.text import html_table, text_table
+from cosim.text import html_table, text_table, violation
 
 ROWS = [
     {"name": "phi", "value": 0.123456, "meaning": "roll angle " * 9},
@@ -40,3 +40,16 @@ def test_html_says_the_same_and_escapes():
     assert "<th>a&lt;b</th>" in table
     assert "<td>x &amp; y</td><td>1.23</td>" in table
     assert "<caption>who &lt; what</caption>" in table
+
+
+@pytest.mark.parametrize(
+    ("reason", "expected"),
+    [
+        ("from 1.5 s on it is no longer true that x < 2 (the wheel lifts)", "the wheel lifts"),
+        ("from time 0.5 on it is no longer true that x < 2", "not fulfilled: x < 2"),
+        ("from 0.5 s on the step is too large", "the step is too large"),
+        ("the step failed", "the step failed"),
+    ],
+)
+def test_violation_is_named_in_a_few_words(reason, expected):
+    assert violation(reason) == expected

@@ -18,6 +18,7 @@ FAMILY = Family(
         "rad": "deg",
         "N": "lbf",
         "N.m": "ft.lbf",
+        "J": "ft.lbf",
         "m": "in",
         "kg": "slug",
         "N.m.s/rad": "ft.lbf.s/rad",

@@ -159,8 +159,8 @@ def energies(model: Model, kinetic: SX, potential: SX) -> None:
 
 def limits(model: Model, phi: SX, fz_P: SX, fz_Q: SX) -> None:
     """Declare what every formulation supposes: two wheels on the ground, no fall."""
-    model.limit(-fz_P, "the ground pushes the rear wheel up (a real wheel would lift off)")
-    model.limit(-fz_Q, "the ground pushes the front wheel up (a real wheel would lift off)")
+    model.limit(-fz_P, "the ground pushes the rear wheel up (the rear wheel would lift off)")
+    model.limit(-fz_Q, "the ground pushes the front wheel up (the front wheel would lift off)")
     model.limit(cos(phi), "the rear frame leans by less than 90 deg")
 
 
@@ -195,7 +195,7 @@ def elimination(model: Model, bike: Bicycle, phi: SX, constraint_matrix: SX) -> 
     model.limit(
         regular - SINGULAR,
         "the steer angle is below the one (92 deg upright) where rolling no longer determines yaw, "
-        "pitch and front wheel rate (the form with multipliers passes there)",
+        "pitch and front wheel rate (the steer angle is singular here; use bicycle/multipliers)",
     )
     conditions.watch_elimination(model, constraint_matrix)
     conditions.watch_singularity(model, regular, cos(phi))

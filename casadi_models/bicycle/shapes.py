@@ -8,6 +8,7 @@ from casadi_models.dae.scenery import BLUE, DARK, GRAY, GREEN, ORANGE, PINK, SKY
 from casadi_models.mechanics.rotations import about, unit
 
 _TUBE, _TYRE = 0.016, 0.022  # m, radii
+_BAR, _GRIP = 0.34, 0.2  # m, of the handlebar above S, of the hands from its middle
 
 
 def draw(model: Model) -> None:
@@ -60,14 +61,16 @@ def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
 
     axle, crank, saddle = SX.zeros(3), point(0.42, 0.28), point(0.2, 0.82)
     head = to_S - 0.16 * w * (about(2, tilt) @ unit(3))
-    hip, neck, hand = point(0.2, 0.86), point(0.45, 1.38), point(0.68, 0.98)
+    hip, neck = point(0.2, 0.86), point(0.45, 1.38)
+    bar = to_S - _BAR * (about(2, tilt) @ unit(3))  # while the bicycle goes straight
     tubes = ((axle, crank), (axle, saddle), (crank, saddle), (crank, head), (saddle, head))
     for i, ends in enumerate(tubes, start=1):
         model.rod(f"tube {i}", ends, _TUBE, body="rear frame", color=BLUE)
     model.rod("trunk of the rider", (hip, neck), 0.1, body="rear frame", color=SKY)
     for side, right in (("left", -1), ("right", 1)):
         aside = 0.1 * right * unit(2)
-        arm, leg = (neck + 1.4 * aside, hand + 2 * aside), (hip + aside, crank + aside)
+        hand = bar + _GRIP * right * unit(2)
+        arm, leg = (neck + 1.4 * aside, hand), (hip + aside, crank + aside)
         model.rod(f"{side} arm of the rider", arm, 0.035, body="rear frame", color=SKY)
         model.rod(f"{side} leg of the rider", leg, 0.05, body="rear frame", color=SKY)
     model.shape("head of the rider", "sphere", SX(0.1), body="rear frame",
@@ -76,7 +79,7 @@ def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
 
 def _fork(model: Model, rR: SX, hub: SX) -> None:
     """Draw fork and handlebar; points from S, in C."""
-    crown, top = ca.vertcat(0, 0, -0.05), ca.vertcat(0, 0, -0.34)
+    crown, top = ca.vertcat(0, 0, -0.05), ca.vertcat(0, 0, -_BAR)
     model.rod("blade", (hub, crown), _TUBE, body="fork", color=GREEN)
     model.rod("steering axis", (crown, top), _TUBE, body="fork", color=GREEN)
     ends = top - 0.26 * unit(2), top + 0.26 * unit(2)

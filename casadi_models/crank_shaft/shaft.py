@@ -20,7 +20,15 @@ FAMILY = Family(
     "crank_shaft",
     "crank shaft in two bearings",
     "Unit 7, Example 1",
-    {"rad": "deg", "rad/s": "rpm", "N": "lbf", "N.m": "ft.lbf", "m": "in", "kg": "slug"},
+    {
+        "rad": "deg",
+        "rad/s": "rpm",
+        "N": "lbf",
+        "N.m": "ft.lbf",
+        "J": "ft.lbf",
+        "m": "in",
+        "kg": "slug",
+    },
     stop_time=4.0,
     draw=partial(draw, path=PATH),
 )

@@ -52,7 +52,11 @@ def reject_faulty(rows: Collection[tuple[str, SX]], known: SX, allowed: str) -> 
     for what, expression in rows:
         fault = _fault(expression, declared)
         if fault:
-            raise ValueError(f"{what} {fault}; only {allowed} and finite numbers may stand there")
+            hint = "; for functions of math, use those of casadi: casadi.sin"
+            raise ValueError(
+                f"{what} {fault}; only {allowed} and finite numbers may stand there"
+                f"{hint * fault.endswith('nan')}"
+            )
 
 
 def _fault(expression: SX, declared: Container[int]) -> str | None:

@@ -111,6 +111,11 @@ class Model(Declaring, Starting, Happening, Scenery):
             expression: Scalar, of any declared symbols.
             meaning: What is true while it is positive, e.g. "the rear wheel keeps the ground".
         """
+        if isinstance(expression, str) and not isinstance(meaning, str):
+            raise self._refusal(
+                f"limit '{expression}': give the expression first, then its meaning: "
+                f"limit(expression, '{expression}')"
+            )
         if not (isinstance(meaning, str) and meaning.strip()):
             raise self._refusal("the meaning of a limit is missing; describe it in a few words")
         if meaning in (known for _, known in self._limits):

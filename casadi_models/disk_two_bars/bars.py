@@ -19,6 +19,7 @@ FAMILY = Family(
         "rad": "deg",
         "N": "lbf",
         "N.m": "ft.lbf",
+        "J": "ft.lbf",
         "m": "ft",
         "kg": "slug",
         "m/s2": "ft/s2",

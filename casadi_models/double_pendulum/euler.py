@@ -62,7 +62,7 @@ def in_angles(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
         model.limit(
             sines[-1] - NEAR_SINGULAR,
             f"psi{link} and phi{link} exist: sin(theta{link}) is above {NEAR_SINGULAR:g} "
-            "(the quaternion formulation is regular there)",
+            "(the angles are singular; the quaternion formulation is regular there)",
         )
         rates.append(rate)
         turns.append(rotations.body_fixed((3, 1, 3), angles, SX.zeros(3))[0] @ axes)

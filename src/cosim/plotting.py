@@ -17,6 +17,7 @@ from cosim.arrays import Vector
 from cosim.colors import INVALID
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
+from cosim.text import violation
 
 DPI = 120
 LINES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1, 1, 1)), (0, (1, 1)), "-.", "--")  # for print
@@ -53,9 +54,8 @@ def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> s
     """Return the caption of an invalid span, in lines for a width in inches."""
     if not reasons:
         return ""
-    plain = [reason.removeprefix(f"from {invalid_from:g} s on ") for reason in reasons]
-    more = f" (and {len(plain) - 1} more)" if len(plain) > 1 else ""
-    text = f"shaded: INVALID from {invalid_from:g} s on: {plain[0]}{more}"
+    more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+    text = f"shaded: invalid from {invalid_from:.3g} s: {violation(reasons[0])}{more}"
     return fill(text, int(width * 14), max_lines=5, placeholder=" ...")
 
 

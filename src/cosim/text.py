@@ -15,6 +15,10 @@ LONGEST_WORD = 300  # of a word, a list or a quoted text in it
 _ENDLESS = re.compile(r"(?<!\w)'[^'\n]{300,}'|\[[^][\n]{300,}\]|\S{300,}")
 # Control characters, escapes of terminals among them, and those that turn the writing direction
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+_VIOLATED = re.compile(
+    r"(?:from (?:time )?(?P<time>\S+)(?: s)? on )?it is no longer true that "
+    r"(?P<condition>.*?)(?: \((?P<instead>[^()]*)\))?"
+)
 
 
 def visible(text: str, *, lines: bool = False) -> str:
@@ -37,6 +41,26 @@ def readable(message: str) -> str:
     """Return a visible message of bounded length, without the middle of endless texts and lists."""
     shown = visible(message, lines=True)
     return bounded(_ENDLESS.sub(lambda found: bounded(found[0], LONGEST_WORD), shown))
+
+
+def violation(reason: str) -> str:
+    """Return in a few words what is wrong in a run that violates a validity condition.
+
+    Args:
+        reason: As in `stats["invalid"]`. If the condition ends with what happens instead, in
+            parentheses, that is the answer; else it is the condition.
+    """
+    if (found := _VIOLATED.fullmatch(reason)) is None:
+        return re.sub(r"^from (?:time )?\S+(?: s)? on ", "", reason)
+    return found["instead"] or f"not fulfilled: {found['condition']}"
+
+
+def invalidity(reason: str) -> str:
+    """Return a reason as in `stats["invalid"]` in a few words, with its time if it has one."""
+    found = _VIOLATED.fullmatch(reason)
+    if found is None or found["time"] is None:
+        return reason
+    return f"invalid from {float(found['time']):.3g} s: {violation(reason)}"
 
 
 def csv_cell(text: str) -> str:

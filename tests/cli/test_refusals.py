@@ -271,3 +271,32 @@ def test_ending_that_a_verb_does_not_write_is_rejected(line, endings, refused):
     code, message = refused(line)
     assert code == 2
     assert re.search(endings, message), message
+
+
+# -- messages that say what to write: 2 -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "remedy"),
+    [
+        (["simulate", "crank_shaft", "--at", "1,2", "--output-interval", "0.1"],
+         "--at sets all output times; leave out --output-interval"),
+        (["simulate", "crank_shaft", "--at", "1,2", "--stop-time", "3"],
+         "--at sets all output times; leave out --stop-time"),
+        (["simulate", "crank_shaft", "--stop-when", "phi > 1 & omega > 1"], "write `and` for &"),
+        (["simulate", "crank_shaft", "--stop-when", "phi > 1 && omega > 1"], "write `and` for &"),
+        (["simulate", "crank_shaft", "--stop-when", "step(phi) > 1"], "write where(t > 1, 2, 0)"),
+        (["simulate", "crank_shaft", "--stop-when", "if(phi>1,2,0) > 1"], "write where(t > 1"),
+        (["linearize", "bicycle", "--sweep", "thetaR_dot=-3:-30:3"], "write --along"),
+        (["simulate", "crank_shaft", "--outputs", "phi,", "omega"],
+         "write a list without blanks: phi,omega"),
+        (["simulate", "crank_shaft", "-p", "alpha=1", "omega=2"], "repeat the option: -p omega=2"),
+    ],
+)  # fmt: skip
+def test_message_says_what_to_write_instead(line, remedy, capsys):
+    try:
+        code = main(line)
+    except SystemExit as ended:
+        code = ended.code
+    assert code in (2, 3)
+    assert remedy in capsys.readouterr().err

@@ -131,4 +131,10 @@ def test_model_refuses_an_output_for_a_calculated_start():
 def test_other_outputs_stay_results():
     with pytest.raises(cosim.errors.UnknownName, match="'fz_P' is a result"):
         start("bicycle", fz_P=1.0)
-    assert "speed may be set instead of thetaR_dot" in str(cosim.info("bicycle"))
+    assert "alternative start values  speed (for thetaR_dot)" in str(cosim.info("bicycle"))
+
+
+def test_info_rounds_start_values_of_rounding_errors_and_distant_bounds():
+    text = str(cosim.info("bicycle"))
+    assert "e-17" not in text
+    assert "1e-12 ... 1e+12" in text

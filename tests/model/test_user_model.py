@@ -100,3 +100,22 @@ def test_file_with_a_syntax_error_is_refused(tmp_path):
     path.write_text("def build(:")
     with pytest.raises(UsageError, match="SyntaxError"):
         cosim.load(f"{path}:build")
+
+
+@pytest.mark.parametrize(
+    ("law", "remedy"),
+    [
+        ("-1 if x > 0 else 1", r"use casadi\.if_else\(x > 0, a, b\)"),
+        ("math.sin(x)", r"casadi\.sin"),
+        ("model.limit('x is small', 1 - x) or -x", r"limit\(expression, 'x is small'\)"),
+    ],
+)
+def test_mistakes_of_first_models_are_explained(law, remedy, tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(
+        "import math\n\nfrom casadi_models.dae import Model\n\n\ndef build():\n"
+        "    model = Model('own')\n    x = model.state('x', 'm', 1.0, 'place')\n"
+        f"    model.derivative(x, {law})\n    return model.freeze()\n"
+    )
+    with pytest.raises(UsageError, match=remedy):
+        cosim.load(f"{path}:build")

@@ -17,7 +17,7 @@ from PIL import Image
 import cosim
 from cosim.drawing.camera import View, scale_of
 from cosim.drawing.meshes import arrow, joined, mesh_of
-from cosim.drawing.picture import draw_pose
+from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
 from cosim.errors import ExportError, MissingTool, UnknownName, UsageError
 from cosim.present.playback.animate import Animation, animate, drawing_of
 from cosim.present.playback.playback import playback
@@ -51,7 +51,7 @@ def test_page_holds_bodies_loads_paths_curves_and_validity(invalid):
     assert [path["name"] for path in facts["paths"]] == ["rim"]
     [recorded] = facts["runs"]
     assert recorded["invalid_from"] == pytest.approx(0.5)
-    assert "it is no longer true that the disk turns" in recorded["reasons"][0]
+    assert recorded["reasons"][0] == "not fulfilled: the disk turns by less than 2 rad"
     packed = gzip.decompress(base64.b64decode(recorded["packed"]))
     n, m, width = (recorded[name] for name in ("n", "m", "width"))
     assert width == 12 * 2 + 2 * 6 + 3
@@ -75,11 +75,23 @@ def test_page_that_computes_knows_what_can_be_set():
     assert settings["phi_dot"]["kind"] == "start"
     assert settings["steer_torque"]["kind"] == "input"
     assert settings["w"]["kind"] == "parameter"
-    speed = settings["thetaR_dot"]
-    assert speed["low"] < speed["value"] < speed["high"]
+    rate = settings["thetaR_dot"]
+    assert rate["low"] < rate["value"] < rate["high"]
+    assert live["settings"][0] == settings["speed"]
+    assert settings["speed"]["through"] == "thetaR_dot"
+    assert settings["speed"]["value"] == pytest.approx(4.6)
+    assert settings["thetaR"]["high"] == pytest.approx(np.pi)  # an angle goes around once
     assert facts["runs"] == [{}]
     assert live["times"][-1] == 20
     assert base64.b64decode(live["program"])[:2] == b"\x1f\x8b"
+
+
+def test_parameters_that_are_start_values_are_shown_as_such():
+    pytest.importorskip("ziglang")
+    facts = facts_of(animate(cosim.load("double_pendulum")).page)
+    kinds = {setting["name"]: setting["kind"] for setting in facts["live"]["settings"]}
+    assert kinds["psi1_0"] == kinds["w2_z0"] == "start"
+    assert kinds["length"] == kinds["g"] == "parameter"
 
 
 def test_only_a_page_computes(tmp_path):
@@ -142,7 +154,7 @@ def test_invalid_run_is_drawn_gray_with_its_reason(invalid):
     assert len(reddish(pixels(draw_pose([good], [0])))) > 500
     figure = draw_pose([bad], [0])
     texts = " ".join(text.get_text() for text in figure.axes[0].texts).replace("\n", " ")
-    assert "INVALID from 0.5 s on: it is no longer true that the disk turns by less" in texts
+    assert "invalid from 0.5 s: not fulfilled: the disk turns by less" in texts
     picture = pixels(figure)
     caption = np.argwhere((picture[..., 0] > 120) & (picture[..., 1] < 60))  # the red box
     assert len(reddish(picture[: caption[:, 0].min()])) == 0
@@ -309,3 +321,44 @@ def test_importing_the_package_imports_no_extra():
     code += "'imageio_ffmpeg', 'uplot') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def poses_of(start_values, times, **options):
+    dae = cosim.load("bicycle")
+    runs = [cosim.simulate(dae, start_values=start, **options) for start in start_values]
+    return [playback(run, run.drawing, times=times) for run in runs]
+
+
+def height_in(figure, left, right):
+    """Return the height of the drawn triangles between two places of a picture that is 2 high."""
+    faces = np.vstack([path.vertices for path in figure.axes[0].collections[-1].get_paths()])
+    inside = (faces[:, 0] > left) & (faces[:, 0] < right)
+    return float(np.ptp(faces[inside, 1]))
+
+
+def test_path_that_goes_on_after_the_last_pose_does_not_shrink_the_bodies():
+    played = poses_of([{}], [0.0, 0.5, 1.0])  # the path is 92 m long
+    figure = draw_pose(played, [0, 1, 2], follow="")
+    figure.canvas.draw()  # without an overflow of the texts
+    assert height_in(figure, -2, 2) > 1.6  # measured 1.68
+
+
+def test_ghosts_move_with_the_first_run_if_the_camera_follows():
+    played = poses_of([{"thetaR_dot": -12.0}, {"thetaR_dot": -16.0}], None, stop_time=4.0)
+    apart = played[0].followed()[-1] - played[1].followed()[-1]
+    assert np.linalg.norm(apart) > 4  # m; measured 7.6
+    stage = Stage(played, View.ISO, None, SIZE)
+    figure, axis = canvas(SIZE)
+    stage.draw(axis, [len(played[0].time) - 1])
+    assert height_in(figure, -2, 2) > 1.0
+
+
+def test_loads_outside_the_validity_range_neither_scale_arrows_nor_leave_the_picture():
+    [valid] = poses_of([{"phi_dot": 2.5}], None, stop_time=0.4)
+    [invalid] = poses_of([{"phi_dot": 2.5}], None, stop_time=1.5)
+    assert invalid.invalid_from < 0.45
+    expected, found = (scale_of([poses], None) for poses in (valid, invalid))
+    assert found.per_unit["N"] == pytest.approx(expected.per_unit["N"], rel=0.01)
+    for load in invalid.loads:
+        ends = np.array([found.arrow(load, k) for k in range(len(invalid.time))])
+        assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max() <= 0.5001 * found.pose

@@ -351,3 +351,38 @@ def test_axes_are_scaled_by_the_valid_part_of_a_run():
     low, high = axis.get_ylim()
     assert low <= valid.min() < valid.max() <= high
     assert high - low <= 2.01 * np.ptp(valid)
+
+
+def test_three_compared_runs_have_their_differences_below_and_a_whole_legend():
+    dae = cosim.load("crank_shaft")
+    runs = [cosim.simulate(dae, solver=s, stop_time=1.0) for s in ("cvodes", "dop853", "erk")]
+    runs = [replace(run, stats={**run.stats, "variation": 40 * "long "}) for run in runs]
+    specs, _ = shared_specs((), [run.select(["phi"]) for run in runs])
+    [figure] = draw_overlay(specs, runs, differences=True)
+    _, below = figure.axes
+    assert below.get_ylabel() == "difference [deg]"
+    expected = np.degrees(runs[2]["phi"]) - np.degrees(runs[0]["phi"])
+    drawn = below.get_lines()[1].get_ydata()
+    np.testing.assert_allclose(drawn, expected, rtol=0, atol=1e-11)  # deg; measured 5e-13
+    figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.width
+
+
+def test_runs_at_other_times_are_drawn_over_each_other_without_differences():
+    dae = cosim.load("crank_shaft")
+    runs = [cosim.simulate(dae, stop_time=t, outputs=["phi"]) for t in (1.0, 1.0, 0.5)]
+    specs, _ = shared_specs((), runs)
+    [figure] = draw_overlay(specs, runs, differences=True)
+    assert len(figure.axes) == 1
+
+
+def test_values_in_a_legend_have_their_unit(tmp_path, monkeypatch):
+    shown = []
+    monkeypatch.setattr("cosim.cli.verbs.plot.save", lambda figures, *_: shown.extend(figures))
+    monkeypatch.setattr("cosim.cli.verbs.plot.note", lambda *_: None)
+    monkeypatch.setattr("cosim.cli.verbs.plot.draw_overlay", lambda specs, runs, **_: runs)
+    words = ["-p", "speed=3.5,4.5", "--stop-time", "0.1", "--outputs", "phi"]
+    main(["plot", "bicycle", *words, "-o", str(tmp_path / "x.png")])
+    assert [run.stats["variation"] for run in shown] == ["speed=3.5 m/s", "speed=4.5 m/s"]

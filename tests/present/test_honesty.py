@@ -65,7 +65,7 @@ def test_invalid_span_is_shaded_and_named_in_the_overview(invalid):
     figure = invalid.plot()
     for axis in figure.axes[: len(invalid.names)]:
         assert spans(axis)[0] == pytest.approx((0.5, 1.0))
-    assert "INVALID from 0.5 s on: it is no longer true that the disk turns" in words(figure)
+    assert "invalid from 0.5 s: not fulfilled: the disk turns" in words(figure)
 
 
 def test_invalid_span_is_shaded_in_a_scenes_figure_and_in_an_overlay(invalid):
@@ -77,7 +77,7 @@ def test_invalid_span_is_shaded_in_a_scenes_figure_and_in_an_overlay(invalid):
         *draw_overlay([spec], [invalid, other]),
     ):
         assert spans(figure.axes[0])[0] == pytest.approx((0.5, 1.0))
-        assert "INVALID from 0.5 s on" in words(figure)
+        assert "invalid from 0.5 s" in words(figure)
         assert "the disk turns by less than 2 rad" in words(figure)
 
 

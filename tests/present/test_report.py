@@ -26,7 +26,7 @@ def without_playback(page):
 def test_report_holds_every_part(page):
     for i, part in enumerate(
         ("The system", "In motion", "Numbers", "The book's numbers", "Figures",
-         "How far the numbers can be trusted", "How to make it again")
+         "Accuracy", "Reproduction")
     ):  # fmt: skip
         assert f'<h2 id="{i}">{part}' in page
         assert f'<a href="#{i}">{part}' in page
@@ -98,7 +98,7 @@ def test_invalid_run_is_called_so_at_the_top():
     )
     head = page[: page.index("<h2 ")]
     assert "From 0.5 s on this run is outside its model" in head
-    assert "shaded: INVALID" in page
+    assert "shaded: invalid from" in page
 
 
 def test_report_of_something_else_is_refused(capsys):

@@ -39,6 +39,10 @@ def scene_from(args: argparse.Namespace) -> Scene:
         request = with_solver(request, solver)
     keywords = options_in(args, *TIMES, *_NUMBERS, *_POLICY) | goal
     if getattr(args, "at", None) is not None and runs_natively(args):
+        for name in ("output_interval", "stop_time"):
+            if getattr(args, name) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise UsageError(f"--at sets all output times; leave out {option}")
         keywords |= {"output_times": sorted(numbers_in("--at", args.at)), "stop_time": None}
     if args.outputs is not None:
         keywords["outputs"] = names_in(args.outputs)

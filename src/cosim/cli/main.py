@@ -168,11 +168,26 @@ def _parsed(words: Sequence[str]) -> argparse.Namespace:
     parser = command_line()
     args, unknown = parser.parse_known_args(words)
     if unknown:  # argparse itself would name the help of all verbs
-        word = unknown[0].partition("=")[0]
-        near = did_you_mean(word, parser.verbs()[args.verb].options())
-        message = f"cosim {args.verb}: cannot take '{unknown[0]}'{near}"
+        message = f"cosim {args.verb}: cannot take '{unknown[0]}'"
+        message += _hint(unknown[0], words, args.verb, parser.verbs()[args.verb].options())
         Parser().exit(2, f"{message}; see: cosim {args.verb} --help\n")
     return args
+
+
+_OTHER_NAMES = {("linearize", "--sweep"): "--along"}
+
+
+def _hint(word: str, words: Sequence[str], verb: str, options: Sequence[str]) -> str:
+    """Return what to write instead of a word that a verb does not take."""
+    before = words[words.index(word) - 1] if word in words[1:] else ""
+    if before.endswith(","):
+        return f"; write a list without blanks: {before}{word}"
+    if "=" in word and not word.startswith("-"):
+        return f"; repeat the option: -p {word}"
+    name = word.partition("=")[0]
+    if other := _OTHER_NAMES.get((verb, name)):
+        return f"; write {other}"
+    return did_you_mean(name, options)
 
 
 def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:

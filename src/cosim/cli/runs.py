@@ -1,8 +1,9 @@
 """The runs of a command line: complete, failed or interrupted."""
 
 import argparse
+import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -39,6 +40,7 @@ _OF_MODELS = (
     *("backend", "solver", "absolute_tolerance", "step_size", "on_invalid", "drift_control"),
     *("max_step", "stop_when", "record_events", "accuracy", "budget"),
 )
+_NUMBER = re.compile(r"[-+.\deE]+")  # without a unit
 _OF_FMUS = ("interface_type", "master")
 _OF_SYSTEMS = ("method", "macro_step")
 
@@ -166,7 +168,7 @@ def runs_of(
             names = (name for name in names_in(one.compare or "") if name)
             others = [_variant_of(scene, name, one.backend) for name in names]
             run, code = run_or_partial(one, scene)
-            stats = {**run.stats, "variation": one.variation}
+            stats = {**run.stats, "variation": _with_units(one.variation, scene)}
             runs.append(replace(run, stats=stats) if one.variation else run)
             scenes.append(scene)
             for other, backend in others:
@@ -195,9 +197,20 @@ def single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace
         choices.append([f"{name}{equals}{one}" for one in texts])
     lists = [i for i, items in enumerate(choices) if len(items) > 1]
     for chosen in product(*choices):
-        variation = ", ".join(chosen[i] for i in lists)
+        variation = [chosen[i] for i in lists]
         changes = {"model": source, "values": list(chosen), "variation": variation}
         yield argparse.Namespace(**{**vars(args), **changes})
+
+
+def _with_units(variation: Sequence[str], scene: Scene | None) -> str:
+    """Return values such as `speed=3.5` as a label, with the unit of those without one."""
+    dae = None if scene is None else scene.request.dae
+    units = {} if dae is None else {v.name: v.unit for v in dae.variables if v.unit != "1"}
+    parts = []
+    for item in variation:
+        name, _, text = item.partition("=")
+        parts.append(f"{item} {units[name]}" if name in units and _NUMBER.fullmatch(text) else item)
+    return ", ".join(parts)
 
 
 def _variant_of(scene: Scene | None, name: str, first: str | None) -> tuple[RunRequest, Backend]:

@@ -1,6 +1,6 @@
 """Camera: one projection and one shading for all pictures, its standard views, and sizes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import product
@@ -16,7 +16,8 @@ from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
 HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
-_OUTWARD = np.array([*product((-1, 0, 1), repeat=3)])  # outermost points are sought along these
+OUTWARD = np.array([*product((-1, 0, 1), repeat=3)])  # outermost points are sought along these
+_LONG_PATH = 2.0  # extent of a path that is shown as a whole, over that of the poses
 _NEAR = 2.6  # distance of a camera from the center over `Scale.size`
 
 
@@ -79,9 +80,9 @@ class Scale:
 
     Attributes:
         points: Outermost points of everything that is seen while the camera follows, (n, 3).
-        size: Half the largest extent of the bodies.
+        size: Half the largest extent of these points.
         pose: Half the largest extent of a single pose; arrows are measured by it.
-        center: Center of the bodies at the start of the run, (3,).
+        center: Center of these points at the start of the run, (3,).
         per_unit: Length of an arrow per SI unit of its load, by unit: m/N, m/(N.m).
         cell: Edge of a cell of the grid on the ground.
     """
@@ -94,48 +95,78 @@ class Scale:
     cell: float
 
     def arrow(self, load: Load, frame: int) -> tuple[Vector, Vector]:
-        """Return both ends of an arrow: its length is the load times one scale for its unit."""
-        start = load.at[frame]
-        return start, start + self.per_unit[load.unit] * load.vector[frame]
+        """Return both ends of an arrow: its length is the load times one scale for its unit.
+
+        Loads outside the validity range may be of any size: no arrow is longer than the longest
+        valid one.
+        """
+        start, along = load.at[frame], self.per_unit[load.unit] * load.vector[frame]
+        length = float(np.linalg.norm(along))
+        longest = LONGEST_ARROW * self.pose
+        return start, start + (along if length <= longest else longest / length * along)
 
 
 def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
-    """Return the sizes of a scene of runs with the same number of frames."""
-    shift = runs[0].followed(follow)
-    stations = np.unique(np.linspace(0, len(shift) - 1, 60).astype(int))
+    """Return the sizes of a scene of runs with the same number of frames.
+
+    Each run counts as if the camera followed it, and only while it is valid. A path counts as a
+    whole if it is not much larger than the poses, else between the first and the last of them.
+    """
     points, pose = [], 0.0
     for run in runs:
+        shift = run.followed(follow)
+        valid = np.flatnonzero(run.valid)
+        stations = valid[np.unique(np.linspace(0, len(valid) - 1, 60).astype(int))]
         clouds = []
         for solid in run.solids:
             vertices = mesh_of(solid).vertices
-            corners = vertices[np.unique((vertices @ _OUTWARD.T).argmax(axis=0))]
+            corners = vertices[np.unique((vertices @ OUTWARD.T).argmax(axis=0))]
             turns = to_matrices(run.quaternions[stations, solid.body])
             places = corners @ turns.swapaxes(1, 2) + run.places[stations, solid.body, None]
             clouds.append(places - shift[stations, None])
         cloud = np.concatenate(clouds, axis=1)
         pose = max(pose, float(np.ptp(cloud, axis=1).max()) / 2)
         points.append(cloud.reshape(-1, 3))
-    up = np.array(runs[0].world.up)
-    up = up / np.linalg.norm(up)
-    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
-    center, size = (low + high) / 2, float((high - low).max()) / 2 or 1.0
+    poses = np.concatenate(points)
     largest: dict[str, float] = {}
-    for load in (load for run in runs for load in run.loads):
-        largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest)
+    for run in runs:
+        for load in run.loads:
+            largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest(run.valid))
     longest = LONGEST_ARROW * (pose or 1.0)
     per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
-    for load in runs[0].loads:
-        points.append((load.at + per_unit[load.unit] * load.vector - shift)[stations])
+    first, shift = runs[0], runs[0].followed(follow)
+    for load in first.loads:
+        tips = load.at + per_unit[load.unit] * load.vector - shift
+        points.append(tips[first.valid])
     if not shift.any():  # a path stays in the picture only if the camera does not follow
-        points += [path.points for run in runs for path in run.paths]
+        reach = _LONG_PATH * float(np.ptp(poses, axis=0).max())
+        points += [part for run in runs for part in _framed_paths(run, reach)]
+    everything = np.concatenate(points)
+    low, high = everything.min(axis=0), everything.max(axis=0)
     return Scale(
-        points=np.concatenate(points),
-        size=size,
+        points=everything,
+        size=float((high - low).max()) / 2 or 1.0,
         pose=pose or 1.0,
-        center=center,
+        center=(low + high) / 2,
         per_unit=per_unit,
         cell=0.5 * float(10.0 ** np.round(np.log10(pose or 1.0))),
     )
+
+
+def _framed_paths(run: Poses, reach: float) -> Iterator[Vector]:
+    """Yield the parts of the paths that the picture must show: all of them, m, (n, 3), if shorter.
+
+    Args:
+        run: A run.
+        reach: Largest extent of a path that is shown as a whole, m.
+    """
+    for path in run.paths:
+        finite = np.isfinite(path.points).all(axis=1)
+        spanned = (path.time >= run.time.min()) & (path.time <= run.time.max())
+        points = path.points[finite]
+        if len(points) and np.ptp(points, axis=0).max() > reach:
+            points = path.points[finite & spanned]
+        yield points
 
 
 def camera_for(world: World, view: View, scale: Scale, distance: float = _NEAR) -> Camera:

@@ -24,6 +24,7 @@ SIZE = (6.4, 4.8)  # of a picture, inches
 _PALE = 0.72  # share of white in the colors of ghosts
 _SHAFT = 0.012  # radius of an arrow's shaft over `Scale.pose`
 _SIDE, _ABOVE, _BELOW = 0.2, 0.55, 0.22  # margins around everything that is seen, inches
+_LINE = 0.15  # height of a line of text, inches
 
 
 class Stage:
@@ -41,16 +42,21 @@ class Stage:
     ) -> None:
         self.runs, self.scale = runs, scale_of(runs, follow)
         self.shift = runs[0].followed(follow)
+        self.moved = [self.shift - run.followed(follow) for run in runs]  # beside the first run
         self.width, self.inches = size[0] / size[1], size[0]
         self.start = self._filling(camera_for(runs[0].world, view, self.scale))
         self.parts = [_parts(run) for run in runs]
 
     def _filling(self, camera: Camera) -> Camera:
         """Return the camera moved so that everything fills the picture."""
-        distance = float(np.linalg.norm(camera.eye - self.scale.center))
+        away = camera.eye - self.scale.center
+        reach = np.linalg.norm(self.scale.points - self.scale.center, axis=1).max()
+        distance = max(float(np.linalg.norm(away)), 2 * float(reach))  # nothing is behind it
+        camera = replace(camera, eye=self.scale.center + distance * camera.axes[2])
         inch = 2 * self.width / self.inches  # the picture is 2 high
-        room = np.array([self.width - _SIDE * inch, 1 - (_ABOVE + _BELOW) / 2 * inch])
-        shift = np.array([0.0, (_BELOW - _ABOVE) * inch])
+        above = _ABOVE + _LINE * (len(self.runs) - 1)  # each ghost has a line of text
+        room = np.array([self.width - _SIDE * inch, 1 - (above + _BELOW) / 2 * inch])
+        shift = np.array([0.0, (_BELOW - above) * inch])
         for _ in range(8):
             seen = camera.seen(self.scale.points)[:, :2]
             low, high = seen.min(axis=0), seen.max(axis=0)
@@ -69,7 +75,7 @@ class Stage:
         axis.set_ylim(-1, 1)
         axis.set_aspect("equal")
         self._ground(axis, camera, frames[0])
-        self._paths(axis, camera)
+        self._paths(axis, camera, frames[0])
         self._bodies(axis, camera, frames)
         self._axes(axis, camera)
         self._texts(axis, frames)
@@ -90,7 +96,7 @@ class Stage:
                 invalid = run.time[frame] >= run.invalid_from
                 for body, mesh, color in parts:
                     turn = to_matrices(run.quaternions[frame, body])
-                    placed = mesh.moved(run.places[frame, body], turn)
+                    placed = mesh.moved(run.places[frame, body] + self.moved[i][frame], turn)
                     add(placed, _rgb(INVALID_BODY) if invalid else color, pale)
                 for load in run.loads if i == 0 else ():
                     ends = self.scale.arrow(load, frame)
@@ -124,12 +130,13 @@ class Stage:
             lines.append(np.outer(i0 + fine, a) + np.outer(np.full(81, j0 + k), b))
         self._lines(axis, camera, cell * np.array(lines), "0.85", 0.5, 1)
 
-    def _paths(self, axis: Axes, camera: Camera) -> None:
+    def _paths(self, axis: Axes, camera: Camera, frame: int) -> None:
         for i, run in enumerate(self.runs):
             for path in run.paths:
                 color = _rgb(path.color)
                 paint = tuple(color + _PALE * (1 - color) * (i > 0))
-                self._lines(axis, camera, path.points[None], paint, 1.0, 2)
+                points = path.points + self.moved[i][frame]
+                self._lines(axis, camera, points[None], paint, 1.0, 2)
 
     def _lines(
         self, axis: Axes, camera: Camera, lines: Vector, color: Any, width: float, order: int

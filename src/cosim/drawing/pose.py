@@ -12,11 +12,12 @@ from casadi_models.dae import Dae, Drawing
 from casadi_models.dae.drawing import WORLD, Body, Shape, World
 from casadi_models.dae.scenery import DARK
 from casadi_models.units import convert
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import usual_start
 from cosim.drawing.rotation import continuous, onto, to_matrices, to_quaternions
 from cosim.errors import UsageError
 from cosim.series.samples import resample
+from cosim.text import violation
 
 # The drawing of a model without shapes, on pages that show its curves
 POINT = Drawing(
@@ -60,10 +61,9 @@ class Load:
     meaning: str
     color: str
 
-    @property
-    def largest(self) -> float:
-        """The largest magnitude, SI."""
-        return float(np.linalg.norm(self.vector, axis=1).max(initial=0.0))
+    def largest(self, frames: Truths) -> float:
+        """Return the largest magnitude at some of the frames, SI."""
+        return float(np.linalg.norm(self.vector[frames], axis=1).max(initial=0.0))
 
     def shown(self, magnitude: float) -> str:
         """Return a magnitude in the display unit, as text."""
@@ -72,9 +72,10 @@ class Load:
 
 @dataclass(frozen=True)
 class Path:
-    """The path of a point over all output times, m, (m, 3)."""
+    """The path of a point: its places at all output times, m, (m, 3), and these times, s, (m,)."""
 
     name: str
+    time: Vector
     points: Vector
     color: str
 
@@ -129,11 +130,25 @@ class Poses:
         if name not in self.bodies:
             known = ", ".join(self.bodies[1:])
             raise UsageError(f"{self.title}: no body '{name}' to follow; there are {known}")
-        place = self.places[:, self.bodies.index(name)]
+        body = self.bodies.index(name)
+        middle = self.middle_of(body)
+        place = self.places[:, body] + to_matrices(self.quaternions[:, body]) @ middle
         up = np.array(self.world.up)
         start = place - place[0]
         along: Vector = start - np.outer(start @ up, up)  # the ground keeps its height
         return along
+
+    def middle_of(self, body: int) -> Vector:
+        """Return the middle of a body's shapes in its own axes, m, (3,)."""
+        centers = [solid.at for solid in self.solids if solid.body == body] or [np.zeros(3)]
+        middle: Vector = (np.min(centers, axis=0) + np.max(centers, axis=0)) / 2
+        return middle
+
+    @property
+    def valid(self) -> Truths:
+        """The frames within the validity range, (n,); all of them if the run never is valid."""
+        valid = self.time < self.invalid_from
+        return valid if valid.any() else np.ones(len(self.time), dtype=bool)
 
     def label_text(self, frame: int) -> str:
         """Return the time and the labeled variables at a frame, in display units."""
@@ -147,9 +162,9 @@ def invalid_text(runs: Sequence[Poses], frame: int) -> str:
     found = []
     for run in runs:
         if run.reasons and run.time[frame] >= run.invalid_from:
-            reason = run.reasons[0].removeprefix(f"from {run.invalid_from:g} s on ")
             owner = f"{run.title}: " if len(runs) > 1 else ""
-            found.append(f"{owner}INVALID from {run.invalid_from:g} s on: {reason}")
+            why = violation(run.reasons[0])
+            found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {why}")
     return " | ".join(found)
 
 
@@ -228,7 +243,7 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
     for trace in drawing.traces:
         if available(trace.name, trace.at):
             points = values.evaluate(trace.at, values.time)
-            paths.append(Path(trace.name, points, trace.color))
+            paths.append(Path(trace.name, values.time, points, trace.color))
     names = [body.name for body in drawing.bodies]
     return Poses(
         time=times,

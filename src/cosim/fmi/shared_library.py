@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.extensions import deferred_signals
+from cosim.host.optional_packages import optional_module
 
 _FAT_ALIGNMENT = 14  # 2^14 bytes, the largest page of any processor
 _PROCESSORS = {"X86_64": "x86_64", "AMD64": "x86_64", "AARCH64": "aarch64", "ARM64": "aarch64"}
@@ -45,10 +45,9 @@ def read_libraries(content: bytes) -> tuple[Library, ...]:
 
     Raises:
         ValueError: It is no shared library of a known kind, or damaged.
+        MissingTool: LIEF is not installed.
     """
-    with deferred_signals():
-        import lief
-
+    lief = optional_module("lief", "check")
     lief.logging.disable()
     try:
         with warnings.catch_warnings():

@@ -12,7 +12,7 @@ def optional_module(name: str, extra: str) -> Any:
 
     Args:
         name: Its import name, `scipy.stats`.
-        extra: `data`, `animate`, `sweep` or `sympy`.
+        extra: `data`, `animate`, `check`, `sweep` or `sympy`.
 
     Raises:
         MissingTool: The package is not installed.

@@ -83,6 +83,9 @@ def _explained(what: str) -> Iterator[None]:
         raise
     except BaseException as error:
         reason = sentence(f"{type(error).__name__}: {error}").removesuffix(":")
+        if "truth value of a CasADi" in reason:
+            reason = "Python's `if`, `and` and `not` cannot choose between symbols; "
+            reason += "use casadi.if_else(x > 0, a, b), casadi.logic_and and casadi.logic_not"
         raise UsageError(f"{what}: {reason}") from error
 
 

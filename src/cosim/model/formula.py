@@ -33,6 +33,9 @@ _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
     "max": (2, ca.fmax),
     "where": (3, ca.if_else),  # where(condition, value if so, value if not)
 }
+_LOGIC = "write `and` for & and `or` for |"
+_CHOOSE = "write where(t > 1, 2, 0): the condition, the value if it holds, and the other one"
+_OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step")
 _OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -110,6 +113,10 @@ def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, st
         with _shallow(owner, text):
             return ast.parse(plain.strip(), mode="eval").body
     except (SyntaxError, ValueError) as error:
+        if re.search(r"\bif\b", plain):
+            raise ParameterError(f"{owner}: '{text}' is no formula; {_CHOOSE}") from None
+        if "&&" in plain or "||" in plain:
+            raise ParameterError(f"{owner}: '{text}' is no formula; {_LOGIC}") from None
         raise ParameterError(
             f"{owner}: '{text}' is no formula ({getattr(error, 'msg', error)}); write it as in "
             "Python, e.g. 10*sin(2*pi*t)"
@@ -204,6 +211,8 @@ class _Reader:
         raise UnknownName.among(f"{self.owner}: '{self.text}'", "name", name, self.symbols)
 
     def called(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> Any:
+        if name in _OTHER_NAMES_OF_WHERE:
+            raise ParameterError(f"{self.owner}: '{self.text}': no function {name}; {_CHOOSE}")
         if name not in _FUNCTIONS:
             raise UnknownName.among(f"{self.owner}: '{self.text}'", "function", name, _FUNCTIONS)
         count, function = _FUNCTIONS[name]
@@ -216,6 +225,8 @@ class _Reader:
         return function(*(SX(self.value(argument)) for argument in arguments))
 
     def refusal(self, node: ast.expr) -> ParameterError:
+        if any(isinstance(part, ast.BitAnd | ast.BitOr) for part in ast.walk(node)):
+            return ParameterError(f"{self.owner}: '{self.text}' is not understood; {_LOGIC}")
         return ParameterError(
             f"{self.owner}: '{ast.unparse(node)}' in '{self.text}' is not understood; use numbers, "
             f"names, + - * / ^ and {', '.join(_FUNCTIONS)}"

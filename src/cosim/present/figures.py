@@ -19,7 +19,7 @@ from cosim.errors import UsageError
 from cosim.plotting import LINES, STYLE, Picture, invalid_text, keep_constant_flat, shade_invalid
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Column, Trajectory
-from cosim.verify.comparison import reject_other_times
+from cosim.verify.comparison import apart, reject_other_times
 
 _WIDTH = 6.4  # inches
 
@@ -92,13 +92,18 @@ def shared_specs(
     return tuple(shared), (f"not drawn, as not every run has it: {names}",) if gone else ()
 
 
-def draw_overlay(specs: Sequence[FigureSpec], runs: Sequence[Trajectory]) -> list[Figure]:
+def draw_overlay(
+    specs: Sequence[FigureSpec], runs: Sequence[Trajectory], *, differences: bool = False
+) -> list[Figure]:
     """Draw the curves of several runs over each other, in display units; see `shared_specs`.
 
+    `differences` adds a panel with each further run minus the first one, if all runs have the same
+    output times.
     Output times may differ. A variable without a unit, as in a file whose header has none, is in SI
     units and gets those of the other runs.
     """
     labels = run_labels(runs)
+    differences = differences and all(apart(runs[0], other) is None for other in runs[1:])
     known = {c.name: c for run in reversed(runs) for c in run.columns if c.unit != "1"}
 
     def shared(own: Column) -> Column:
@@ -107,7 +112,7 @@ def draw_overlay(specs: Sequence[FigureSpec], runs: Sequence[Trajectory]) -> lis
 
     runs = [replace(run, columns=tuple(map(shared, run.columns))) for run in runs]
     with matplotlib.rc_context(STYLE):
-        return [_overlaid_figure(spec, runs, labels) for spec in specs]
+        return [_overlaid_figure(spec, runs, labels, differences) for spec in specs]
 
 
 def run_labels(runs: Sequence[Trajectory]) -> list[str]:
@@ -124,19 +129,36 @@ def run_labels(runs: Sequence[Trajectory]) -> list[str]:
     ]
 
 
-def _overlaid_figure(spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str]) -> Figure:
-    runs, count = [run.with_events() for run in runs], len(spec.panels)
+def _overlaid_figure(
+    spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str], differences: bool
+) -> Figure:
+    count, sharing = len(spec.panels), spec.x == "time"
+    if not differences:
+        runs = [run.with_events() for run in runs]
     height = 1.0 + (4.4 if spec.equal else 2.6 if count == 1 else 1.9) * count
+    height += 1.1 * count * differences
     figure = Picture(figsize=(_WIDTH, height), layout="constrained")
-    rows = [*figure.subplots(count, 1, squeeze=False, sharex=spec.x == "time").ravel()]
+    ratios = [2.0, 1.0] * count if differences else [1.0] * count
+    grid = figure.subplots(len(ratios), 1, squeeze=False, sharex=sharing, height_ratios=ratios)
+    rows = [*grid.ravel()]
     figure.suptitle(fill(spec.title, 70), fontsize=11)
-    for axis, panel in zip(rows, spec.panels, strict=True):
+    for axis, panel in zip(rows[:: 1 + differences], spec.panels, strict=True):
         _overlaid_panel(axis, spec, panel, [*zip(runs, labels, strict=True)])
+    for axis, panel in zip(rows[1::2] if differences else (), spec.panels, strict=False):
+        for k, other in enumerate(runs[1:], start=1):
+            look = CURVES[k % len(CURVES)], LINES[k % len(LINES)]
+            _differences(axis, panel, panel, (runs[0], other), look)
+        _difference_axis(axis, runs[0].column(panel[0]).shown_unit)
+        if sharing:
+            axis.label_outer()
     _name_invalid(figure, rows if spec.x == "time" else [], runs, labels)
     handles, names = rows[0].get_legend_handles_labels()
     if len(spec.panels) > 1 and all(len(panel) == 1 for panel in spec.panels):
         names = list(labels)
-    figure.legend(handles, names, loc="outside lower center", ncols=min(3, len(names)), fontsize=8)
+    letters = max(map(len, names)) + 8  # of a name with its line
+    across = max(1, min(3, len(names), int(_WIDTH * 14) // letters))
+    names = [fill(name, int(_WIDTH * 14)) for name in names]
+    figure.legend(handles, names, loc="outside lower center", ncols=across, fontsize=8)
     return figure
 
 
@@ -305,12 +327,31 @@ def _panel(
 def _difference(
     axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
 ) -> None:
+    _differences(axis, names, legends, (run, other))
+    _difference_axis(axis, run.column(names[0]).shown_unit)
+    if len(names) > 1:
+        axis.legend()
+
+
+def _differences(
+    axis: Axes,
+    names: Sequence[str],
+    legends: Sequence[str],
+    runs: tuple[Trajectory, Trajectory],
+    look: tuple[str, Any] | None = None,
+) -> None:
+    """Draw the second run minus the first one; each variable has its own look if None is given."""
+    run, other = runs
+    first = run.column(names[0])
     for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
-        first = run.column(names[0])
         gap = _displayed(other, name, first) - _displayed(run, name, first)
-        color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
+        color, line = look or (CURVES[i % len(CURVES)], LINES[i % len(LINES)])
         axis.plot(run.time, gap, color=color, linestyle=line, linewidth=0.9, label=legend)
-    axis.set_ylabel(_beside("difference", run.column(names[0]).shown_unit, 16))
+
+
+def _difference_axis(axis: Axes, unit: str) -> None:
+    """Label an axis with differences; name those that are zero."""
+    axis.set_ylabel(_beside("difference", unit, 16))
     if not any(np.any(line.get_ydata()) for line in axis.lines):
         axis.set_ylim(-1, 1)
         axis.set_yticks([0.0])
@@ -319,8 +360,6 @@ def _difference(
         axis.ticklabel_format(axis="y", scilimits=(-2, 3), useOffset=False)
     axis.set_xlabel("time [s]")
     axis.margins(x=0)
-    if len(names) > 1:
-        axis.legend()
 
 
 def _name_invalid(

@@ -29,6 +29,7 @@ _KEYS = (
     *("name", "unit", "shown in", "start", "start kind"),
     *("minimum", "maximum", "nominal", "meaning"),
 )
+_ROUNDING = 1e-13  # smaller start values, in nominal values, are zero
 _VARIABLE_COLUMNS = ("name", "unit", "shown in", "start", "bounds", "meaning")
 
 
@@ -60,7 +61,8 @@ class Info:
 
     def text(self, width: int | None = None) -> str:
         """Return everything as text, in lines of up to `width` letters."""
-        parts = ["\n".join(f"{key:12} {value}" for key, value in self.facts.items())]
+        wide = max(11, *map(len, self.facts))
+        parts = ["\n".join(f"{key:{wide}}  {value}" for key, value in self.facts.items())]
         for key, rows in self.tables.items():
             if rows:
                 table = text_table([_shown_row(row) for row in rows], width=width)
@@ -143,7 +145,7 @@ def _of_model(dae: Dae) -> Info:
     }
     if dae.start_outputs:
         pairs = ((w.variable.name, dae.states[w.state].name) for w in dae.start_outputs)
-        facts["starts"] = "; ".join(f"{y} may be set instead of {x}" for y, x in pairs)
+        facts["alternative start values"] = ", ".join(f"{y} (for {x})" for y, x in pairs)
     start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
     groups["conditions"] = [
@@ -203,14 +205,21 @@ def _number_or_text(text: str | None) -> Any:
         return text  # of a string or a boolean
 
 
+def _shown_bound(bound: float) -> str:
+    """Return a bound; those that are far from all usual values with one digit."""
+    return f"{bound:.1g}" if bound and not 1e-6 < abs(bound) < 1e6 else f"{bound:g}"
+
+
 def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row as a table shows it."""
     if "minimum" not in row:
         return dict(row)
     start, kind = row["start"], row["start kind"]
+    if isinstance(start, float) and abs(start) < _ROUNDING * row["nominal"]:
+        start = 0.0
     text = "" if start is None else f"{start:.10g}" if isinstance(start, float) else str(start)
     note = f"{text} (calculated)" if text else "calculated"
-    low, high = ("" if b is None else f"{b:g}" for b in (row["minimum"], row["maximum"]))
+    low, high = ("" if b is None else _shown_bound(b) for b in (row["minimum"], row["maximum"]))
     bounds = f"{low or '-inf'} ... {high or 'inf'}" if low or high else ""
     shown = {**row, "start": note if kind == "calculated" else text, "bounds": bounds}
     return {key: shown[key] for key in _VARIABLE_COLUMNS}

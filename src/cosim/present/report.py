@@ -206,7 +206,7 @@ def _figures(c: ReportContents) -> Iterable[str]:
 
 
 def _trust(c: ReportContents) -> Iterable[str]:
-    yield "<h2>How far the numbers can be trusted</h2>"
+    yield "<h2>Accuracy</h2>"
     stats = c.run.stats
     if "error_estimate" in stats:
         yield (
@@ -234,7 +234,7 @@ def _origin_section(c: ReportContents) -> Iterable[str]:
         ),
         "Python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",
     }
-    yield "<h2>How to make it again</h2>"
+    yield "<h2>Reproduction</h2>"
     yield _facts_table(facts)
 
 

@@ -233,7 +233,7 @@ def draw_tradeoff(study: Tradeoff) -> Figure:
         values = f" with {study.provenance['values']}" if "values" in study.provenance else ""
         axis.set_title(f"{study.scene}{values}: error against cost", fontsize=12)
         style: Any = {"fontsize": 9, "title_fontsize": 9}
-        figure.legend(loc="outside right upper", title="cheapest variant of each", **style)
+        figure.legend(loc="outside right upper", title="best variant of each solver", **style)
         answers = _answers(study, best, cost)
         unseen = [Line2D([], [], linestyle="") for _ in answers]
         style |= {"handlelength": 0, "handletextpad": 0, "ncols": 2}

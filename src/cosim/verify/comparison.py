@@ -171,7 +171,7 @@ def compare(
             )
     note = ""
     first, second = runs = _up_to_the_stop(first.select(names), second.select(names))
-    if resample and len(first) and len(second) and _apart(first, second) is not None:
+    if resample and len(first) and len(second) and apart(first, second) is not None:
         if "file" in second.stats and "file" not in first.stats:
             second, first, note = _on_common_times(second, first, "second", "first")
         else:
@@ -243,14 +243,14 @@ def _on_common_times(
 
 def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory]:
     """Leave out the last row if both runs were stopped, one just before an output time."""
-    n, stopped = _apart(first, second), "stop" in first.stats and "stop" in second.stats
+    n, stopped = apart(first, second), "stop" in first.stats and "stop" in second.stats
     if not (n and stopped and max(len(first), len(second)) - n < 3):
         return first, second
     first, second = (replace(r, time=r.time[:n], values=r.values[:n]) for r in (first, second))
     return first, second
 
 
-def _apart(first: Trajectory, second: Trajectory) -> int | None:
+def apart(first: Trajectory, second: Trajectory) -> int | None:
     """Return the index from which on two runs have different output times; None if the same."""
     times = [run.time[: min(len(first), len(second))] for run in (first, second)]
     apart = np.abs(times[0] - times[1]) > 1e-9 * np.abs(first.time).max(initial=1.0)
@@ -267,7 +267,7 @@ def reject_other_times(first: Trajectory, second: Trajectory) -> None:
     """
     if not len(first):
         raise UsageError(f"{_label(first)} has no output times; there is nothing to compare")
-    if (i := _apart(first, second)) is not None:
+    if (i := apart(first, second)) is not None:
         raise UsageError(
             f"{_label(first)} and {_label(second)} have different output times from index {i} on "
             f"({len(first)} and {len(second)} in all); run both with the same start_time, "

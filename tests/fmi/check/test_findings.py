@@ -41,7 +41,7 @@ def test_fault_is_found_by_rule_and_place(rule, place, exported, tmp_path):
     path = with_description(exported(NAME), tmp_path / "faulty.fmu", DAMAGED[rule, place])
     found = {(one.rule, one.place) for one in examine(path) if one.level == WRONG}
     assert (rule, place) in found
-    assert all(one.cure and one.found for one in examine(path))
+    assert all(one.remedy and one.found for one in examine(path))
 
 
 def test_what_only_our_own_files_keep_is_no_finding(exported, tmp_path):
@@ -94,7 +94,7 @@ def test_wrong_file_ends_with_4_and_a_table(exported, tmp_path, capsys):
     assert Finding(**row) == examine(path)[0]
     assert main(["check", path]) == 4
     shown = capsys.readouterr()
-    assert shown.out.split()[:5] == ["level", "rule", "place", "found", "cure"]
+    assert shown.out.split()[:5] == ["level", "rule", "place", "found", "remedy"]
     assert shown.err.endswith("1 wrong, 0 advice\n")
 
 

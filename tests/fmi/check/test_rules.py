@@ -147,10 +147,10 @@ def test_rule_fires_on_its_fault_and_not_without_it(rule, exported, tmp_path):
     wanted = EVERY[rule]
     found = [
         f for f in examine(faulty(rule, exported, tmp_path))
-        if (f.level, f.rule, f.cure) == (wanted.level, wanted.name, wanted.cure)
+        if (f.level, f.rule, f.remedy) == (wanted.level, wanted.name, wanted.remedy)
     ]  # fmt: skip
     assert found
-    assert all(f.place and f.found and f.importers and f.cure for f in found)
+    assert all(f.place and f.found and f.importers and f.remedy for f in found)
     assert examine(exported(NAME)) == ()
     assert examine(exported(NAME, 3)) == ()
 

@@ -288,3 +288,30 @@ def test_a_variant_that_a_stop_ends_has_its_last_row_at_the_time_of_the_stop():
     ends = [many.run(i) for i in range(2)]
     np.testing.assert_allclose([run.time[-1] for run in ends], [0.777, 0.677], atol=1e-12)
     np.testing.assert_allclose([run["x"][-1] for run in ends], 0.777, atol=1e-12)
+
+
+def test_many_runs_print_as_a_summary_with_the_first_reason():
+    speeds = {"thetaR_dot": [-5.0, -12.0, -15.0]}
+    many = cosim.simulate_many(cosim.load("bicycle"), speeds, outputs=["phi"], stop_time=2)
+    lines = repr(many).splitlines()
+    assert lines[0] == "bicycle/independent: 3 runs, 201 times from 0 to 2 s, 3 complete"
+    assert lines[2].split() == ["thetaR_dot", "(varied)", "SI", "-15", "-5"]
+    assert lines[3].startswith("phi")
+    assert lines[4].startswith("1 with a reason, the first one: run 0: invalid from 0.78 s: the")
+    assert len(lines) == 5
+    assert many.reason(1) == ""
+
+
+def test_print_of_many_runs_of_many_variables_stays_short():
+    many = cosim.simulate_many(cosim.load("bicycle"), {"g": [1.62, 9.81]}, stop_time=0.1)
+    assert len(repr(many).splitlines()) < 40
+
+
+def test_dataset_holds_the_reason_of_each_run():
+    pytest.importorskip("xarray")
+    speeds = {"thetaR_dot": [-5.0, -15.0]}
+    many = cosim.simulate_many(cosim.load("bicycle"), speeds, outputs=["phi"], stop_time=2)
+    assert [str(text)[:22] for text in many.to_xarray().reason.values] == [
+        "invalid from 0.78 s: t",
+        "",
+    ]

@@ -413,3 +413,10 @@ def test_a_script_without_guard_uses_processes_and_loses_only_its_deadly_run(tmp
     assert done.stdout == "31 complete, 1 lost [1]\n", done.stderr
     assert done.stderr == ""
     assert (tmp_path / "deaths").read_text() == "xxxx"  # twice in its block, twice alone
+
+
+def test_sweep_prints_as_a_summary():
+    found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, stop_time=0.1, workers=0)
+    head, _, *rows = repr(found).splitlines()
+    assert head == "crank_shaft/driven: 2 runs, 2 complete"
+    assert rows[0].split() == ["omega", "(varied)", "SI", "40", "50"]

@@ -29,8 +29,11 @@ def run(args: argparse.Namespace) -> int:
     if len(runs) > 1:
         specs, notes = shared_specs(specified, runs)
         note(args, *notes)
-        pair = args.compare is not None and len(runs) == 2
-        figures = draw_figures(specs, *runs) if pair else draw_overlay(specs, runs)
+        compared = args.compare is not None
+        if compared and len(runs) == 2:
+            figures = draw_figures(specs, *runs)
+        else:
+            figures = draw_overlay(specs, runs, differences=compared)
     else:
         figures = draw_figures(specified, runs[0]) if specified else overview(runs[0])
     if size is not None:

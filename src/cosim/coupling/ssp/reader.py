@@ -138,8 +138,6 @@ class _System:
             raise document.fault(f"{source} is no continuous output, so it cannot drive {sink}")
         unit = self._connections.unit(source)
         change = self._connections.change(way.steps, unit, change_of_named_units)
-            way.steps, self._connections.unit(source), change_of_named_units
-        )
         return Connection(self._key(sink), self._key(source), *change)
 
     def _start_value(self, way: Way) -> dict[tuple[str, str], float]:

@@ -43,12 +43,17 @@ _ONLY = {
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # all that FMI allows
 
 
-def check_fmu(source: Source) -> list[str]:
+def check_fmu(source: Source, *, libraries: bool = True) -> list[str]:
     """Return the problems of an FMU, one sentence each; an empty list if there is none.
 
     No code of the FMU runs: libraries are read as files.
 
+    Args:
+        source: The FMU.
+        libraries: Whether to read the libraries inside it, which needs LIEF.
+
     Raises:
+        MissingTool: LIEF is not installed.
         FmuError, SecurityError: The file is no FMU or dangerous, see `cosim.fmi.archive`.
 
     Example:
@@ -57,10 +62,10 @@ def check_fmu(source: Source) -> list[str]:
         []
     """
     with opened(source) as archive:
-        return [finding.sentence for finding in findings_of(archive)]
+        return [finding.sentence for finding in findings_of(archive, libraries=libraries)]
 
 
-def findings_of(archive: zipfile.ZipFile) -> Iterator[Finding]:
+def findings_of(archive: zipfile.ZipFile, *, libraries: bool = True) -> Iterator[Finding]:
     """Return the findings about an opened FMU, by the FMI and by this project's own rules."""
     yield from _archive(archive)
     content = entry_content(archive, DESCRIPTION)
@@ -75,7 +80,7 @@ def findings_of(archive: zipfile.ZipFile) -> Iterator[Finding]:
         if f"sources/{name}" not in archive.namelist():
             found = f"source file '{name}' is listed, but missing"
             yield RULES["sources"].about("archive", found)
-    yield from _binaries(archive, described)
+    yield from _binaries(archive, described, libraries)
 
 
 def _archive(archive: zipfile.ZipFile) -> Iterator[Finding]:
@@ -98,7 +103,9 @@ def _archive(archive: zipfile.ZipFile) -> Iterator[Finding]:
         yield RULES["archive"].at(place, "is damaged", f"{place} is damaged")
 
 
-def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Finding]:
+def _binaries(
+    archive: zipfile.ZipFile, described: Description, libraries: bool
+) -> Iterator[Finding]:
     """Check that every library exports all functions and holds the token that importers pass."""
     identifiers = sorted({a.get("modelIdentifier", "") for a in described.interfaces.values()})
     present = {PurePosixPath(name).parent.as_posix() for name in archive.namelist()}
@@ -112,10 +119,11 @@ def _binaries(archive: zipfile.ZipFile, described: Description) -> Iterator[Find
             content = entry_content(archive, name)
             if described.token.encode() not in content:
                 found = "the library does not hold the GUID or token: "
-                found += "it reads it elsewhere, or is another's"
+                found += "it reads it elsewhere, or belongs to another FMU"
                 whole = f"{name} was compiled for another GUID or instantiation token"
                 yield RULES["token-elsewhere"].at(name, found, whole)
-            for rule, found in _library_faults(content, target, described):
+            faults = _library_faults(content, target, described) if libraries else ()
+            for rule, found in faults:
                 yield rule.at(name, found)
 
 

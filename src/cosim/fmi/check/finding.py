@@ -19,7 +19,7 @@ class Finding:
         rule: The rule's short name.
         place: File in the FMU, variable, section or interface.
         found: The fault.
-        cure: The remedy for the FMU's author.
+        remedy: The remedy for the FMU's author.
         importers: The effect on importers.
         sentence: Place and fault in one sentence; not in `row`.
     """
@@ -28,7 +28,7 @@ class Finding:
     rule: str
     place: str
     found: str
-    cure: str
+    remedy: str
     importers: str = ""
     sentence: str = field(default="", compare=False)
 
@@ -47,18 +47,18 @@ class Rule:
     """A rule for FMUs.
 
     Attributes:
-        name, level, cure, importers: Of each finding, see `Finding`.
+        name, level, remedy, importers: Of each finding, see `Finding`.
     """
 
     name: str
     level: str
     importers: str
-    cure: str
+    remedy: str
 
     def at(self, place: str, found: str, sentence: str | None = None) -> Finding:
         """Return a finding at a place; its sentence is "place: found" by default."""
         text = f"{place}: {found}" if sentence is None else sentence
-        return Finding(self.level, self.name, place, found, self.cure, self.importers, text)
+        return Finding(self.level, self.name, place, found, self.remedy, self.importers, text)
 
     def about(self, place: str, found: str) -> Finding:
         """Return a finding at a place, described by a whole sentence."""

@@ -5,6 +5,7 @@ import io
 import os
 import uuid
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Unpack
 
@@ -87,7 +88,7 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
     files = source_files(dae, options)
     sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
     content = zipped(files | binaries(sources, options.identifier_of(dae), platforms))
-    if problems := check_fmu(io.BytesIO(content)):
+    if problems := check_fmu(io.BytesIO(content), libraries=find_spec("lief") is not None):
         raise ExportError(
             f"{path} is not written, as it would not be sound: {'; '.join(problems)}; "
             f"remove the cache in {cache_folder()} and try again"

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import UnknownName
 from cosim.host.optional_packages import optional_module
+from cosim.text import MOST_LINES, Table, invalidity, sentence, text_table
 from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class RunState(StrEnum):
     LOST = "lost"  # its process ended before it returned the run
 
 
-@dataclass(frozen=True, eq=False)  # arrays have no single truth value
+@dataclass(frozen=True, eq=False, repr=False)  # arrays have no single truth value
 class Ensemble:
     """Values of variables over time for many runs of one model, in SI units.
 
@@ -134,6 +135,31 @@ class Ensemble:
             self.model, self.time[:n], self.columns, table, stats, status, drawing, None, numbers
         )
 
+    def reason(self, i: int) -> str:
+        """Return why a run is not complete or from when on it is invalid; "" if neither."""
+        return invalidity(self.reasons.get(i, self.invalid.get(i, "")))
+
+    def summary(self) -> Table:
+        """Return the smallest and largest value of each varied quantity and variable, all runs."""
+        rows = varied_rows(self.start_values)
+        for column, own in zip(self.columns, np.moveaxis(self.values, 2, 0), strict=True):
+            rows.append(range_row(column.name, column.shown_unit, column.shown(own)))
+        span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
+        facts = f"{len(self)} runs, {len(self.time)} times{span}"
+        return Table(tuple(rows), f"{self.model}: {facts}, {self.status}")
+
+    def __repr__(self) -> str:
+        table = self.summary()
+        lines = [table.caption, text_table(table.rows, most=MOST_LINES - 2)]
+        notable = [i for i in range(len(self)) if self.reason(i)]
+        if notable:
+            first = f"run {notable[0]}: {sentence(self.reason(notable[0]))}"
+            lines.append(f"{len(notable)} with a reason, the first one: {first}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
     def to_xarray(self) -> xr.Dataset:
         """Return an `xarray.Dataset` over run and time; varied values are coordinates of run."""
         xarray = optional_module("xarray", "data")
@@ -142,6 +168,7 @@ class Ensemble:
             for i, column in enumerate(self.columns)
         }
         variables["status"] = ("run", np.array([str(state) for state in self.states]))
+        variables["reason"] = ("run", np.array([self.reason(i) for i in range(len(self))]))
         given = {
             f"{name}_start" if name in variables else name: ("run", values)
             for name, values in self.start_values.items()
@@ -149,6 +176,18 @@ class Ensemble:
         coordinates = {"time": ("time", self.time, {"units": "s"}), **given}
         dataset: xr.Dataset = xarray.Dataset(variables, coordinates, {"model": self.model})
         return dataset
+
+
+def varied_rows(varied: Mapping[str, Vector]) -> list[dict[str, Any]]:
+    """Return the range of each varied quantity, SI, as rows of a table."""
+    return [range_row(f"{name} (varied)", "SI", values) for name, values in varied.items()]
+
+
+def range_row(name: str, unit: str, values: Vector) -> dict[str, Any]:
+    """Return the smallest and largest finite value as a row of a table."""
+    finite = values[np.isfinite(values)]
+    low, high = (finite.min(), finite.max()) if finite.size else (np.nan, np.nan)
+    return {"name": name, "unit": unit, "min": float(low), "max": float(high)}
 
 
 def shared_rows(run: Trajectory, time: Vector) -> int:

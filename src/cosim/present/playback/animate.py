@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import inf
+from math import inf, pi, radians
 from pathlib import Path
 from typing import Any
 from warnings import warn
@@ -312,15 +312,41 @@ def live_part(dae: Dae, run: Trajectory) -> dict[str, Any]:
     sources["drawing.c"] = generated("drawing", drawn).encode()
     sources["page.c"] = page_source()
     references = [variables[name]["reference"] for name in (*own, *run.names)]
+    _start_settings(dae, run, variables)
+    starts = sorted(variables.values(), key=lambda v: "through" not in v)  # a speed before a rate
     return {
         "program": packed(compiled_library(sources, "page", WEB_PAGE)),
-        "settings": [v for v in variables.values() if "value" in v],
+        "settings": [v for v in starts if "value" in v],
         "references": references,
         "first": len(own),
         "times": run.time.tolist(),
         "width": len(references) + picture.numel(),
         "shapes": shapes,
     }
+
+
+def _start_settings(dae: Dae, run: Trajectory, variables: dict[str, dict[str, Any]]) -> None:
+    """Note which settings are start values, besides the states themselves.
+
+    Some outputs give the start value of a state, e.g. a speed that of a wheel's rate; and some
+    parameters are used for nothing else than start values.
+    """
+    used = {s.name() for s in ca.symvar(ca.vertcat(dae.ode, dae.alg, dae.outputs))}
+    used |= {s.name() for expression, _ in dae.limits for s in ca.symvar(expression)}
+    for rule in dae.start_rules:
+        for symbol in ca.symvar(rule.expression):
+            if symbol.name() not in used and "value" in (facts := variables.get(symbol.name(), {})):
+                facts["kind"] = "start"
+    names = list(run.names)
+    for way in dae.start_outputs:
+        output, state = way.variable.name, dae.states[way.state].name
+        if output in names and state in names and "value" in variables[state]:
+            variables[state]["column"] = names.index(state)
+            value = float(run[output][0])
+            reach = abs(value) or way.variable.nominal
+            variables[output] |= {"kind": "start", "value": value, "through": state}
+            variables[output] |= {"low": value - reach, "high": value + reach}
+            variables[output]["column"] = names.index(output)
 
 
 def _picture(drawing: Drawing) -> tuple[int, SX]:
@@ -350,8 +376,13 @@ def _variables(description: bytes) -> dict[str, dict[str, Any]]:
 
 
 def _range(value: float, real: ElementTree.Element) -> tuple[float, float]:
-    """Return the ends of a slider: up to twice the value, or the nominal value to both sides."""
+    """Return the ends of a slider: up to twice the value, or the nominal value to both sides.
+
+    An angle goes around once at most.
+    """
     least, most = float(real.get("min", -inf)), float(real.get("max", inf))
     reach = abs(value) or float(real.get("nominal", 1))
+    if real.get("unit") == "rad":
+        reach = min(max(reach, radians(60)), pi)
     low = 0.1 * value if least >= 0 < value else value - reach
     return max(least, low), min(most, value + reach)

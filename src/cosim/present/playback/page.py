@@ -17,12 +17,22 @@ from typing import Any
 import numpy as np
 
 from casadi_models.units import convert
+from cosim.arrays import Vector
 from cosim.colors import CURVES, INVALID_BODY
-from cosim.drawing.camera import HALF_ANGLE, Scale, View, camera_for, scale_of
+from cosim.drawing.camera import (
+    HALF_ANGLE,
+    LONGEST_ARROW,
+    OUTWARD,
+    Scale,
+    View,
+    camera_for,
+    scale_of,
+)
 from cosim.drawing.pose import Poses
 from cosim.drawing.rotation import to_matrices
 from cosim.errors import MissingTool
 from cosim.series.samples import Column, resample
+from cosim.text import violation
 from cosim.trajectory import Trajectory
 
 _SCRIPTS = ("scene.js", "curves.js", "live.js", "player.js")
@@ -60,7 +70,8 @@ def page(
     scripts = [three, plots, *((own / name).read_text(encoding="utf-8") for name in _SCRIPTS)]
     facts = _facts(played, runs, scale_of(played, follow), view)
     leader = played[0].world.follow if follow is None else follow
-    facts |= {"follow": played[0].bodies.index(leader) if leader else -1}
+    body = played[0].bodies.index(leader) if leader else -1
+    facts |= {"follow": body, "middle": played[0].middle_of(body).tolist()}
     facts |= {"speed": speed, "live": live}
     names = [column.name for column in runs[0].columns]
     if live:
@@ -134,6 +145,8 @@ def _facts(
             "field": float(np.degrees(2 * HALF_ANGLE)),
         },
         **_plain(scale, "size", "pose", "cell"),
+        "framed": _outermost(scale.points),
+        "longest": LONGEST_ARROW * scale.pose,
         "floor": float((scale.points @ up).min()),
         "colors": CURVES,
         "invalid_color": INVALID_BODY,
@@ -141,6 +154,12 @@ def _facts(
         "chosen": chosen,
         "columns": [column_facts(column) for column in columns],
     }
+
+
+def _outermost(points: Vector) -> list[list[float]]:
+    """Return those of the points, m, (n, 3), that a camera at any place must keep in its view."""
+    rows = np.unique((points @ OUTWARD.T).argmax(axis=0))
+    return [[float(f"{number:.5g}") for number in row] for row in points[rows]]
 
 
 def _plain(value: object, *names: str) -> dict[str, Any]:
@@ -178,7 +197,7 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
         "shapes": [number for shape in shapes for number in shape],
         "events": [[event.time, event.name] for event in run.events],
         "invalid_from": played.invalid_from if isfinite(played.invalid_from) else None,
-        "reasons": played.reasons,
+        "reasons": [violation(reason) for reason in played.reasons],
         "stopped": run.status != "complete",
     }
 

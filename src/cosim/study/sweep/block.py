@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.study.sweep.reductions import Function, Keep, Moments, moments_of
 from cosim.study.sweep.subject import Subject
+from cosim.text import invalidity
 
 STATES = tuple(RunState)  # a state is stored as its position here
 COMPLETE = STATES.index(RunState.COMPLETE)
@@ -92,7 +93,7 @@ class Job:
             states,
             ensemble.steps,
             ensemble.reached,
-            {first + i: reason for i, reason in sorted(reasons.items())},
+            {first + i: invalidity(reason) for i, reason in sorted(reasons.items())},
             numbers,
             ensemble.values,
         )

@@ -20,21 +20,21 @@ from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.host.signals import ended_by_signals
-from cosim.integrate.ensemble.ensemble import RunState
+from cosim.integrate.ensemble.ensemble import RunState, range_row, varied_rows
 from cosim.integrate.ensemble.lanes import processors
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
 from cosim.study.sweep.reductions import Function, Statistics, keep_from
 from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
 from cosim.study.sweep.store import Layout, Store, stored_samples
 from cosim.study.sweep.subject import RunKeywords, open_subject, run_settings
-from cosim.text import csv_text
+from cosim.text import MOST_LINES, csv_text, text_table
 from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SweepResult:
     """Results of the runs of a sweep, in the order of its samples.
 
@@ -159,6 +159,12 @@ class SweepResult:
     def _need_trajectories(self) -> None:
         if not self.data.layout.keep.trajectories:
             raise UsageError("the sweep stores no trajectories; add keep=['trajectories']")
+
+    def __repr__(self) -> str:
+        rows = varied_rows(self.samples.columns)
+        rows += [range_row(name, "SI", values) for name, values in self.numbers.items()]
+        head = f"{self.model}: {len(self)} runs, {self.status}"
+        return f"{head}\n{text_table(rows, most=MOST_LINES - 1)}"
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the table of runs; the file is whole or not there."""

@@ -5,6 +5,12 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const unpacked = async (text) =>
   new Response(new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
 
+/* In a few words what is wrong; see `violation` in cosim/text.py. */
+function violation(line) {
+  const found = /it is no longer true that (.*?)(?: \(([^()]*)\))?$/.exec(line);
+  return found ? found[2] || `not fulfilled: ${found[1]}` : line.replace(/^from time \S+ on /, "");
+}
+
 const EVENT = /: at (\S+) s: (.*)/; // as the runtime logs one
 
 /* A run of the compiled model; the numbers of `fmu/page/page.c`. */
@@ -34,19 +40,42 @@ class Solver {
   }
 
   /* A run with settings by name, SI; those that are missing keep the model's own values. */
-  run(chosen) {
+  run(chosen, most = Infinity) {
     const { program, live } = this, { buffer } = program.memory;
-    const used = live.settings.filter(({ name }) => chosen.has(name));
+    const settings = this.resolved(chosen), used = live.settings.filter(({ name }) => settings.has(name));
     new Uint32Array(buffer, this.set, used.length).set(used.map((s) => s.reference));
-    new Float64Array(buffer, this.values, used.length).set(used.map((s) => chosen.get(s.name)));
+    new Float64Array(buffer, this.values, used.length).set(used.map((s) => settings.get(s.name)));
     new Uint32Array(buffer, this.given, 3).set([used.length, this.set, this.values]);
-    const { width, times, references } = live;
-    const reached = program.page_run(this.given, references.length, this.references, times.length,
+    const { width, times, references } = live, count = Math.min(most, times.length);
+    const reached = program.page_run(this.given, references.length, this.references, count,
       this.times, width, this.rows);
     const rows = new Float64Array(program.memory.buffer, this.rows, reached * width).slice();
     const text = new Uint8Array(program.memory.buffer), start = program.page_messages();
     const messages = new TextDecoder().decode(text.slice(start, text.indexOf(0, start)));
     return this.result(rows, reached, messages.split("\n").filter(Boolean));
+  }
+
+  /* The settings with start values of states instead of those of outputs, such as a speed: found by
+     secants, because a run tells which output follows from a start value. */
+  resolved(chosen) {
+    const settings = new Map(chosen);
+    for (const { name, through, column, value } of this.live.settings) {
+      if (!through || !settings.has(name)) continue;
+      const target = settings.get(name), state = this.live.settings.find((s) => s.name === through);
+      settings.delete(name);
+      const missed = (start) => {
+        const { curves } = this.run(new Map(settings).set(through, start), 2);
+        return curves.time.length ? curves.values[column][0] - target : NaN;
+      };
+      let [start, other] = [state.value, value ? (state.value * target) / value : state.value + 1];
+      let [miss, next] = [missed(start), missed(other)];
+      for (let round = 0; round < 20 && Math.abs(next) > 1e-12 * (1 + Math.abs(target)) && next !== miss; ++round) {
+        [start, other] = [other, other - (next * (other - start)) / (next - miss)];
+        [miss, next] = [next, missed(other)];
+      }
+      settings.set(through, other);
+    }
+    return settings;
   }
 
   result(rows, reached, messages) {
@@ -57,15 +86,11 @@ class Solver {
     const rounded = (digits) => String(Number(Number(digits).toPrecision(6)));
     const plain = (line) => line.replace(/^\w+: /, "").replace(/\d+\.\d{5,}/g, rounded);
     const events = messages.map((line) => EVENT.exec(line)).filter(Boolean);
-    const said = new Map(); // a condition that is left again and again is one reason
-    for (const line of messages.filter((text) => !EVENT.test(text)).map(plain)) {
-      const fact = line.replace(/^from time \S+ on /, "");
-      if (!said.has(fact)) said.set(fact, line);
-    }
-    const reasons = [...said.values()];
+    const lines = messages.filter((text) => !EVENT.test(text)).map(plain);
+    const reasons = [...new Set(lines.map(violation))]; // what is violated again and again is one reason
     const stopped = reached < times.length;
     if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${time[reached - 1]} s`);
-    const since = messages.map((line) => /from time (\S+) on/.exec(line)).find(Boolean);
+    const since = lines.map((line) => /from time (\S+) on/.exec(line)).find(Boolean);
     return {
       time, rows: rows.subarray(references.length), across: width, down: 1, title: "",
       shapes: reached ? Array.from(rows.subarray(width - shapes, width)) : [],
@@ -87,7 +112,7 @@ class Settings {
       const own = live.settings.filter((s) => s.kind === kind);
       if (!own.length) continue;
       const group = place.appendChild(document.createElement("details"));
-      group.open = own.length <= 12;
+      group.open = own.length <= 12 || kind !== "parameter";
       group.appendChild(document.createElement("summary")).textContent = title;
       for (const setting of own) group.append(this.line(setting));
     }
@@ -124,9 +149,9 @@ class Settings {
     return line;
   }
 
-  show(setting) {
+  show(setting, followed = setting.value) {
     const { mark, slider, field } = this.lines.get(setting.name);
-    const value = this.chosen.has(setting.name) ? this.chosen.get(setting.name) : setting.value;
+    const value = this.chosen.has(setting.name) ? this.chosen.get(setting.name) : followed;
     const displayed = value * setting.factor + setting.offset;
     slider.value = displayed;
     field.value = Number(displayed.toPrecision(6));
@@ -138,12 +163,26 @@ class Settings {
       this.show(setting);
       return;
     }
+    for (const { name, through } of this.live.settings) { // one of two ways to set a start value
+      if (through && name === setting.name) this.chosen.delete(through);
+      if (through && through === setting.name) this.chosen.delete(name);
+    }
     if (value === setting.value) this.chosen.delete(setting.name);
     else this.chosen.set(setting.name, value);
     this.show(setting);
     this.trouble = "";
     history.replaceState(null, "", this.link);
     this.changed();
+  }
+
+  /* Shows the start values that follow from others in a run. */
+  take(result) {
+    const { settings } = this.live, names = [...settings.map((s) => s.name)];
+    for (const { name, through, column } of settings.filter((s) => s.through)) {
+      const state = settings[names.indexOf(through)], output = settings[names.indexOf(name)];
+      if (!this.chosen.has(name)) this.show(output, result.curves.values[column][0]);
+      if (!this.chosen.has(through) && state.column !== undefined) this.show(state, result.curves.values[state.column][0]);
+    }
   }
 
   reset() {

@@ -122,9 +122,7 @@ class Player {
     const parts = [this.data.title];
     if (this.failure) {
       $("facts").textContent = parts[0];
-      const line = $("facts").appendChild(document.createElement("div"));
-      line.className = "alarm";
-      line.textContent = `no run: ${this.failure}`;
+      this.alarm([`no run: ${this.failure}`]);
       return;
     }
     for (const k of this.data.labels) {
@@ -133,19 +131,31 @@ class Player {
       parts.push(`${name} = ${shown(value)} ${unit}`);
     }
     $("facts").textContent = parts.join("\n");
-    for (const run of this.results) {
-      const invalid = run.invalid_from !== null && this.t >= run.invalid_from;
-      run.reasons.forEach((reason, i) => {
-        const last = run.stopped && i === run.reasons.length - 1;
-        if (!invalid && !(last && this.t >= this.end)) return;
-        const line = $("facts").appendChild(document.createElement("div"));
-        line.className = "alarm";
-        line.textContent = `${last ? "stopped" : "invalid"}: ${reason}`;
-      });
-    }
+    this.alarm(this.results.flatMap((run) => this.complaints(run)));
     const event = this.results[0].events.filter(([time]) => time <= this.t).pop();
     if (event && this.t - event[0] < 0.5 * this.speed)
       $("facts").appendChild(document.createElement("div")).textContent = event[1];
+  }
+
+  /* What is wrong with a run at the present time, the first line with its time. */
+  complaints(run) {
+    const since = run.invalid_from, invalid = since !== null && this.t >= since;
+    const stopped = run.stopped && this.t >= this.end, last = run.reasons.length - 1;
+    return run.reasons.flatMap((reason, i) => {
+      if (run.stopped && i === last) return stopped ? [`stopped at ${shown(this.end)} s: ${reason}`] : [];
+      return invalid ? [i ? reason : `invalid from ${Number(since.toPrecision(3))} s: ${reason}`] : [];
+    });
+  }
+
+  /* One line; the others unfold. */
+  alarm(lines) {
+    const box = $("alarm"), text = lines.join("\n");
+    if (box.dataset.text === text) return;
+    box.dataset.text = text;
+    box.hidden = !lines.length;
+    box.querySelector("summary").textContent = lines[0] || "";
+    box.classList.toggle("single", lines.length < 2);
+    box.querySelector("div").textContent = lines.slice(1).join("\n");
   }
 
   frame(now) {
@@ -194,6 +204,7 @@ async function begin() {
     $("csv").disabled = !latest;
     $("cost").textContent = [`computed in ${shown(performance.now() - start)} ms`, settings.trouble]
       .filter(Boolean).join("; ");
+    if (latest) settings.take(latest);
     if (!window.player) window.player = new Player(data, [latest || solver.run(new Map())]);
     else if (latest) window.player.take([latest]);
     if (!latest) window.player.fail(result.reasons.join("; ") || "the model cannot start with these values");

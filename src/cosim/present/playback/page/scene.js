@@ -82,6 +82,7 @@ class Actor {
     this.data = data;
     this.ghost = ghost;
     this.root = new THREE.Group();
+    this.aside = new THREE.Vector3();
     this.bodies = data.bodies.map((name, i) => {
       const body = new THREE.Group(), axes = new THREE.AxesHelper(0.35 * data.pose);
       axes.visible = false;
@@ -121,6 +122,7 @@ class Actor {
   take(run) {
     const { data } = this;
     this.run = run;
+    if (data.live) this.scale();
     let next = 0;
     for (const shape of this.shapes) {
       const count = shape.solid.numbers, own = run.shapes.slice(next, next + count + 6);
@@ -144,6 +146,20 @@ class Actor {
     });
   }
 
+  /* Scales the arrows of each unit by the largest load of the run while it is valid. */
+  scale() {
+    const { run, data } = this, base = data.bodies.length * BODY, largest = new Map();
+    const end = run.time.findIndex((t) => run.invalid_from !== null && t >= run.invalid_from);
+    const valid = end > 0 ? end : run.time.length;
+    data.loads.forEach(({ unit }, k) => {
+      for (let i = 0; i < valid; ++i) {
+        const size = Math.hypot(...triple(run, i, base + k * LOAD + 3));
+        largest.set(unit, Math.max(largest.get(unit) || 0, size));
+      }
+    });
+    for (const load of data.loads) load.per_unit = data.longest / (largest.get(load.unit) || Infinity);
+  }
+
   turn(i, body) {
     const m = Array.from({ length: 9 }, (_, k) => value(this.run, i, body * BODY + 3 + k));
     const matrix = new THREE.Matrix4().fromArray(
@@ -157,6 +173,12 @@ class Actor {
       new THREE.Vector3(...triple(this.run, j, column)), s);
   }
 
+  /* The middle of a body's shapes. */
+  middle(t, body) {
+    const [i, j, s] = station(this.run.time, t), turn = this.turn(i, body).slerp(this.turn(j, body), s);
+    return new THREE.Vector3(...this.data.middle).applyQuaternion(turn).add(this.place(t, body * BODY));
+  }
+
   show(t) {
     const { run, data } = this, [i, j, s] = station(run.time, t);
     this.bodies.forEach(({ body }, k) => {
@@ -166,7 +188,7 @@ class Actor {
     const base = data.bodies.length * BODY;
     this.loads.forEach(({ load, group, shaft, head }, k) => {
       const vector = this.place(t, base + k * LOAD + 3), size = vector.length();
-      const length = Math.min(size * load.per_unit, 3 * data.pose);
+      const length = Math.min(size * load.per_unit, data.longest);
       group.visible = length > 1e-6 * data.pose;
       group.position.copy(this.place(t, base + k * LOAD));
       group.quaternion.copy(onto(vector));
@@ -177,8 +199,10 @@ class Actor {
         ` (${shown(0.1 * data.pose / load.per_unit * load.factor)} ${load.unit} are ${shown(0.1 * data.pose)} m long)`;
     });
     const invalid = run.invalid_from !== null && t >= run.invalid_from;
-    for (const { solid, material } of this.shapes)
+    for (const { solid, material } of this.shapes) {
       material.color.set(invalid ? data.invalid_color : solid.color);
+      Object.assign(material, { transparent: this.ghost || invalid, opacity: this.ghost || invalid ? 0.35 : 1 });
+    }
   }
 }
 
@@ -227,10 +251,36 @@ class Scene {
     this.scene.add(this.ground);
   }
 
+  /* The first view: everything that the runs show fills the picture below its title and buttons. */
   fit() {
-    this.center = new THREE.Vector3(...this.data.camera.center);
-    this.from = new THREE.Vector3(...this.data.camera.eye).sub(this.center);
-    if (this.camera.aspect < 1) this.from.divideScalar(this.camera.aspect);
+    const { data, camera } = this, { clientHeight: height } = this.canvas.parentElement;
+    const texts = Math.max(...[$("facts"), $("buttons")].map((e) => e.offsetTop + Math.min(e.offsetHeight, 44)));
+    this.center = new THREE.Vector3(...data.camera.center);
+    this.from = new THREE.Vector3(...data.camera.eye).sub(this.center);
+    this.fitted = true;
+    const points = this.actors.flatMap(({ aside }) => data.framed.map((p) => new THREE.Vector3(...p).add(aside)));
+    const reach = Math.max(...points.map((point) => point.distanceTo(this.center)));
+    const slope = Math.tan((data.camera.field * Math.PI) / 360), top = Math.min(0.6, (2 * texts) / (height || 1));
+    const room = [0.94, 0.94 - top / 2];
+    this.from.setLength(Math.max(this.from.length(), 2 * reach));
+    for (let round = 0; round < 8; ++round) {
+      this.aim();
+      const seen = points.map((point) => point.clone().applyMatrix4(camera.matrixWorldInverse));
+      const [low, high] = [Math.min, Math.max].map((pick) => [
+        pick(...seen.map((p) => p.x / (-p.z * slope * camera.aspect))), pick(...seen.map((p) => p.y / (-p.z * slope)))]);
+      const middle = [0, 1].map((k) => (low[k] + high[k]) / 2 + (k ? top / 2 : 0)), away = this.from.length();
+      const [x, y] = [0, 1].map((k) => new THREE.Vector3().setFromMatrixColumn(camera.matrix, k));
+      this.center.addScaledVector(x, middle[0] * slope * camera.aspect * away).addScaledVector(y, middle[1] * slope * away);
+      this.from.multiplyScalar(Math.max(...[0, 1].map((k) => (high[k] - low[k]) / 2 / room[k])));
+    }
+  }
+
+  /* Puts the camera where it belongs. */
+  aim() {
+    this.camera.position.copy(this.center).add(this.from);
+    this.camera.lookAt(this.center);
+    this.camera.updateMatrix();
+    this.camera.updateMatrixWorld();
   }
 
   resize() {
@@ -239,9 +289,11 @@ class Scene {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.renderer.setSize(width, height, false);
+    if (this.fitted) this.fit();
   }
 
   turn(right, upward) {
+    this.fitted = false;
     const up = this.up.clone().normalize();
     this.from.applyAxisAngle(up, -right);
     const side = new THREE.Vector3().crossVectors(up, this.from).normalize();
@@ -250,6 +302,7 @@ class Scene {
   }
 
   shift(right, upward) {
+    this.fitted = false;
     const unit = this.from.length() * Math.tan((this.data.camera.field * Math.PI) / 360) / this.canvas.clientHeight * 2;
     const x = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 0);
     const y = new THREE.Vector3().setFromMatrixColumn(this.camera.matrix, 1);
@@ -257,6 +310,7 @@ class Scene {
   }
 
   zoom(factor) {
+    this.fitted = false;
     const { size } = this.data;
     this.from.setLength(Math.min(60 * size, Math.max(0.1 * size, this.from.length() * factor)));
   }
@@ -307,33 +361,33 @@ class Scene {
 
   beside(apart) {
     const side = new THREE.Vector3().crossVectors(this.up, this.from).setLength(2.2 * this.data.pose);
-    this.actors.forEach((actor, i) => actor.root.position.copy(side).multiplyScalar(apart ? i : 0));
+    this.actors.forEach((actor, i) => actor.aside.copy(side).multiplyScalar(apart ? i : 0));
+    this.fit();
   }
 
   axes(visible) {
     for (const actor of this.actors) for (const { axes } of actor.bodies) if (axes) axes.visible = visible;
   }
 
-  /* How far the camera moves along with the body that it follows. */
-  followed(t) {
-    const { data } = this, actor = this.actors[0];
-    if (data.follow < 0) return new THREE.Vector3();
-    const start = new THREE.Vector3(...triple(actor.run, 0, data.follow * BODY));
-    const along = actor.place(t, data.follow * BODY).sub(start), up = this.up.clone().normalize();
+  /* How far a run moves along the ground with the body that the camera follows. */
+  followed(actor, t) {
+    const { follow } = this.data;
+    if (follow < 0 || !actor.run) return new THREE.Vector3();
+    const along = actor.middle(t, follow).sub(actor.middle(actor.run.time[0], follow)), up = this.up.clone().normalize();
     return along.addScaledVector(up, -along.dot(up));
   }
 
   draw(t) {
     const { data } = this;
     for (const actor of this.actors) actor.show(t);
-    const along = this.followed(t);
+    const along = this.followed(this.actors[0], t);
+    for (const actor of this.actors) // ghosts move along with the first run
+      actor.root.position.copy(along).sub(this.followed(actor, t)).add(actor.aside);
     this.root.position.copy(along).negate();
     const cell = (k) => -(along.getComponent(k) % (4 * data.cell));
     this.ground.position.set(cell(0), cell(1), cell(2));
     if (!data.world.ground) this.ground.position.addScaledVector(this.up, data.floor);
-    this.camera.position.copy(this.center).add(this.from);
-    this.camera.lookAt(this.center);
-    this.camera.updateMatrix();
+    this.aim();
     this.sun.target.position.copy(this.center);
     this.sun.position.copy(this.camera.position).addScaledVector(this.up, data.size);
     this.renderer.render(this.scene, this.camera);
