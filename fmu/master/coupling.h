@@ -114,6 +114,7 @@ static inline int pass_events(Coupling *self) {
  * already. */
 static inline int back_to_event(Coupling *self) {
     const int here = same_time(self->event, self->now.t);
+    if (++self->unreached > MOST_UPDATES) return STUCK;
     if (restore_all_but(self, here ? self->system->parts + self->system->part : NULL))
         return CALL_FAILED;
     if (!here) return DONE;
@@ -150,7 +151,7 @@ static inline int arrive(Coupling *self) {
         if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
     ++system->macro_steps;
     self->event = INFINITY;
-    self->standstills = 0;
+    self->standstills = self->unreached = 0;
     return DONE;
 }
 

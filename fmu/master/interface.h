@@ -59,6 +59,7 @@ typedef struct {
     int ends_at_events; /* whether macro steps end at events of parts */
     double event;       /* the time of one that ends the next macro step */
     int standstills;    /* events without a step between */
+    int unreached;      /* macro steps in succession that an event cut short */
     int ends;           /* whether a part ends the run within the macro step */
     int reason;         /* why a macro step was rejected, as the end of a run */
     int refused; /* whether a part did not take the inputs that it asked for within its step */

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.errors import SolverError
 
 STOP = 3.0
 
@@ -257,3 +258,20 @@ def test_files_of_both_versions_sample_until_the_end(tmp_path):
     assert run.final["c.k"] == 31
     row = int(np.argmin(np.abs(run.time - 1.8)))
     assert [run["c.k"][row], run["c.k"][row - 1]] == [19, 18]
+
+
+def test_a_reset_by_another_part_that_undoes_its_own_cause_ends_with_a_sentence():
+    """An integrator, reset by a comparator as soon as it reaches 1: each part undoes the event."""
+    one = cosim.Model("integrator", stop_time=2.0)
+    x, r = one.state("x", "1", 0.0, "x"), one.input("r", "1", 0.0, "reset")
+    one.derivative(x, 1.0)
+    one.when(r > 0.5, {x: 0})
+    one.output("y", "1", x + 0, "y")
+    two = cosim.Model("comparator", stop_time=2.0)
+    y, d = two.input("x", "1", 0.0, "x"), two.state("d", "1", 0.0, "d")
+    two.derivative(d, 0 * d)
+    two.output("r", "1", ca.if_else(y >= 1.0, 1, 0), "reset")
+    parts = {"a": one.freeze(), "b": two.freeze()}
+    system = cosim.couple(parts, {"a.r": "b.r", "b.x": "a.y"})
+    with pytest.raises(SolverError, match="cause each other without end"):
+        system.simulate(stop_time=1.5, macro_step=0.01)
