@@ -85,8 +85,8 @@ class _Search:
                 most = movable[int(moved.argmax())]
                 name, unit = dae.states[most].name, dae.states[most].unit
                 return x, (
-                    f"{_article(self.kind)}, {step} steps of Newton's method from the initial state "
-                    f"({name} = {x[most]:.6g} {unit} instead of {start[most]:.6g})"
+                    f"{_article(self.kind)}, {step} steps of Newton's method from the initial "
+                    f"state ({name} = {x[most]:.6g} {unit} instead of {start[most]:.6g})"
                 )
             change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
             for _ in range(30):
