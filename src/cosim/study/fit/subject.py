@@ -28,7 +28,10 @@ STEP = 1e-4  # step of finite differences, relative to the size of an unknown
 
 @dataclass(frozen=True)
 class Known:
-    """What a model declares of a value that may be fitted; SI, or the units of an FMU."""
+    """What a model declares of a value that may be fitted; SI, or the units of an FMU.
+
+    `start` is NaN where it is calculated.
+    """
 
     column: Column
     start: float
@@ -83,7 +86,8 @@ class ModelSubject(Subject):
         """See `Subject`."""
         v = settable_variable(self.dae, name)
         column = Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
-        return Known(column, float(v.start or 0.0), v.minimum, v.maximum)
+        start = np.nan if v.start is None else float(v.start)
+        return Known(column, start, v.minimum, v.maximum)
 
     def column(self, name: str) -> Column:
         """See `Subject`."""

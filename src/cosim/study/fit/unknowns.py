@@ -84,6 +84,8 @@ def _row(
 ) -> tuple[float, float, float]:
     """Return initial value and bounds of an unknown."""
     if what is None:
+        if np.isnan(start):
+            raise ParameterError(f"fit: {name} has no initial value of its own; give one")
         return start, *bounds
     if np.ndim(what) == 0:
         start = number("fit", name, what)
