@@ -44,6 +44,8 @@ from cosim.scene.scene import Scene as Scene
 from cosim.scene.scene_file import read_scene as read_scene
 from cosim.series.samples import Column as Column
 from cosim.study.extremes.campaign import extremes as extremes
+from cosim.study.fit.fit import fit as fit
+from cosim.study.fit.result import Fit as Fit
 from cosim.study.linearize.linearize import linearize as linearize
 from cosim.study.sensitivity.sensitivity import sensitivity as sensitivity
 from cosim.study.sweep.samples import design as design

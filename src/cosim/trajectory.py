@@ -277,6 +277,7 @@ class Trajectory:
         units: Mapping[str, str] | None = None,
         like: Trajectory | None = None,
         model: str | None = None,
+        time_offset: float = 0.0,
     ) -> Trajectory:
         """Read a run, a measurement or another tool's result from a CSV file.
 
@@ -286,13 +287,15 @@ class Trajectory:
         leaves them out, and `stats["gaps"]` counts them.
 
         Args:
-            path: The file; columns separated by commas, semicolons or tabs.
+            path: The file; columns separated by commas, semicolons or tabs. Decimal commas are read
+                where the columns are not separated by commas.
             columns: Header of a column, with or without its unit, by name of the variable, e.g.
                 `{"phi": "roll [deg]"}`; other columns are not read. All columns if None.
             time: Header of the column with the times, e.g. `"t [ms]"`.
             units: Units by name of columns without a unit in the file.
             like: A run whose units, nominal values and meanings apply to the same names.
             model: Name of the model; the name of the file if None.
+            time_offset: Time that is added to the times of the file, s.
 
         Raises:
             UsageError: The file cannot be read, has no header or an unknown unit.
@@ -305,7 +308,7 @@ class Trajectory:
         known = {} if like is None else {column.name: column for column in like.columns}
         times, own, values, _ = read_samples(place, columns, time, units or {}, known)
         stats = {"file": place.name, "gaps": int(np.isnan(values).sum())}
-        return cls(model or place.stem, times, own, values, stats)
+        return cls(model or place.stem, times + time_offset, own, values, stats)
 
     def __repr__(self) -> str:
         rows = summary_rows(self.columns, self.time, self.values, when=False)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import casadi_models
+import cosim
 from cosim.backend import Backend
 from cosim.cli.main import command_line, main
 from cosim.cli.verbs import VERBS
@@ -325,3 +326,18 @@ def test_equilibrium_is_a_point_to_linearize_at(capsys):
     with pytest.raises(SystemExit) as end:
         main([*line, "--equilibrium", "--at", "1"])
     assert end.value.code == 2
+
+
+def test_exported_fmu_starts_with_the_values_of_the_command_line(tmp_path):
+    path = tmp_path / "crank.fmu"
+    words = ["export", "crank_shaft", "-p", "alpha=5", "-p", "omega=600rpm", "--reference", "none"]
+    assert main([*words, "-o", str(path)]) == 0
+    run = cosim.simulate_fmu(path, stop_time=1.0, outputs=["omega"])
+    assert run.final["omega"] == pytest.approx(20 * np.pi + 5, rel=1e-9)
+
+
+def test_values_of_a_system_are_not_ignored_by_export(tmp_path, capsys):
+    words = ["export", "bicycle_rider.toml", "-p", "m=1", "-o", str(tmp_path / "s.ssp")]
+    assert main(words) in (2, 3)
+    assert not (tmp_path / "s.ssp").exists()
+    assert capsys.readouterr().err

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.series import csv_file
 from cosim.series.csv_file import repr_17, write_csv
 from cosim.series.samples import Column
@@ -94,3 +94,18 @@ def test_units_of_no_column_and_other_units_than_in_the_header_are_rejected(tmp_
         read(tmp_path, text, units={"yaw": "deg"})
     odd = "t,F [10 N]\n0,2\n1,2\n"
     assert read(tmp_path, odd, units={"F": "kN"})["F"][0] == 2000
+
+
+def test_decimal_commas_are_read_where_semicolons_part_the_columns(tmp_path):
+    path = tmp_path / "german.csv"
+    path.write_text("Zeit [ms];x [m]\n-0,5;1,25\n1;-2,5e-1\n2,5;\n")
+    run = Trajectory.read_csv(path, time_offset=1.0)
+    np.testing.assert_allclose(run.time, [0.9995, 1.001, 1.0025])
+    np.testing.assert_array_equal(run["x"], [1.25, -0.25, np.nan])
+
+
+def test_commas_beside_decimal_points_are_rejected(tmp_path):
+    path = tmp_path / "mixed.csv"
+    path.write_text("time;x\n0;1,234\n1.5;2\n")
+    with pytest.raises(ParameterError, match="'1,234' is not a number"):
+        Trajectory.read_csv(path)

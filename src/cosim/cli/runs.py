@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 
+from casadi_models.dae import Dae
 from cosim.api import execute, run_scene
 from cosim.backend import Backend
 from cosim.cli.arguments import (
@@ -182,9 +183,13 @@ def read_result(path: str, model: str | None) -> Trajectory:
     """Read a result from a CSV file; a model gives units and meanings."""
     if model is None:
         return Trajectory.read_csv(path)
-    dae = load(model)
-    like = Trajectory(model, np.empty(0), all_columns(dae), np.empty((0, len(all_columns(dae)))))
-    return Trajectory.read_csv(path, like=like)
+    return Trajectory.read_csv(path, like=model_columns(load(model)))
+
+
+def model_columns(dae: Dae) -> Trajectory:
+    """Return an empty run with all variables of a model."""
+    columns = all_columns(dae)
+    return Trajectory(dae.full_name, np.empty(0), columns, np.empty((0, len(columns))))
 
 
 def single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace]:

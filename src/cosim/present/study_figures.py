@@ -16,7 +16,7 @@ from cosim.integrate.solvers import SOLVERS
 from cosim.plotting import LINES, STYLE, Picture
 from cosim.study.extremes.campaign import CaseFinding
 from cosim.study.extremes.oracles import OUTCOMES
-from cosim.study.linearize.linearize import EigenvalueSweep
+from cosim.study.linearize.along import EigenvalueSweep
 from cosim.study.pareto import pareto_front
 from cosim.study.sensitivity.result import Sensitivity
 from cosim.study.tradeoff.configuration import Family
@@ -31,11 +31,13 @@ _CLOSE = 0.2  # share of the axis; texts of crossings with less between them sta
 def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
     """Draw eigenvalues over a parameter, shade where all are stable, and name the crossings."""
     size = float(abs(sweep.eigenvalues).max()) or 1.0
+    is_map = sweep.period is not None  # stable where the size of each eigenvalue is below 1
+    table = abs(sweep.eigenvalues) if is_map else sweep.eigenvalues
     looks: dict[str, dict[str, Any]] = {}
     with matplotlib.rc_context(STYLE):
         figure = Picture(figsize=(7.0, 4.8), layout="constrained")
         axis = figure.subplots()
-        for j, (column, mode) in enumerate(zip(sweep.eigenvalues.T, sweep.modes, strict=True)):
+        for j, (column, mode) in enumerate(zip(table.T, sweep.modes, strict=True)):
             if abs(column).max() <= _NOTHING * size:
                 continue
             i, label = len(looks), None if mode in looks else mode or None
@@ -45,14 +47,18 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
             axis.plot(sweep.values, column.real, label=label, **look)
             if abs(column.imag).max() > _NOTHING * size:
                 axis.plot(sweep.values, abs(column.imag), "--", **look)
-        axis.plot([], [], color="0.3", label="real part")
-        axis.plot([], [], "--", color="0.3", label="imaginary part")
-        axis.axhline(0.0, color="black", linewidth=0.6)
-        stable = (sweep.eigenvalues.real < _NOTHING * size).all(axis=1)
+        axis.plot([], [], color="0.3", label="size" if is_map else "real part")
+        if not is_map:
+            axis.plot([], [], "--", color="0.3", label="imaginary part")
+        axis.axhline(float(is_map), color="black", linewidth=0.6)
+        stable = sweep.is_stable
         band: Any = {"transform": axis.get_xaxis_transform(), "color": "0.9", "zorder": 0}
         axis.fill_between(sweep.values, 0, 1, where=stable, label="stable", **band)
         axis.margins(x=0)
-        axis.set(xlabel=f"{sweep.name} [{sweep.unit}]", ylabel="eigenvalue [1/s]")
+        axis.set(
+            xlabel=f"{sweep.name} [{sweep.unit}]",
+            ylabel="eigenvalue of one period" if is_map else "eigenvalue [1/s]",
+        )
         close, labels, previous, higher = _CLOSE * float(np.ptp(sweep.values)), [], -np.inf, False
         for crossing in sweep.crossings:
             axis.axvline(crossing.value, color="0.5", linewidth=0.8)

@@ -20,6 +20,7 @@ from cosim.text import csv_cell
 UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:\[([^\[\]]*)\]?|\(([^()]*)\)?)?\s*")
 _WITHOUT_UNIT = re.compile(r"der\(.*\)|\S+\[[\d\s,;]+\]")  # a derivative, an element
+_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")  # a number with a decimal comma
 _BLOCK = 1000  # rows, that are written at once
 _TIME = re.compile("t|(?i:time|zeit|temps)")  # T is a torque or a temperature
 
@@ -90,7 +91,7 @@ def read_samples(
         Times, s, (n,); variables; their values, SI, (n, variables), NaN in gaps; the numbers of
         the lines.
     """
-    rows = rows_of(path)
+    rows = _with_decimal_points(rows_of(path))
     cells = [cell.strip() for cell in rows[0][1]]
     header = [_named(cell) for cell in cells]
     if len(header) < 2 or any(_is_number(cell) for cell in cells):
@@ -214,6 +215,22 @@ def _cells(place: str, line: str, mark: str) -> list[str]:
         raise UsageError(
             f"{place} has a cell of more than {most} characters; write numbers"
         ) from error
+
+
+def _with_decimal_points(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return the cells with decimal points instead of decimal commas.
+
+    A file that has decimal points, too, stays as it is: its commas may part thousands.
+    """
+    numbers = [cell.strip() for _, cells in rows[1:] for cell in cells]
+    with_commas = any(map(_COMMA.fullmatch, numbers))
+    if not with_commas or any("." in cell and _is_number(cell) for cell in numbers):
+        return rows
+    return [(i, [_with_point(cell) for cell in cells]) for i, cells in rows]
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".") if _COMMA.fullmatch(cell.strip()) else cell
 
 
 def numbers_of(

@@ -11,9 +11,9 @@ import cosim
 from casadi_models.dae import Model
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
-from cosim.study.linearize.linearization import blocks
 from cosim.study.linearize.linearize import linearize
-from cosim.study.linearize.point import cyclic_states
+from cosim.study.linearize.local import cyclic_states
+from cosim.study.linearize.spectrum import blocks
 
 UPRIGHT = {"phi_dot": 0.0}
 

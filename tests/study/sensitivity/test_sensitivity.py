@@ -258,3 +258,25 @@ def test_kinks_of_nonlinear_algebraic_equations_are_differentiated(extreme):
     model.equation(z + 0.1 * z**3 + k * x + 30 * extreme(x - 0.4, 0))
     found = sensitivity(model.freeze(), outputs=["x"], with_respect_to=["k"])  # checks itself
     assert found["x", "k"][-1] == pytest.approx(0.065553, abs=1e-6)
+
+
+@pytest.mark.parametrize("given", [{}, {"speed": 5.0, "steer_torque": 0.1}])
+def test_derivative_by_the_speed_of_the_bicycle_is_that_of_runs_with_other_speeds(given):
+    options = {"outputs": ["phi"], "stop_time": 1.0, "output_interval": 0.5}
+    by = ["speed", "thetaR_dot", "zGB"]
+    found = sensitivity("bicycle", with_respect_to=by, start_values=given, check=False, **options)
+    assert [target.name for target in found.targets] == by
+    speed, step = found.targets[0].nominal, 1e-3
+    assert speed == pytest.approx(given.get("speed", 4.59999999))
+    after, before = (
+        cosim.simulate(
+            "bicycle",
+            start_values={**given, "speed": speed + shift},
+            relative_tolerance=1e-11,
+            **options,
+        )["phi"]
+        for shift in (step, -step)
+    )
+    expected = (after - before) / (2 * step)
+    np.testing.assert_allclose(found["phi", "speed"], expected, rtol=1e-5)  # measured 3e-7
+    np.testing.assert_allclose(found["phi", "thetaR_dot"], -0.3 * found["phi", "speed"], rtol=1e-12)

@@ -38,6 +38,11 @@ def _export_system(args: argparse.Namespace) -> int:
     """Write a coupled system with the FMUs of its parts."""
     if not is_system(args.model):
         raise UsageError(f"{args.output_file}: .ssp is for coupled systems; write an .fmu file")
+    if args.values or args.start_values:
+        raise UsageError(
+            f"{args.output_file}: -p and --start-values are for a model or a scene; set the values "
+            f"in {args.model}"
+        )
     path = read_system(args.model).write_ssp(args.output_file)
     note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
     return 0

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
-from cosim.study.linearize.linearization import Linearization
+from cosim.study.linearize.linearization import Linearization, Mode
 from cosim.study.linearize.linearize import linearize
 from cosim.study.linearize.point import EQUILIBRIUM, START
 from cosim.text import csv_text
@@ -46,6 +47,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     for i, linear in enumerate(found):
         _show(linear, matrices=not args.output_file, first=i == 0)
+        if linear.undecided:
+            note(args, f"rounding decides whether these grow: {_values(linear.undecided)}")
     return 0
 
 
@@ -73,8 +76,10 @@ def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
     if crossings:
         show_table(crossings)
     else:
-        print(f"no eigenvalue crosses the imaginary axis for {name} = {first:g} ... {last:g}")
+        line = "imaginary axis" if found.period is None else "unit circle"
+        print(f"no eigenvalue crosses the {line} for {name} = {first:g} ... {last:g}")
     note(args, f"{len(values)} values; {found.points[0]}")
+    note(args, "two crossings of one eigenvalue between neighboring values are not found")
     return 0
 
 
@@ -87,9 +92,13 @@ def _show(linear: Linearization, *, matrices: bool, first: bool) -> None:
         show_table(linear.rows())
 
 
+def _values(modes: Sequence[Mode]) -> str:
+    return ", ".join(f"{mode.value:.3g} ({' '.join(mode.states)})" for mode in modes)
+
+
 def _as_json(linear: Linearization) -> dict[str, Any]:
     facts: dict[str, Any] = {"model": linear.model, "at": linear.point}
-    for kind in ("time", "steadiness", "cyclic", "states", "inputs", "outputs"):
+    for kind in ("time", "period", "steadiness", "cyclic", "states", "inputs", "outputs"):
         facts[kind] = getattr(linear, kind)
     for kind in ("A", "B", "C", "D", "x", "u", "y"):
         facts[kind] = getattr(linear, kind).tolist()

@@ -6,11 +6,14 @@ import json
 from matplotlib.figure import Figure
 
 from cosim.cli.arguments import names_in
+from cosim.cli.measured import read_measured
 from cosim.cli.runs import runs_of, size_of
 from cosim.cli.tables import note
+from cosim.errors import UsageError
 from cosim.plotting import picture_format, require_screen, save, show
 from cosim.present.figures import draw_figures, draw_overlay, shared_specs
 from cosim.trajectory import Trajectory
+from cosim.verify.comparison import compare
 
 PANELS = 24  # on a page
 
@@ -21,12 +24,16 @@ def run(args: argparse.Namespace) -> int:
         require_screen()
     else:
         picture_format(args.output_file)  # rejects it before anything is computed
+    if args.data is not None and len(args.sources) > 1:
+        raise UsageError("--data is drawn over a single run; give one model, scene or result")
     size = size_of(args) if args.size else None
     runs, scenes, code = runs_of(args)
     if args.outputs:  # of results, too
         runs = [run.select(names_in(args.outputs)) for run in runs]
     specified = next((scene.figures for scene in scenes if scene and scene.figures), ())
-    if len(runs) > 1:
+    if args.data is not None:
+        figures = [_compared(args, runs)]
+    elif len(runs) > 1:
         specs, notes = shared_specs(specified, runs)
         note(args, *notes)
         compared = args.compare is not None
@@ -49,6 +56,14 @@ def run(args: argparse.Namespace) -> int:
     else:
         note(args, *paths)
     return code
+
+
+def _compared(args: argparse.Namespace, runs: list[Trajectory]) -> Figure:
+    """Return the picture of a run with measurements and residuals."""
+    if len(runs) != 1:
+        raise UsageError("--data is drawn over a single run; give one value of each -p")
+    found: Figure = compare(runs[0], read_measured(args, args.data, runs[0])).plot()
+    return found
 
 
 def overview(run: Trajectory) -> list[Figure]:

@@ -1,6 +1,9 @@
 """`Linearization`: the linear system x' = A x + B u, y = C x + D u near a state, and its modes."""
 
+import cmath
+import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,53 +11,89 @@ import numpy as np
 
 from cosim.arrays import Truths, Vector
 from cosim.files import write_atomically
+from cosim.study.linearize.spectrum import Spectrum, blocks, without_influence
 from cosim.text import csv_text
-
-NEGLIGIBLE = 1e-12  # of the largest scaled entry of A; smaller entries couple no states
 
 
 @dataclass(frozen=True)
 class Mode:
-    """An eigenvalue, 1/s, and the states that take part in its motion."""
+    """An eigenvalue and the states that take part in its motion.
+
+    Attributes:
+        value: Eigenvalue, 1/s; of a discrete map, the factor of the motion in one period.
+        states: States that take part in the motion.
+        error: Estimated error of the eigenvalue from rounding.
+        period: Period of the discrete map, s; None for x' = A x.
+    """
 
     value: complex
     states: tuple[str, ...]
+    error: float = 0.0
+    period: float | None = None
+
+    @property
+    def exponent(self) -> complex:
+        """Exponent of the motion, 1/s: the eigenvalue, or the logarithm of the factor."""
+        if self.period is None:
+            return self.value
+        return cmath.log(self.value) / self.period if self.value else complex(-math.inf)
+
+    @property
+    def growth(self) -> float:
+        """Positive if the motion grows: the real part, or the size of the factor minus 1."""
+        return float(growth(self.value, self.period))
 
     @property
     def frequency(self) -> float:
         """Angular frequency of the oscillation, rad/s; 0 for a real eigenvalue."""
-        return abs(self.value.imag)
+        return abs(self.exponent.imag)
 
     @property
     def damping(self) -> float:
         """Damping ratio: 1 decays without oscillation, 0 oscillates undamped, below 0 grows."""
-        size = abs(self.value)
-        return -self.value.real / size if size else 0.0
+        size = abs(self.exponent)
+        if math.isinf(size):
+            return 1.0
+        return -self.exponent.real / size if size else 0.0
 
     def row(self) -> dict[str, Any]:
         """Return the mode as a row of a table."""
+        size = {} if self.period is None else {"size": abs(self.value)}
         return {
             "real": self.value.real,
             "imaginary": self.value.imag,
+            **size,
             "damping": self.damping,
             "states": " ".join(self.states),
         }
+
+
+def growth(value: Any, period: float | None) -> Any:
+    """Return how fast motions grow, from eigenvalues; negative if they decay."""
+    return value.real if period is None else abs(value) - 1
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class Linearization:
     """A, B, C, D of a model near a state, in SI units.
 
+    With samples or with coefficients that are periodic in time, A and B are those of the discrete
+    map x(t + period) = A x(t) + B u, with inputs that are constant for a period.
+
     Attributes:
         model: `MODEL/FORMULATION`, or the name in an FMU.
         states, inputs, outputs: Names, in the order of rows and columns.
-        A, B, C, D: Matrices of x' = A x + B u, y = C x + D u for small deviations; algebraic
-            unknowns are eliminated.
+        A, B, C, D: Matrices of x' = A x + B u, or of the discrete map, and of y = C x + D u for
+            small deviations; algebraic unknowns are eliminated.
         time: Time of the state, s.
         x, u, y: States, inputs and outputs about which the model is linearized.
-        rates: Derivatives of the states there.
+        rates: Derivatives of the states there; with a period, their mean over it.
         nominal: Nominal values of the states.
         point: Description of the state, e.g. "0.5 s of a run".
+        influence: Whether a rate depends on a state, by the structure of the equations and beyond
+            rounding, (states, states).
+        noise: What rounding leaves open in A, (states, states).
+        period: Period of the discrete map, s; None for x' = A x.
         cyclic: States that influence only each other: they may move on in a steady motion.
     """
 
@@ -73,28 +112,34 @@ class Linearization:
     rates: Vector
     nominal: Vector
     point: str
+    influence: Truths
+    noise: Vector
+    period: float | None = None
     cyclic: tuple[str, ...] = ()
 
     @classmethod
     def from_jacobian(
-        cls, jacobian: Vector, *, depends: Truths | None = None, **facts: Any
+        cls, jacobian: Vector, *, depends: Truths, noise: Vector, **facts: Any
     ) -> "Linearization":
         """Return the linear system of d(rates, outputs) / d(states, inputs).
 
         Args:
             jacobian: The derivatives, rows and columns in the order of the names.
-            depends: Whether a rate depends on a state; where A is not zero when None.
-            facts: All attributes but the matrices and `cyclic`.
+            depends: Whether a rate depends on a state, by the structure of the equations.
+            noise: What rounding leaves open in the derivatives of the rates by the states.
+            facts: All other attributes but the matrices, `influence` and `cyclic`.
         """
         states = facts["states"]
         n = len(states)
         A = jacobian[:n, :n]
-        cyclic = without_influence(A != 0 if depends is None else depends)
+        cyclic = without_influence(depends)
         return cls(
             A=A,
             B=jacobian[:n, n:],
             C=jacobian[n:, :n],
             D=jacobian[n:, n:],
+            influence=depends & (np.abs(A) > noise),
+            noise=noise,
             cyclic=tuple(states[i] for i in cyclic),
             **facts,
         )
@@ -110,37 +155,47 @@ class Linearization:
         """Whether all states but the cyclic ones are at rest."""
         return self.unsteadiness <= 1e-6
 
-    @property
-    def pattern(self) -> Vector:
-        """Sparsity of A: true where a state influences the rate of another."""
-        scaled = np.abs(self.A * self.nominal / self.nominal[:, None])
-        pattern: Vector = scaled > NEGLIGIBLE * scaled.max(initial=0.0)
-        return pattern
+    def spectrum(self, group: Sequence[int], influence: Truths | None = None) -> Spectrum:
+        """Return the eigenvalues of the block of a group of states.
+
+        Args:
+            group: Indices of the states.
+            influence: Which entries of A are not zero; those of this system when None.
+        """
+        block = np.ix_(group, group)
+        known = (self.influence if influence is None else influence)[block]
+        if self.period is not None:  # every state of a map has its own factor
+            known = known | np.eye(len(group), dtype=bool)
+        return Spectrum.of(np.where(known, self.A[block], 0.0), known * self.noise[block])
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Eigenvalues of A with their states, the largest real part first.
+        """Eigenvalues of A with their states, the one that grows fastest first.
 
         They are those of its diagonal blocks of the states that influence each other.
         """
-        pattern, found = self.pattern, []
-        for group in blocks(pattern):
-            block = self.A[np.ix_(group, group)]
-            if len(group) == 1:
-                block = block * pattern[np.ix_(group, group)]
-            names = tuple(self.states[i] for i in group)
-            found += [Mode(complex(value), names) for value in np.linalg.eigvals(block)]
-        return tuple(sorted(found, key=lambda mode: (-mode.value.real, -mode.value.imag)))
+        found = list[Mode]()
+        for group in blocks(self.influence):
+            names, own = tuple(self.states[i] for i in group), self.spectrum(group)
+            for value, error in zip(own.values, own.errors, strict=True):
+                found.append(Mode(complex(value), names, float(error), self.period))
+        return tuple(sorted(found, key=lambda mode: (-mode.growth, -mode.value.imag)))
+
+    @property
+    def undecided(self) -> tuple[Mode, ...]:
+        """Modes of which rounding leaves open whether they grow or decay."""
+        return tuple(mode for mode in self.modes if 0 < abs(mode.growth) <= mode.error)
 
     @property
     def eigenvalues(self) -> Vector:
-        """Eigenvalues of A, 1/s, in the order of `modes`."""
+        """Eigenvalues of A in the order of `modes`: 1/s, or the factors of one period."""
         return np.array([mode.value for mode in self.modes])
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the matrices as a table with a row for each rate and each output."""
+        """Return the matrices as a table: a row for each rate (or next value) and each output."""
         both = np.block([[self.A, self.B], [self.C, self.D]])
-        names = (*(f"{name}_dot" for name in self.states), *self.outputs)
+        suffix = "_dot" if self.period is None else "_next"
+        names = (*(f"{name}{suffix}" for name in self.states), *self.outputs)
         knowns = (*self.states, *self.inputs)
         return [
             {"of": name, **dict(zip(knowns, map(float, row), strict=True))}
@@ -156,7 +211,8 @@ class Linearization:
         write_atomically(target, csv_text(self.rows()).encode())
 
     def __str__(self) -> str:
-        return f"{self.model} at {self.point}: {len(self.states)} states, {self.steadiness}"
+        every = "" if self.period is None else f", a discrete map per {self.period:g} s"
+        return f"{self.model} at {self.point}: {len(self.states)} states, {self.steadiness}{every}"
 
     @property
     def steadiness(self) -> str:
@@ -171,27 +227,16 @@ class Linearization:
                 (i for i, name in enumerate(self.states) if name not in self.cyclic),
                 key=lambda i: abs(self.rates[i] / self.nominal[i]),
             )
+            if self.period is not None:
+                return (
+                    f"not periodic: {self.states[worst]} changes by "
+                    f"{self.rates[worst] * self.period:.3g} in one period; the eigenvalues hold "
+                    "for this one"
+                )
             return (
                 f"not steady: {self.states[worst]} changes by {self.rates[worst]:.3g} per second; "
                 "the eigenvalues hold for this instant"
             )
-        return f"steady, moving on: {', '.join(moving)}" if moving else "at rest"
-
-
-def without_influence(depends: Truths) -> tuple[int, ...]:
-    """Return the columns on which only rows of the same group depend."""
-    every = range(len(depends))
-    needed = list(every)
-    while free := [i for i in needed if not depends[np.ix_(needed, [i])].any()]:
-        needed = [i for i in needed if i not in free]
-    return tuple(i for i in every if i not in needed)
-
-
-def blocks(pattern: Vector) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of states that influence each other, directly or through other states."""
-    n = len(pattern)
-    reach = np.eye(n, dtype=bool) | (np.asarray(pattern) != 0)
-    for k in range(n):
-        reach |= np.outer(reach[:, k], reach[k, :])
-    both = reach & reach.T
-    return tuple(dict.fromkeys(tuple(map(int, np.flatnonzero(row))) for row in both))
+        if moving:
+            return f"steady, moving on: {', '.join(moving)}"
+        return "at rest" if self.period is None else "periodic"

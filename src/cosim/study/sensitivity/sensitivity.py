@@ -15,15 +15,17 @@ import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae, Variable
+from casadi_models.dae.starts import StartThrough
 from casadi_models.dae.variational import derivative, direction, variational
 from cosim.arrays import Truths, Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.functions import symbols_like
 from cosim.codegen.initialization import start_function
-from cosim.errors import SolverError, UnknownName, UsageError
+from cosim.errors import InitialConditionError, SolverError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import simulate_many
 from cosim.integrate.initial_values import input_values
+from cosim.integrate.initial_values import start_values as start_values_at
 from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.run import run
 from cosim.integrate.solvers import requested_solver
@@ -146,7 +148,8 @@ def sensitivity(
         dae: The model, or its name.
         outputs: Names of states, algebraic unknowns or outputs; all states when None.
         with_respect_to: Names of parameters, constant inputs or states; a state stands for its
-            initial value. All parameters when None. Calculated initial values depend on them.
+            initial value, and so does an output that may be given instead of one, such as the
+            bicycle's `speed`. All parameters when None. Calculated initial values depend on them.
         start_values: Values by name that replace initial values, parameters or inputs, SI.
         inputs: Time series of some inputs.
         solver: Name of an adaptive solver; when None dop853, or without a compiler erk (with
@@ -181,6 +184,21 @@ def sensitivity(
     by = [v.name for v in dae.parameters]
     if with_respect_to is not None:
         by = [*listed("sensitivity: with_respect_to", with_respect_to)]
+    ways = {way.variable.name: way for way in dae.start_outputs if way.variable.name in by}
+    if ways:
+        by_states = sensitivity(
+            dae,
+            outputs=outputs,
+            with_respect_to=[*dict.fromkeys(_state_of(dae, ways, name) for name in by)],
+            start_values=start_values,
+            inputs=inputs,
+            solver=solver,
+            relative_tolerance=relative_tolerance,
+            check=check,
+            bound=bound,
+            **times,
+        )
+        return _through_outputs(dae, by_states, by, ways, values)
     whole = [_target(dae, name, inputs) for name in by]
     small = _reduced(dae, tuple(names))
     numbers = {"state": values.x, "parameter": values.p, "input": values.u}
@@ -229,6 +247,53 @@ def sensitivity(
             plain,
         )
     return Sensitivity(plain, columns, table, agreement)
+
+
+def _state_of(dae: Dae, ways: Mapping[str, StartThrough], name: str) -> str:
+    """Return the state whose initial value an output gives; other names as they are."""
+    return dae.states[ways[name].state].name if name in ways else name
+
+
+def _through_outputs(
+    dae: Dae,
+    found: Sensitivity,
+    by: Sequence[str],
+    ways: Mapping[str, StartThrough],
+    values: Values,
+) -> Sensitivity:
+    """Return derivatives by outputs that give initial values, from those by their states."""
+    begin = float(found.run.time[0])
+    start, inner = start_values_at(dae, begin, values), [target.name for target in found.targets]
+    columns, table = [], []
+    for name in by:
+        place = inner.index(_state_of(dae, ways, name))
+        column, factor = found.targets[place], 1.0
+        if name in ways:
+            column, slope = _start_output(dae, ways[name], begin, start, values)
+            if not slope:
+                raise InitialConditionError(
+                    f"{dae.full_name}: the start value of {inner[place]} does not change {name} "
+                    f"here; differentiate with respect to {inner[place]}"
+                )
+            factor = 1 / slope
+        columns.append(column)
+        table.append(found.values[:, :, place] * factor)
+    return replace(found, targets=tuple(columns), values=np.stack(table, axis=-1))
+
+
+def _start_output(
+    dae: Dae, way: StartThrough, begin: float, start: Vector, values: Values
+) -> tuple[Column, float]:
+    """Return an output that gives an initial value, and its derivative by that value."""
+    name = dae.states[way.state].name
+    target = SensitivityTarget.of(dae, name)
+    assert target is not None
+    law = ca.Function("law", [dae.x, dae.p], [way.expression, ca.jacobian(way.expression, dae.x)])
+    value, slopes = (np.array(block) for block in law(start, values.p))
+    slope = float((slopes @ start_slopes(dae, begin, values, [target])).item())
+    v = way.variable
+    size = abs(float(value.item())) or v.nominal
+    return Column(v.name, v.unit, None, size, v.meaning), slope
 
 
 def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarget:

@@ -1,0 +1,98 @@
+"""`cosim fit MODEL|SCENE.toml|FILE.fmu DATA.csv ...`: values that fit measurements."""
+
+import argparse
+import json
+from typing import Any
+
+from cosim.cli.arguments import assigned, named_scene, names_in, start_numbers, value_in, value_of
+from cosim.cli.measured import read_measured
+from cosim.cli.runs import model_columns
+from cosim.cli.tables import note, show_table
+from cosim.errors import UsageError
+from cosim.fmi.trust import require_trust
+from cosim.model.quantities import reject_mixed_units
+from cosim.study.fit.fit import fit
+from cosim.study.fit.result import Fit
+
+_FORMS = "A:B, A:C:B or VALUE[UNIT]"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit values, show them with their confidence, and write a scene or an FMU."""
+    model: Any = args.model
+    dae, like, start, settings = None, None, dict[str, float](), dict[str, Any]()
+    if args.model.endswith(".fmu"):
+        if args.output_file:
+            raise UsageError("-o writes a scene or an FMU of a model; an FMU was given")
+        require_trust(args.model, trusted=args.trust)
+    else:
+        request = named_scene(args.model).request
+        model = dae = request.dae
+        start, like = dict(request.values), model_columns(dae)
+        settings["inputs"] = request.inputs
+        settings["solver"] = args.solver
+    ranges = [item for item in args.values if ":" in item.partition("=")[2]]
+    args.values = [item for item in args.values if item not in ranges]
+    unknowns: dict[str, Any] = dict.fromkeys(names_in(args.free)) if args.free else {}
+    for name, text in assigned("-p", ranges, _FORMS):
+        parts = text.split(":")
+        reject_mixed_units(f"-p {name}", parts)
+        unknowns[name] = tuple(value_of(dae, name, part) for part in parts)
+    start = {n: v for n, v in {**start, **start_numbers(args, dae)}.items() if n not in unknowns}
+    records = [read_measured(args, path, like) for path in args.data]
+    units = {column.name: column.unit for record in records for column in record.columns}
+    noise = {
+        name: value_in(name, text, units.get(name))
+        for name, text in assigned("--noise", args.noise, "SIZE[UNIT]")
+    }
+    settings["relative_tolerance"] = args.relative_tolerance
+    found = fit(
+        model,
+        records,
+        unknowns,
+        start_values=start,
+        noise=noise or None,
+        loss=args.loss,
+        starts=args.starts,
+        seed=args.seed,
+        **{name: value for name, value in settings.items() if value is not None},
+    )
+    if args.figure:
+        found.plot(args.figure)
+    if args.output_file:
+        _write(found, args.output_file)
+        note(args, args.output_file)
+    if args.json:
+        print(json.dumps(_as_json(found), indent=1))
+        return 0
+    print(f"{found}\n")
+    show_table(found.rows())
+    note(args, *found.unidentified, *found.notes)
+    note(args, f"derivatives: {found.subject.derivatives}")
+    return 0
+
+
+def _write(found: Fit, target: str) -> None:
+    """Write the fitted model as a scene or an FMU."""
+    if target.endswith(".toml"):
+        found.write_scene(target)
+        return
+    from cosim.fmi.export.package import export_fmu
+
+    export_fmu(found.dae, target)
+
+
+def _as_json(found: Fit) -> dict[str, Any]:
+    return {
+        "model": found.subject.name,
+        "values": found.values,
+        "errors": found.errors,
+        "intervals": found.intervals,
+        "confidence": found.confidence,
+        "correlation": found.correlation.tolist(),
+        "rank": found.rank,
+        "unidentified": found.unidentified,
+        "notes": found.notes,
+        "noise": found.noise,
+        "samples": found.samples,
+    }

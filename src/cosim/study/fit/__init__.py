@@ -1,0 +1,1 @@
+"""Fit of parameters and initial values to measurements."""

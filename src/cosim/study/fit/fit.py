@@ -1,0 +1,349 @@
+"""`fit`: parameters and initial values from measurements, by nonlinear least squares."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
+
+from casadi_models.dae import Dae
+from cosim.arrays import Truths, Vector
+from cosim.errors import InitialConditionError, ParameterError, SolverError, UnknownName, UsageError
+from cosim.host.optional_packages import optional_module
+from cosim.model.values import number
+from cosim.study.fit.result import Fit
+from cosim.study.fit.subject import Subject, subject_of
+from cosim.study.fit.unknowns import Unknowns
+from cosim.trajectory import Trajectory
+
+LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
+RANK = 1e-6  # singular values below this share of the largest identify nothing
+SHARE = 0.1  # of a combination, from which a value is named in it
+REWEIGHTINGS = 10  # most repetitions with noise estimated from the last residuals
+SETTLED = 1e-3  # relative change of the estimated noise that ends them
+TOLERANCE = 1e-10  # of the minimization: of values, cost and gradient, all relative
+NORMAL = 1.4826  # standard deviation of a normal distribution by its median deviation
+
+
+class FitKeywords(TypedDict, total=False):
+    """Settings of the runs; see `fit`."""
+
+    inputs: Any
+    solver: str
+    relative_tolerance: float
+
+
+def fit(
+    model: Dae | str | os.PathLike[str],
+    measured: Trajectory | Sequence[Trajectory],
+    parameters: Mapping[str, Any] | Sequence[str],
+    *,
+    start_values: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+    loss: str = "linear",
+    starts: int = 1,
+    seed: int = 0,
+    confidence: float = 0.95,
+    **settings: Unpack[FitKeywords],
+) -> Fit:
+    """Fit parameters, start values and constant inputs to measurements.
+
+    `scipy.optimize.least_squares` minimizes the sum of the squared residuals, each divided by the
+    noise of its output. The Jacobian of a model is exact, events included; that of an FMU follows
+    from finite differences of its runs.
+
+    Args:
+        model: A `Dae`, the name of a model, or the file of an FMU, which runs in this process.
+        measured: One record or several, e.g. of `Trajectory.read_csv`; all their variables are
+            outputs of the model. NaN are gaps. Each run begins at time 0.
+        parameters: The unknowns by name: None for the model's own value and bounds, an initial
+            value, the bounds (low, high), or (low, initial value, high); SI. A list of names stands
+            for None.
+        start_values: Further values by name, SI.
+        noise: Standard deviations of the outputs by name, SI; estimated from the residuals of each
+            output when None.
+        loss: "linear", or for outliers "soft_l1", "huber", "cauchy" or "arctan".
+        starts: Number of initial values: the model's own, and a Latin hypercube within the bounds.
+        seed: Random seed of these.
+        confidence: Probability that an interval contains the value (1).
+        settings: `inputs` (time series), `solver`, `relative_tolerance` of the runs; see
+            `simulate`.
+
+    Returns:
+        Values, standard errors, confidence intervals and correlation; what the measurements do not
+        identify; the model, a scene and runs with the fitted values.
+
+    Raises:
+        MissingTool: scipy is not installed.
+        UnknownName: A name does not exist.
+        UsageError: Nothing is measured or unknown, or an output is in another unit.
+        ParameterError: A number or bounds are wrong, or there are fewer measurements than unknowns.
+        SolverError: The run with the initial values failed.
+
+    Example:
+        >>> import cosim
+        >>> record = cosim.simulate("crank_shaft", stop_time=1, outputs=["phi"])
+        >>> found = fit("crank_shaft", record, {"alpha": (1.0, 50.0), "omega": 40.0})
+        >>> {name: round(value, 6) for name, value in found.values.items()}
+        {'alpha': 10.0, 'omega': 50.0}
+    """
+    optimize, stats = (optional_module(f"scipy.{name}", "data") for name in ("optimize", "stats"))
+    if loss not in LOSSES:
+        raise UnknownName.among("fit", "loss", loss, LOSSES)
+    if not 0 < number("fit", "confidence", confidence) < 1:
+        raise ParameterError(f"fit: confidence = {confidence} is not between 0 and 1")
+    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
+        raise ParameterError(f"fit: starts = {starts!r}; give 1 or more")
+    subject = subject_of(model, settings)
+    fixed = dict(start_values or {})
+    unknowns = Unknowns.of(subject, parameters, fixed)
+    problem = _Problem(subject, _records(subject, measured), unknowns, fixed)
+    if problem.samples <= len(unknowns.names):
+        raise ParameterError(
+            f"fit: {problem.samples} measured values cannot determine {len(unknowns.names)} "
+            "unknowns; give more measurements, or fit fewer values"
+        )
+    sizes = problem.noise(noise)
+    best, failed = None, 0
+    for start in unknowns.starts(starts, seed):
+        try:
+            found = problem.solved(optimize.least_squares, start, sizes, loss, noise is None)
+        except (SolverError, InitialConditionError):
+            if starts == 1:
+                raise
+            failed += 1
+            continue
+        if best is None or found.cost < best.cost:
+            best = found
+    if best is None:
+        raise SolverError(f"{subject.name}: the run failed with every one of {starts} starts")
+    notes = [f"the run failed with {failed} of {starts} starts"] if failed else []
+    freedom = problem.samples - len(unknowns.names)
+    degrees = np.inf if noise is not None else freedom
+    reach = float(stats.t.ppf((1 + confidence) / 2, degrees))
+    return problem.result(best, confidence, reach, notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """The result of one minimization: scaled values, cost, Jacobian, and noise by output."""
+
+    x: Vector
+    cost: float
+    jacobian: Vector
+    noise: Vector
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Residuals of records and their derivatives by unknowns that are scaled by their sizes."""
+
+    subject: Subject
+    records: tuple[Trajectory, ...]
+    unknowns: Unknowns
+    fixed: Mapping[str, float]
+    names: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        every = dict.fromkeys(name for record in self.records for name in record.names)
+        object.__setattr__(self, "names", tuple(every))
+
+    @property
+    def known(self) -> tuple[Truths, ...]:
+        """Which values of each record are no gaps, (n, outputs)."""
+        return tuple(np.isfinite(record.values) for record in self.records)
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values."""
+        return sum(int(known.sum()) for known in self.known)
+
+    @property
+    def outputs(self) -> Vector:
+        """Position of the output of each residual among `names`, (samples,)."""
+        found = []
+        for record, known in zip(self.records, self.known, strict=True):
+            places = np.array([self.names.index(name) for name in record.names])
+            found.append(np.broadcast_to(places, known.shape)[known])
+        return np.concatenate(found)
+
+    def noise(self, given: Mapping[str, float] | None) -> Vector:
+        """Return the noise of each output: given, or nominal values to begin with, (outputs,)."""
+        if given is None:
+            return np.array([self.subject.column(name).nominal for name in self.names])
+        for name in given:
+            if name not in self.names:
+                raise UnknownName.among("fit: noise", "measured variable", name, self.names)
+        missing = [name for name in self.names if name not in given]
+        if missing:
+            raise UsageError(f"fit: the noise of {missing[0]} is missing; give it, too")
+        return np.array([number("fit: noise", n, given[n], positive=True) for n in self.names])
+
+    def values(self, x: Vector) -> dict[str, float]:
+        """Return all values of a run by name."""
+        own = dict(zip(self.unknowns.names, (x * self.unknowns.sizes).tolist(), strict=True))
+        return {**self.fixed, **own}
+
+    def residuals(self, x: Vector) -> Vector:
+        """Return run minus measurement, SI, (samples,)."""
+        found, values = [], self.values(x)
+        for record, known in zip(self.records, self.known, strict=True):
+            own = self.subject.run(values, record.names, record.time)
+            if len(own) < len(record):
+                raise SolverError(f"{self.subject.name}: the run stops before the last measurement")
+            found.append((own.values - record.values)[known])
+        return np.concatenate(found)
+
+    def slopes(self, x: Vector) -> Vector:
+        """Return the derivatives of the residuals by the scaled unknowns, (samples, unknowns)."""
+        found, values = [], self.values(x)
+        for record, known in zip(self.records, self.known, strict=True):
+            own = self.subject.slopes(values, self.unknowns.names, record.names, record.time)
+            found.append(own[known])
+        return np.concatenate(found) * self.unknowns.sizes
+
+    def solved(
+        self, minimize: Any, start: Vector, noise: Vector, loss: str, estimated: bool
+    ) -> _Solution:
+        """Minimize from one start; repeat with estimated noise until that settles."""
+        places, sizes = self.outputs, self.unknowns.sizes
+        x, bounds = start / sizes, (self.unknowns.low / sizes, self.unknowns.high / sizes)
+        self.residuals(x)  # a run that fails at the start is an error
+        again = estimated and (len(self.names) > 1 or loss != "linear")  # weights matter
+        if estimated:
+            minimum = EPS * noise
+            noise = np.fmax(self._estimated(self.residuals(x), loss), minimum)
+        for _ in range(REWEIGHTINGS):
+            found = minimize(
+                lambda x, weights=1 / noise[places]: self._or_infinite(x) * weights,
+                np.clip(x, *bounds),
+                lambda x, weights=1 / noise[places]: self.slopes(x) * weights[:, None],
+                bounds=bounds,
+                x_scale="jac",
+                loss=loss,
+                xtol=TOLERANCE,
+                ftol=TOLERANCE,
+                gtol=TOLERANCE,
+            )
+            x = found.x
+            if not estimated:
+                break
+            last, noise = noise, np.fmax(self._estimated(self.residuals(x), loss), minimum)
+            if not again or np.all(np.abs(noise - last) <= SETTLED * last):
+                break
+        cost = float(np.log(noise[places]).sum()) if estimated else float(found.cost)
+        jacobian = self.slopes(x) / noise[places][:, None]
+        return _Solution(x, cost, jacobian, noise, bool(found.success), str(found.message))
+
+    def _or_infinite(self, x: Vector) -> Vector:
+        """Return the residuals; infinity where the run fails, so that the step is shortened."""
+        try:
+            return self.residuals(x)
+        except (SolverError, InitialConditionError):
+            return np.full(self.samples, np.inf)
+
+    def _estimated(self, residuals: Vector, loss: str) -> Vector:
+        """Return the standard deviation of the residuals of each output, (outputs,)."""
+        share = 1 - len(self.unknowns.names) / self.samples  # of the degrees of freedom
+        found = np.empty(len(self.names))
+        for i in range(len(self.names)):
+            own = residuals[self.outputs == i]
+            if loss == "linear":
+                found[i] = np.sqrt(np.mean(own**2) / share)
+            else:
+                found[i] = NORMAL * np.median(np.abs(own)) / np.sqrt(share)
+        return found
+
+    def result(self, best: _Solution, confidence: float, reach: float, notes: Sequence[str]) -> Fit:
+        """Return the values with their confidence, and what is not identified."""
+        sizes = self.unknowns.sizes
+        relative = np.where(best.x == 0, 1.0, np.abs(best.x))  # scales of the final values
+        _, singular, rows = np.linalg.svd(best.jacobian * relative, full_matrices=True)
+        rank = int((singular > RANK * singular.max(initial=0.0)).sum())
+        identified = rows[:rank].T / np.where(rank, singular[:rank], 1.0)
+        covariance = identified @ identified.T
+        lost = rows[rank:]
+        unknown = (np.abs(lost) > RANK).any(axis=0)
+        covariance[unknown] = covariance[:, unknown] = np.nan
+        covariance[np.diag_indices(len(sizes))] = np.where(unknown, np.inf, np.diag(covariance))
+        scales = relative * sizes
+        values = self.values(best.x)
+        runs = tuple(self.subject.run(values, r.names, r.time) for r in self.records)
+        return Fit(
+            columns=self.unknowns.columns,
+            x=best.x * sizes,
+            covariance=covariance * scales * scales[:, None],
+            confidence=confidence,
+            reach=reach,
+            rank=rank,
+            unidentified=self._not_identified(rank, lost),
+            notes=(*notes, *self._at_bounds(best)),
+            noise=dict(zip(self.names, best.noise.tolist(), strict=True)),
+            samples=self.samples,
+            start_values=self.fixed,
+            records=self.records,
+            runs=runs,
+            subject=self.subject,
+        )
+
+    def _not_identified(self, rank: int, lost: Vector) -> tuple[str, ...]:
+        """Return sentences on combinations that change no residual, (combinations, unknowns)."""
+        if not len(lost):
+            return ()
+        names = [
+            name
+            for name, share in zip(self.unknowns.names, np.abs(lost).max(axis=0), strict=True)
+            if share > SHARE
+        ]
+        if len(names) == len(lost):
+            return (f"not identified: {', '.join(names)} (the measurements do not depend on it)",)
+        left = len(names) - len(lost)
+        return (
+            f"not identified: of {', '.join(names)} only {left} "
+            f"{'combination' if left == 1 else 'combinations'}; fix {len(lost)} of these values",
+        )
+
+    def _at_bounds(self, best: _Solution) -> list[str]:
+        low, high = self.unknowns.low, self.unknowns.high
+        x = best.x * self.unknowns.sizes
+        near = 1e-6 * np.fmin(high - low, self.unknowns.sizes)
+        at = np.minimum(x - low, high - x) <= near
+        found = [
+            f"{name} ends at its bound {value:.6g}; its interval does not count"
+            for name, value, is_there in zip(self.unknowns.names, x, at, strict=True)
+            if is_there
+        ]
+        return found if best.success else [f"the fit did not converge: {best.message}", *found]
+
+
+EPS = 1e-12  # least noise of an output, in nominal values, so that exact records have weights
+
+
+def _records(subject: Subject, measured: Any) -> tuple[Trajectory, ...]:
+    """Return the records, whose variables are outputs in the model's units.
+
+    Raises:
+        UnknownName, UsageError: A record is none, is empty, or has a variable that does not fit.
+    """
+    found = (measured,) if isinstance(measured, Trajectory) else tuple(measured)
+    if not found or not all(isinstance(record, Trajectory) for record in found):
+        raise UsageError.of_type("fit: measured", measured, "results of Trajectory.read_csv")
+    for record in found:
+        if not len(record) or not record.names:
+            raise UsageError(f"fit: {record.model} holds no measurement")
+        if record.time[0] < 0:
+            raise ParameterError(
+                f"fit: {record.model} begins at {record.time[0]:g} s, before the run; shift its "
+                "times with time_offset of read_csv"
+            )
+        for column in record.columns:
+            unit = subject.column(column.name).unit
+            if column.unit not in (unit, ""):
+                raise UsageError(
+                    f"fit: {column.name} is measured in '{column.unit}', but '{unit}' in "
+                    f"{subject.name}; give the unit of the column"
+                )
+    return found

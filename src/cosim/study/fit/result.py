@@ -1,0 +1,166 @@
+"""`Fit`: values, their confidence, and what the measurements cannot identify."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadi_models.dae import Dae, Start
+from cosim.arrays import Vector
+from cosim.errors import UsageError
+from cosim.files import write_atomically
+from cosim.integrate.keywords import requested
+from cosim.study.fit.subject import ModelSubject, Subject
+from cosim.text import html_table, text_table
+from cosim.trajectory import Column, Trajectory
+from cosim.verify.comparison import Comparison, compare
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters and initial values that fit measurements best.
+
+    Attributes:
+        columns: The fitted variables: name, unit, meaning.
+        x: Their values, SI, (n,).
+        covariance: Covariance of the values, (n, n); infinite for what is not identified.
+        confidence: Probability that an interval contains the value.
+        reach: Half an interval in standard errors.
+        rank: Number of combinations of the values that the measurements identify.
+        unidentified: Sentences on what they do not identify.
+        notes: Sentences on the course of the fit, e.g. a value at its bound.
+        noise: Standard deviation of the noise of each output, SI: given or estimated.
+        samples: Number of measured values.
+        start_values: Further values of the runs, by name.
+        records: The measurements.
+        runs: Run with the fitted values for each record.
+        subject: The model.
+    """
+
+    columns: tuple[Column, ...]
+    x: Vector
+    covariance: Vector
+    confidence: float
+    reach: float
+    rank: int
+    unidentified: tuple[str, ...]
+    notes: tuple[str, ...]
+    noise: Mapping[str, float]
+    samples: int
+    start_values: Mapping[str, float]
+    records: tuple[Trajectory, ...]
+    runs: tuple[Trajectory, ...]
+    subject: Subject
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The fitted values by name, SI."""
+        return {c.name: float(value) for c, value in zip(self.columns, self.x, strict=True)}
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard errors of the values by name, SI."""
+        sizes = np.sqrt(np.diag(self.covariance))
+        return {c.name: float(size) for c, size in zip(self.columns, sizes, strict=True)}
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Confidence intervals by name, SI."""
+        pairs = ((name, self.values[name], self.reach * size) for name, size in self.errors.items())
+        return {name: (value - half, value + half) for name, value, half in pairs}
+
+    @property
+    def correlation(self) -> Vector:
+        """Correlation of the values, (n, n); NaN for what is not identified."""
+        sizes = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            found: Vector = self.covariance / sizes / sizes[:, None]
+        return found
+
+    @property
+    def dae(self) -> Dae:
+        """The model with the fitted values, e.g. for `export_fmu`.
+
+        Raises:
+            UsageError: An FMU was fitted.
+        """
+        values = {**self.start_values, **self.values}
+        return requested(self._model, start_values=values).configured()
+
+    @property
+    def _model(self) -> Dae:
+        if not isinstance(self.subject, ModelSubject):
+            raise UsageError(f"{self.subject.name}: an FMU was fitted; there is no model of it")
+        return self.subject.dae
+
+    def compare(self, record: int = 0, *, bound: float = 0.05) -> Comparison:
+        """Compare the fitted run with a record; see `cosim.compare`."""
+        return compare(self.runs[record], self.records[record], bound=bound)
+
+    def plot(self, target: str | os.PathLike[str] | None = None, record: int = 0) -> Any:
+        """Draw the fitted run, the measurements and the residuals; see `Comparison.plot`."""
+        return self.compare(record).plot(None if target is None else str(target))
+
+    def scene(self) -> str:
+        """Return a scene with the fitted values, as the text of a TOML file."""
+        dae = self._model
+        values = {**self.start_values, **self.values}
+        states = {v.name for v in dae.states if v.start_kind is Start.EXACT}
+        lines = [f'model = "{dae.full_name}"']
+        for section, belongs in (("parameters", False), ("start", True)):
+            chosen = {name: v for name, v in values.items() if (name in states) == belongs}
+            if chosen:
+                lines += ["", f"[{section}]", *(f"{n} = {v!r}" for n, v in chosen.items())]
+        return "\n".join(lines) + "\n"
+
+    def write_scene(self, target: str | os.PathLike[str]) -> None:
+        """Write the scene with the fitted values to a TOML file.
+
+        Raises:
+            ExportError: The file cannot be written.
+        """
+        write_atomically(target, self.scene().encode())
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each value, in display units."""
+        found = []
+        for column, value in zip(self.columns, self.x, strict=True):
+            low, high = self.intervals[column.name]
+            numbers = np.array([value, self.errors[column.name], low, high])
+            shown, error, low, high = (float(number) for number in column.shown(numbers))
+            found.append(
+                {
+                    "name": column.name,
+                    "value": f"{shown:.6g}",
+                    "error": error,
+                    f"{self.confidence:.3g} from": f"{low:.6g}",
+                    "to": f"{high:.6g}",
+                    "unit": column.shown_unit,
+                }
+            )
+        return found
+
+    def __str__(self) -> str:
+        noise = ", ".join(
+            f"{name} {float(self._shown(name, size)):.3g} {self._column(name).shown_unit}"
+            for name, size in self.noise.items()
+        )
+        return (
+            f"{self.subject.name}: {len(self.x)} values fitted to {self.samples} measured ones; "
+            f"residuals (standard deviation): {noise}"
+        )
+
+    def _column(self, name: str) -> Column:
+        return self.runs[0].column(name)
+
+    def _shown(self, name: str, size: float) -> Any:
+        column = self._column(name)
+        return column.shown(np.array(size)) - column.shown(np.array(0.0))
+
+    def __repr__(self) -> str:
+        return "\n".join([str(self), text_table(self.rows()), *self.unidentified, *self.notes])
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows(), str(self))

@@ -1,0 +1,188 @@
+"""`Subject`: a model or an FMU whose outputs are fitted to measurements."""
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadi_models.dae import Dae
+from cosim.arrays import Vector
+from cosim.errors import SolverError, UnknownName
+from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.opened import still_open
+from cosim.fmi.run.request import column_of
+from cosim.fmi.run.simulate import simulate_fmu
+from cosim.integrate.keywords import requested
+from cosim.integrate.run import run
+from cosim.model.catalogue import load
+from cosim.model.reduction import checked_outputs
+from cosim.model.values import settable_variable
+from cosim.study.sensitivity.sensitivity import sensitivity
+from cosim.trajectory import Column, Trajectory
+
+STEP = 1e-4  # step of finite differences, relative to the size of an unknown
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a model declares of a value that may be fitted; SI, or the units of an FMU.
+
+    `start` is NaN where it is calculated.
+    """
+
+    column: Column
+    start: float
+    minimum: float
+    maximum: float
+
+
+class Subject(ABC):
+    """What is fitted.
+
+    Attributes:
+        name: Its name.
+        derivatives: How its derivatives are computed, for the report.
+    """
+
+    name: str
+    derivatives: str
+
+    @abstractmethod
+    def known(self, name: str) -> Known:
+        """Return what is declared of a parameter, a start value or a constant input."""
+
+    @abstractmethod
+    def column(self, name: str) -> Column:
+        """Return the variable of an output."""
+
+    @abstractmethod
+    def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
+        """Return the run with some values at measured times, s."""
+
+    @abstractmethod
+    def slopes(
+        self, values: Mapping[str, float], by: Sequence[str], names: Sequence[str], times: Vector
+    ) -> Vector:
+        """Return the derivatives of outputs by unknowns, (n, outputs, unknowns)."""
+
+
+@dataclass(frozen=True)
+class ModelSubject(Subject):
+    """A model; its derivatives are those of the variational equations, events included."""
+
+    dae: Dae
+    settings: Mapping[str, Any]
+    derivatives = "variational equations"
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Name of the model."""
+        return self.dae.full_name
+
+    def known(self, name: str) -> Known:
+        """See `Subject`."""
+        v = settable_variable(self.dae, name)
+        column = Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
+        start = np.nan if v.start is None else float(v.start)
+        return Known(column, start, v.minimum, v.maximum)
+
+    def column(self, name: str) -> Column:
+        """See `Subject`."""
+        checked_outputs(self.dae, [name])
+        v = self.dae.watching([name]).variable(name)
+        return Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
+
+    def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
+        """See `Subject`."""
+        keywords = {"outputs": names, "output_times": times, **self.settings}
+        return run(requested(self.dae, start_values=values, **keywords))
+
+    def slopes(
+        self, values: Mapping[str, float], by: Sequence[str], names: Sequence[str], times: Vector
+    ) -> Vector:
+        """See `Subject`."""
+        found = sensitivity(
+            self.dae,
+            outputs=names,
+            with_respect_to=by,
+            start_values=values,
+            output_times=times,
+            check=False,
+            **self.settings,
+        )
+        if len(found.values) < len(times):
+            raise SolverError(f"{self.name}: the run stops before the last measurement")
+        return found.values
+
+
+@dataclass(frozen=True)
+class FmuSubject(Subject):
+    """An FMU; its derivatives are finite differences of its runs."""
+
+    path: str
+    settings: Mapping[str, Any]
+    derivatives = "finite differences of runs of the FMU"
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Path of the FMU."""
+        return self.path
+
+    def _variable(self, name: str) -> Any:
+        variables = by_name(still_open(self.path, None).description)
+        if name not in variables:
+            raise UnknownName.among(self.path, "variable", name, variables)
+        return variables[name]
+
+    def known(self, name: str) -> Known:
+        """See `Subject`."""
+        variable = self._variable(name)
+        low, high = (
+            other if text is None else float(text)
+            for text, other in ((variable.min, -np.inf), (variable.max, np.inf))
+        )
+        return Known(column_of(variable), float(variable.start or 0.0), low, high)
+
+    def column(self, name: str) -> Column:
+        """See `Subject`."""
+        return column_of(self._variable(name))
+
+    def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
+        """See `Subject`."""
+        stop = float(times[-1])
+        found = simulate_fmu(
+            self.path,
+            start_values=values,
+            stop_time=stop,
+            output_interval=min(stop / 500, float(np.median(np.diff(times)))),
+            outputs=names,
+            **self.settings,
+        )
+        sampled: Trajectory = found.at(times)
+        return sampled
+
+    def slopes(
+        self, values: Mapping[str, float], by: Sequence[str], names: Sequence[str], times: Vector
+    ) -> Vector:
+        """See `Subject`."""
+        columns = []
+        for name in by:
+            step = STEP * (abs(values[name]) or self.known(name).column.nominal)
+            after, before = (
+                self.run({**values, name: values[name] + shift}, names, times).values
+                for shift in (step, -step)
+            )
+            columns.append((after - before) / (2 * step))
+        return np.stack(columns, axis=-1)
+
+
+def subject_of(model: Dae | str | os.PathLike[str], settings: Mapping[str, Any]) -> Subject:
+    """Return what is fitted, from a model, its name, or the file of an FMU."""
+    if isinstance(model, Dae):
+        return ModelSubject(model, settings)
+    if str(model).endswith(".fmu"):
+        return FmuSubject(str(model), settings)
+    return ModelSubject(load(str(model)), settings)

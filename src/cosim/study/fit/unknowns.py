@@ -1,0 +1,113 @@
+"""`Unknowns`: the values that a fit varies, with their bounds and initial values."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import ParameterError, UsageError
+from cosim.model.values import number
+from cosim.study.fit.subject import Subject
+from cosim.study.sweep.samples import design
+from cosim.trajectory import Column
+
+DECADES = 100.0  # ratio of positive bounds from which the middle is the geometric mean
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """The values that a fit varies.
+
+    Attributes:
+        columns: Their names, units and meanings.
+        initial: Initial values, (n,).
+        low, high: Bounds, (n,).
+    """
+
+    columns: tuple[Column, ...]
+    initial: Vector
+    low: Vector
+    high: Vector
+
+    @classmethod
+    def of(cls, subject: Subject, given: Any, fixed: Mapping[str, float]) -> "Unknowns":
+        """Return the unknowns that a user names; see `fit`."""
+        if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
+            raise UsageError.of_type("fit: parameters", given, "names, or bounds by name")
+        if not given:
+            raise UsageError("fit: nothing is unknown; name parameters or start values to fit")
+        asked = dict(given) if isinstance(given, Mapping) else dict.fromkeys(given)
+        columns, rows = [], []
+        for name, what in asked.items():
+            if name in fixed:
+                raise UsageError(f"fit: {name} is in parameters and in start_values; give it once")
+            known = subject.known(name)
+            columns.append(known.column)
+            rows.append(_row(name, what, known.start, (known.minimum, known.maximum)))
+        initial, low, high = np.array(rows).T
+        return cls(tuple(columns), initial, low, high)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def sizes(self) -> Vector:
+        """Magnitudes of the unknowns by which the fit scales them, (n,)."""
+        nominal = np.array([column.nominal for column in self.columns])
+        return np.where(self.initial == 0, nominal, np.abs(self.initial))
+
+    def starts(self, count: int, seed: int) -> Vector:
+        """Return the initial values, and further ones of a Latin hypercube, (count, n).
+
+        Raises:
+            ParameterError: Some bounds are not finite.
+        """
+        if count == 1:
+            return self.initial[None]
+        spans = zip(self.names, self.low, self.high, strict=True)
+        ranges = {name: (float(low), float(high)) for name, low, high in spans}
+        for name, span in ranges.items():
+            if not np.all(np.isfinite(span)):
+                raise ParameterError(
+                    f"fit: several starts need bounds of {name}; give {name} = (low, high)"
+                )
+        table = design("lhs", count - 1, ranges, seed=seed).columns
+        return np.vstack((self.initial, np.column_stack([table[name] for name in self.names])))
+
+
+def _row(
+    name: str, what: Any, start: float, bounds: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Return initial value and bounds of an unknown."""
+    if what is None:
+        if np.isnan(start):
+            raise ParameterError(f"fit: {name} has no initial value of its own; give one")
+        return start, *bounds
+    if np.ndim(what) == 0:
+        start = number("fit", name, what)
+        if not bounds[0] <= start <= bounds[1]:
+            raise ParameterError(
+                f"fit: {name} = {start:g} is outside its bounds {bounds[0]:g} ... {bounds[1]:g}"
+            )
+        return start, *bounds
+    parts = [number("fit", name, part) for part in what]
+    if len(parts) not in (2, 3) or not all(np.diff(parts) > 0):
+        raise ParameterError(
+            f"fit: {name} = {tuple(what)}: give (low, high) or (low, initial value, high), each "
+            "above the one before"
+        )
+    low, high = max(parts[0], bounds[0]), min(parts[-1], bounds[1])
+    if not low < high:
+        raise ParameterError(
+            f"fit: {name} = {tuple(what)} is outside its bounds {bounds[0]:g} ... {bounds[1]:g}"
+        )
+    if len(parts) == 3:
+        start = parts[1]
+    elif not low < start < high:
+        wide = low > 0 and high > DECADES * low
+        start = float(np.sqrt(low * high)) if wide else (low + high) / 2
+    return float(np.clip(start, low, high)), low, high

@@ -1,0 +1,114 @@
+"""`equilibrium`: the steady or periodic motion that Newton's method finds near a state."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from casadi_models.dae import Dae
+from cosim.arrays import Truths, Vector
+from cosim.codegen.initialization import law_of_knowns
+from cosim.errors import InitialConditionError
+from cosim.model.values import Values
+from cosim.study.linearize.spectrum import without_influence
+
+MOST_NEWTON_STEPS = 60
+
+Motion = Callable[[Vector], tuple[Vector, Vector]]
+
+
+def equilibrium(
+    dae: Dae, x: Vector, values: Values, motion: Motion, depends: Truths, kind: str, accuracy: float
+) -> tuple[Vector, str]:
+    """Return the steady state that Newton's method reaches, and its description.
+
+    If several states can move, the step of least norm is taken. Invariants stay zero. Cyclic
+    states retain their values, and their rates need not vanish.
+
+    Args:
+        dae: The model.
+        x: The state at which Newton's method begins.
+        values: Values of inputs and parameters.
+        motion: Rates of a state, and their derivatives by the states.
+        depends: Whether a rate depends on a state.
+        kind: What is found, "equilibrium".
+        accuracy: Largest rate of a state at rest, in nominal values per second.
+
+    Raises:
+        InitialConditionError: There is none.
+    """
+    cyclic, driven = without_influence(depends), [bool(row.any()) for row in depends]
+    free = [i for i in range(len(x)) if i not in cyclic]
+    search = _Search(dae, values, motion, kind, accuracy)
+    # A state whose rate depends on no state, e.g. a prescribed speed, retains its value, unless
+    # there is no equilibrium with it
+    try:
+        return search.rest(x, free, [i for i in free if driven[i]])
+    except InitialConditionError:
+        return search.rest(x, free, free)
+
+
+@dataclass(frozen=True)
+class _Search:
+    dae: Dae
+    values: Values
+    motion: Motion
+    kind: str
+    accuracy: float
+
+    def rest(self, x: Vector, resting: list[int], movable: list[int]) -> tuple[Vector, str]:
+        """Return the state in which the `resting` states are at rest, and its description.
+
+        Newton's method changes the `movable` ones only; both are indices of states.
+        """
+        dae, values = self.dae, self.values
+        sizes = np.array([v.nominal for v in dae.states])
+        nominal = sizes[movable]
+        residual = ca.vertcat(SX(0, 1), *(invariant.residual for invariant in dae.invariants))
+        law = law_of_knowns(dae, "law", residual, ca.jacobian(residual, dae.x))
+
+        def defect(x: Vector) -> tuple[Vector, Vector]:
+            rates, jacobian = self.motion(x)
+            left, slope = (np.array(block) for block in law(0.0, x, values.u, values.p))
+            rows = np.concatenate(((rates / sizes)[resting], left.ravel()))
+            by_x = (jacobian / sizes[:, None])[np.ix_(resting, movable)]
+            return rows, np.vstack((by_x, slope[:, movable])) * nominal
+
+        start, (rows, slope) = x, defect(x)
+        for step in range(MOST_NEWTON_STEPS):
+            if np.abs(rows).max(initial=0.0) <= self.accuracy:
+                moved = np.abs(x - start)[movable] / nominal
+                if not moved.size or moved.max() == 0:
+                    return x, f"its initial state, {_article(self.kind)}"
+                most = movable[int(moved.argmax())]
+                name, unit = dae.states[most].name, dae.states[most].unit
+                return x, (
+                    f"{_article(self.kind)}, {step} steps of Newton's method from the initial "
+                    f"state ({name} = {x[most]:.6g} {unit} instead of {start[most]:.6g})"
+                )
+            change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
+            for _ in range(30):
+                trial = x.copy()
+                trial[movable] += change
+                found = defect(trial)
+                if np.linalg.norm(found[0]) < np.linalg.norm(rows):
+                    break
+                change = change / 2
+            else:
+                break
+            x, (rows, slope) = trial, found
+        worst = int(np.abs(rows).argmax())
+        is_state = worst < len(resting)
+        what = dae.states[resting[worst]].name if is_state else "a constraint"
+        raise InitialConditionError(
+            f"{dae.full_name}: there is no {self.kind} near the initial state: {what} cannot come "
+            f"to rest (its rate is {rows[worst]:.3g} nominal values per second where Newton's "
+            "method stops); start nearer to it, or change the parameters and inputs that drive "
+            "the model"
+        )
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeio' else 'a'} {noun}"

@@ -1,0 +1,200 @@
+"""The period of a model's samples and of its coefficients in time."""
+
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from math import inf, isfinite, pi
+from typing import NamedTuple
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae import Dae
+from casadi_models.dae.expressions import operations
+from casadi_models.dae.relations import applied, replayed
+from cosim.errors import InitialConditionError
+from cosim.model.values import Values
+
+MOST_PERIODS = 1000  # of one period, in a common period
+SAME_RATIO = 1e-12  # relative difference of equal ratios of periods
+
+
+class Samples(NamedTuple):
+    """The times offset, offset + period, ... of an event, s."""
+
+    period: float
+    offset: float
+
+    def within(self, begin: float, end: float, *, at_begin: bool) -> Iterator[float]:
+        """Yield the times from `begin` to `end`: with one of the two, as `at_begin` says."""
+        count = round((begin - self.offset) / self.period) - 1
+        near = 1e-9 * self.period
+        while (time := self.offset + count * self.period) <= end + near:
+            count += 1
+            first, last = abs(time - begin) <= near, abs(time - end) <= near
+            if first or last:
+                if first == at_begin and not (first and last):
+                    yield begin if first else end
+            elif time > begin:
+                yield time
+
+
+class _InTime(NamedTuple):
+    """How an expression depends on explicit time.
+
+    After a common multiple T of the periods, it has grown by slope T.
+
+    Attributes:
+        number: Its value if it is constant; otherwise None.
+        slope: Mean rate, 1/s; not a number for any other law.
+        periods: Periods, s.
+    """
+
+    number: float | None
+    slope: float
+    periods: frozenset[float]
+
+    @property
+    def is_periodic(self) -> bool:
+        return self.slope == 0
+
+
+_APERIODIC = _InTime(None, float("nan"), frozenset())
+
+
+def period_of(dae: Dae, values: Values) -> float | None:
+    """Return the common period of samples and coefficients, s; None for a model without.
+
+    Raises:
+        InitialConditionError: The linear system depends on time, but has no period.
+    """
+    samples = [of_samples(dae, i, values) for i, e in enumerate(dae.events) if e.sampled]
+    periods = {found.period for found in samples}
+    if _varies_in_time(dae):
+        own = _in_time(dae, values, ca.vertcat(dae.ode, dae.alg))
+        if not all(law.is_periodic for law in own):
+            names = [v.name for v in dae.states] + [v.name for v in dae.algebraics]
+            wrong = next(name for name, law in zip(names, own, strict=True) if not law.is_periodic)
+            raise InitialConditionError(
+                f"{dae.full_name}: the equation of {wrong} depends on time without a period, so "
+                "that no eigenvalues tell whether the motion is stable; replace time in it by a "
+                "parameter or an input"
+            )
+        periods = periods.union(*(law.periods for law in own))
+    if not periods:
+        return None
+    others = [event.name for event in dae.events if not event.sampled and not event.message]
+    if others:
+        raise InitialConditionError(
+            f"{dae.full_name}: the event '{others[0]}' may happen within a period, so that the "
+            "linear map over the period is not known; linearize the model without this event"
+        )
+    return _common(dae, sorted(periods))
+
+
+def of_samples(dae: Dae, i: int, values: Values) -> Samples:
+    """Return the sample times of an event, by its position."""
+    count = dae.events[i].condition
+    assert count.op() == ca.OP_FLOOR
+    law = ca.Function("law", [dae.t, dae.p], [count.dep(0)])
+    begin, later = (float(law(t, values.p)) for t in (0.0, 1.0))
+    period = 1 / (later - begin)
+    return Samples(period, -begin * period)
+
+
+def _varies_in_time(dae: Dae) -> bool:
+    """Tell whether the linear system of the rates depends on explicit time."""
+    laws, knowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(dae.x, dae.z, dae.u)
+    if not ca.depends_on(laws, dae.t):
+        return False
+    slopes = ca.jacobian(laws, knowns)
+    return bool(ca.depends_on(slopes, ca.vertcat(dae.t, dae.x, dae.z)))
+
+
+def _common(dae: Dae, periods: Sequence[float]) -> float:
+    """Return the common period of several ones, s."""
+    longest, multiple = periods[-1], 1
+    for period in periods:
+        ratio = longest / period
+        near = Fraction(ratio).limit_denominator(MOST_PERIODS)
+        if abs(float(near) - ratio) > SAME_RATIO * ratio or near.numerator > MOST_PERIODS**2:
+            raise InitialConditionError(
+                f"{dae.full_name}: the periods {period:.9g} s and {longest:.9g} s have no common "
+                "period, so that there is no linear map over one; choose periods with a ratio of "
+                "small integers"
+            )
+        multiple = multiple * near.denominator // _divisor(multiple, near.denominator)
+    return longest * multiple
+
+
+def _divisor(a: int, b: int) -> int:
+    return a if b == 0 else _divisor(b, a % b)
+
+
+def _in_time(dae: Dae, values: Values, laws: SX) -> list[_InTime]:
+    """Return how each law of a model depends on explicit time."""
+    if ca.OP_CALL in operations(laws):
+        return [_APERIODIC] * laws.numel()
+    function = ca.Function("laws", dae.arguments, [ca.densify(laws)], {"cse": True})
+    numbers = {3: values.u, 4: values.p}
+
+    def symbol(argument: int, row: int) -> _InTime:
+        if argument == 0:
+            return _InTime(None, 1.0, frozenset())
+        if argument in numbers:
+            return _number(numbers[argument][row])
+        return _InTime(None, 0.0, frozenset())
+
+    (rows,) = replayed(function, symbol, lambda value: _number(float(value)), _result)
+    return rows
+
+
+def _number(value: float) -> _InTime:
+    return _InTime(float(value), 0.0, frozenset())
+
+
+def _result(code: int, terms: Sequence[_InTime]) -> _InTime:
+    """Return how the result of an operation depends on time."""
+    numbers = [term.number for term in terms if term.number is not None]
+    if len(numbers) == len(terms):
+        return _number(float(applied(code, [SX(number) for number in numbers])))
+    periods = frozenset[float]().union(*(term.periods for term in terms))
+    if code in _LINEAR:
+        slope = _LINEAR[code](*terms)
+        return _InTime(None, slope, periods) if isfinite(slope) else _APERIODIC
+    first, a = terms[0], abs(terms[0].slope)
+    if a and isfinite(a):
+        if code in (ca.OP_SIN, ca.OP_COS):
+            return _InTime(None, 0.0, periods | {2 * pi / a})
+        if code == ca.OP_TAN:
+            return _InTime(None, 0.0, periods | {pi / a})
+        if code in (ca.OP_FLOOR, ca.OP_CEIL):
+            return _InTime(None, first.slope, periods | {1 / a})
+        if code in (ca.OP_FMOD, ca.OP_REMAINDER) and terms[1].number:
+            return _InTime(None, 0.0, periods | {abs(terms[1].number) / a})
+    if all(term.is_periodic for term in terms):
+        return _InTime(None, 0.0, periods)
+    return _APERIODIC
+
+
+def _product(a: _InTime, b: _InTime) -> float:
+    if a.number is not None:
+        return a.number * b.slope
+    if b.number is not None:
+        return a.slope * b.number
+    return 0.0 if a.is_periodic and b.is_periodic else inf
+
+
+def _quotient(a: _InTime, b: _InTime) -> float:
+    if b.number is not None:
+        return a.slope / b.number if b.number else inf
+    return 0.0 if a.is_periodic and b.is_periodic else inf
+
+
+_LINEAR: dict[int, Callable[..., float]] = {
+    ca.OP_ADD: lambda a, b: a.slope + b.slope,
+    ca.OP_SUB: lambda a, b: a.slope - b.slope,
+    ca.OP_NEG: lambda a: -a.slope,
+    ca.OP_TWICE: lambda a: 2 * a.slope,
+    ca.OP_MUL: _product,
+    ca.OP_DIV: _quotient,
+}

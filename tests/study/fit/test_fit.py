@@ -1,0 +1,242 @@
+"""`cosim.fit`: values, their confidence, and what the measurements cannot identify."""
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import cosim
+from cosim.cli.main import main
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.series.samples import Column
+from cosim.study.fit.fit import fit
+from cosim.trajectory import Trajectory
+
+TIMES = np.linspace(0, 2, 41)
+
+
+def decay():
+    model = cosim.Model("decay", stop_time=2.0)
+    x = model.state("x", "m", 1.0, "x")
+    k = model.parameter("k", "1/s", 1.0, "rate")
+    scale = model.parameter("scale", "1", 1.0, "scale")
+    share = model.parameter("share", "1", 1.0, "share")
+    idle = model.parameter("idle", "1", 1.0, "no influence")
+    model.derivative(x, -k * x + 0 * idle * ca.sin(x))
+    model.output("y", "m", scale * share * x, "y")
+    return model.freeze()
+
+
+DECAY = decay()
+
+
+def record(columns, times=TIMES, name="record"):
+    """A measured record of columns by name."""
+    own = tuple(Column(n, "m") for n in columns)
+    return Trajectory(name, times, own, np.column_stack([*columns.values()]))
+
+
+def noisy(seed, k=2.0, start=3.0, size=0.05):
+    noise = np.random.default_rng(seed).normal(0, size, len(TIMES))
+    return record({"x": start * np.exp(-k * TIMES) + noise})
+
+
+def linear_theory(k=2.0, start=3.0, size=0.05):
+    """Covariance of k and the start value by the Cramer-Rao bound."""
+    jacobian = np.column_stack((-start * TIMES * np.exp(-k * TIMES), np.exp(-k * TIMES)))
+    return size**2 * np.linalg.inv(jacobian.T @ jacobian)
+
+
+def test_exact_record_gives_the_values_that_made_it():
+    found = fit(DECAY, noisy(0, size=0.0), {"k": (0.1, 10.0), "x": None})
+    assert found.values == pytest.approx({"k": 2.0, "x": 3.0}, rel=1e-6)  # measured 4e-9
+    assert found.rank == 2
+    assert not found.unidentified
+
+
+def test_values_of_many_records_have_the_covariance_of_the_cramer_rao_bound():
+    found = [fit(DECAY, noisy(seed), {"k": 1.0, "x": 1.0}) for seed in range(20)]
+    bound = linear_theory()
+    truth = np.array([2.0, 3.0])
+    apart = np.array([one.x - truth for one in found])
+    normalized = np.einsum("ri,ij,rj->r", apart, np.linalg.inv(bound), apart)
+    assert 0.8 < normalized.mean() < 3.5  # of chi squared with 2 degrees: 2
+    sizes = np.mean([np.diag(one.covariance) for one in found], axis=0)
+    np.testing.assert_allclose(sizes, np.diag(bound), rtol=0.2)
+    inside = [
+        low <= value <= high
+        for one in found
+        for (low, high), value in zip(one.intervals.values(), truth, strict=True)
+    ]
+    assert np.mean(inside) >= 0.85  # of 95 %
+
+
+def test_restitution_of_a_bouncing_ball_is_found_through_its_impacts():
+    model = cosim.Model("ball", stop_time=2.0)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    e = model.parameter("restitution", "1", 0.7, "restitution")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.when(h < 0, {v: -e * v}, name="impact")
+    dae, times = model.freeze(), np.linspace(0, 1.0, 51)
+    truth = cosim.simulate(dae, start_values={"restitution": 0.8}, output_times=times)
+    measured = truth.select(["h"])
+    found = fit(dae, measured, {"restitution": (0.5, 0.75, 0.95)})
+    assert found.values["restitution"] == pytest.approx(0.8, abs=1e-7)  # measured 1e-10
+
+
+def test_product_of_two_values_is_identified_and_not_its_factors():
+    y = record({"y": 6.0 * np.exp(-2.0 * TIMES)})
+    found = fit(DECAY, y, {"k": 1.0, "scale": 2.0, "share": 2.0})
+    assert found.rank == 2
+    (sentence,) = found.unidentified
+    assert sentence.startswith("not identified: of scale, share only 1 combination; fix 1")
+    assert found.errors["scale"] == np.inf
+    assert found.errors["k"] < 1e-3
+    assert found.values["scale"] * found.values["share"] == pytest.approx(6.0, rel=1e-6)
+
+
+def test_value_without_influence_is_named():
+    found = fit(DECAY, noisy(1), ["k", "idle"], start_values={"x": 3.0})
+    assert found.unidentified == ("not identified: idle (the measurements do not depend on it)",)
+    assert np.isfinite(found.errors["k"])
+
+
+def test_gaps_are_left_out_and_several_records_count_together():
+    first, second = noisy(2), noisy(3)
+    values = first.values.copy()
+    values[5:20] = np.nan
+    gapped = Trajectory("gapped", first.time, first.columns, values)
+    found = fit(DECAY, [gapped, second], {"k": 1.0, "x": 1.0})
+    assert found.samples == 2 * len(TIMES) - 15
+    assert len(found.runs) == 2
+    assert found.values == pytest.approx({"k": 2.0, "x": 3.0}, rel=0.05)
+
+
+def test_robust_loss_is_not_moved_by_outliers():
+    outliers = noisy(4)
+    values = outliers.values.copy()
+    values[::8] += 2.0
+    spoiled = Trajectory("spoiled", outliers.time, outliers.columns, values)
+    plain, robust = (
+        fit(DECAY, spoiled, {"k": 1.0, "x": 1.0}, loss=loss).values["k"]
+        for loss in ("linear", "cauchy")
+    )
+    assert abs(robust - 2.0) < 0.1 < abs(plain - 2.0)
+
+
+def test_each_output_is_weighted_by_its_own_noise():
+    generator = np.random.default_rng(5)
+    exact = 3.0 * np.exp(-2.0 * TIMES)
+    both = record(
+        {
+            "x": exact + generator.normal(0, 0.5, len(TIMES)),
+            "y": exact + generator.normal(0, 0.01, len(TIMES)),
+        }
+    )
+    found = fit(DECAY, both, {"k": 1.0, "x": 1.0})
+    assert found.noise == pytest.approx({"x": 0.5, "y": 0.01}, rel=0.3)
+    given = fit(DECAY, both, {"k": 1.0, "x": 1.0}, noise={"x": 0.5, "y": 0.01})
+    assert given.noise == {"x": 0.5, "y": 0.01}
+    assert given.values == pytest.approx(found.values, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_several_starts_find_the_frequency_that_one_misses():
+    model = cosim.Model("wave", stop_time=2.0)
+    x, v = model.state("x", "m", 1.0, "x"), model.state("v", "m/s", 0.0, "v")
+    w = model.parameter("w", "rad/s", 2.0, "frequency")
+    model.derivative(x, v)
+    model.derivative(v, -(w**2) * x)
+    dae, wave = model.freeze(), record({"x": np.cos(20 * TIMES)})
+    assert abs(fit(dae, wave, {"w": (1.0, 2.0, 40.0)}).values["w"] - 20) > 1
+    assert fit(dae, wave, {"w": (1.0, 40.0)}, starts=16).values["w"] == pytest.approx(20, abs=1e-6)
+
+
+def test_value_at_its_bound_is_named():
+    found = fit(DECAY, noisy(6), {"k": (0.1, 1.0), "x": None})
+    assert found.values["k"] == pytest.approx(1.0, rel=1e-5)
+    assert any(note.startswith("k ends at its bound 1") for note in found.notes)
+
+
+def test_fitted_model_starts_with_the_fitted_values():
+    found = fit(DECAY, noisy(7), {"k": 1.0, "x": 1.0})
+    assert found.dae.variable("k").start == found.values["k"]
+    again = cosim.simulate(found.dae, output_times=TIMES, outputs=["x"])
+    np.testing.assert_allclose(again["x"], found.runs[0]["x"], rtol=1e-6)
+    assert found.compare(bound=0.2).agrees
+
+
+@pytest.mark.slow
+def test_fmu_is_fitted_by_finite_differences(tmp_path):
+    path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")
+    found = fit(path, noisy(8), {"k": (0.1, 10.0), "x": 1.0})
+    model = fit(DECAY, noisy(8), {"k": (0.1, 10.0), "x": 1.0})
+    assert found.values == pytest.approx(model.values, rel=1e-4)
+    assert found.subject.derivatives.startswith("finite differences")
+    with pytest.raises(UsageError, match="there is no model of it"):
+        found.scene()
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "text"),
+    [
+        ({"parameters": {"kk": None}}, UnknownName, "did you mean k"),
+        ({"parameters": {}}, UsageError, "nothing is unknown"),
+        ({"parameters": "k"}, UsageError, "parameters"),
+        ({"parameters": {"k": (2.0, 1.0)}}, ParameterError, r"give \(low, high\)"),
+        ({"parameters": {"k": np.nan}}, ParameterError, "not finite"),
+        ({"parameters": ["k"], "start_values": {"k": 1.0}}, UsageError, "give it once"),
+        ({"parameters": ["k"], "starts": 3}, ParameterError, "need bounds of k"),
+        ({"parameters": ["k"], "starts": 0}, ParameterError, "1 or more"),
+        ({"parameters": ["k"], "loss": "hubber"}, UnknownName, "did you mean huber"),
+        ({"parameters": ["k"], "noise": {"x": 0.0}}, ParameterError, "not positive"),
+        ({"parameters": ["k"], "noise": {"z": 1.0}}, UnknownName, "measured variable"),
+        ({"parameters": ["k"], "confidence": 1.0}, ParameterError, "between 0 and 1"),
+        ({"measured": []}, UsageError, "measured"),
+        ({"measured": record({"q": TIMES})}, UnknownName, "q"),
+        ({"measured": record({"x": TIMES[:1]}, TIMES[:1])}, ParameterError, "cannot determine"),
+        ({"measured": record({"x": TIMES}, TIMES - 1)}, ParameterError, "before the run"),
+    ],
+)
+def test_wrong_arguments_are_rejected(changed, error, text):
+    options = {"measured": noisy(0), "parameters": ["k"], **changed}
+    with pytest.raises(error, match=text):
+        fit(DECAY, options.pop("measured"), options.pop("parameters"), **options)
+
+
+def test_command_fits_a_german_csv_file_and_writes_a_scene(tmp_path, capsys):
+    times = np.linspace(0, 1, 21)
+    rows = [f"{1000 * t - 500:.3f};{np.degrees(50 * t + 5 * t * t):.9f}" for t in times]
+    text = "Zeit [ms];Winkel [deg]\n" + "\n".join(rows).replace(".", ",") + "\n"
+    data, scene, picture = (tmp_path / name for name in ("d.csv", "fitted.toml", "fit.png"))
+    data.write_text(text)
+    words = ["fit", "crank_shaft", str(data), "-p", "alpha=1rad/s2:50rad/s2", "--free", "omega"]
+    words += ["--column", "phi=Winkel", "--time", "Zeit", "--time-offset=500ms"]
+    assert main([*words, "-o", str(scene), "--figure", str(picture)]) == 0
+    shown = capsys.readouterr()
+    assert "2 values fitted to 21 measured ones" in shown.out
+    assert picture.stat().st_size > 1000
+    fitted = cosim.read_scene(scene).request.values
+    assert fitted == pytest.approx({"alpha": 10.0, "omega": 50.0}, rel=1e-6)
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rank"] == 2
+
+
+def test_command_draws_measurements_over_a_run(tmp_path):
+    data, picture = tmp_path / "d.csv", tmp_path / "d.png"
+    data.write_text("time;angle\n0;0\n0,5;25\n")
+    words = [
+        "plot",
+        "crank_shaft",
+        "--data",
+        str(data),
+        "--column",
+        "phi=angle",
+        "-o",
+        str(picture),
+    ]
+    assert main(words) == 0
+    assert picture.stat().st_size > 1000
+    assert main([*words[:2], "bicycle", *words[2:]]) == 2
