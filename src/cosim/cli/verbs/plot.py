@@ -12,6 +12,7 @@ from cosim.cli.tables import note
 from cosim.errors import UsageError
 from cosim.plotting import picture_format, require_screen, save, show
 from cosim.present.figures import draw_figures, draw_overlay, shared_specs
+from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
@@ -31,18 +32,7 @@ def run(args: argparse.Namespace) -> int:
     if args.outputs:  # of results, too
         runs = [run.select(names_in(args.outputs)) for run in runs]
     specified = next((scene.figures for scene in scenes if scene and scene.figures), ())
-    if args.data is not None:
-        figures = [_compared(args, runs)]
-    elif len(runs) > 1:
-        specs, notes = shared_specs(specified, runs)
-        note(args, *notes)
-        compared = args.compare is not None
-        if compared and len(runs) == 2:
-            figures = draw_figures(specs, *runs)
-        else:
-            figures = draw_overlay(specs, runs, differences=compared)
-    else:
-        figures = draw_figures(specified, runs[0]) if specified else overview(runs[0])
+    figures = _figures(args, specified, runs)
     if size is not None:
         for figure in figures:
             figure.set_size_inches(size)
@@ -56,6 +46,22 @@ def run(args: argparse.Namespace) -> int:
     else:
         note(args, *paths)
     return code
+
+
+def _figures(
+    args: argparse.Namespace, specified: tuple[FigureSpec, ...], runs: list[Trajectory]
+) -> list[Figure]:
+    """Return the pictures of one run, or of several over each other."""
+    if args.data is not None:
+        return [_compared(args, runs)]
+    if len(runs) == 1:
+        return draw_figures(specified, runs[0]) if specified else overview(runs[0])
+    specs, notes = shared_specs(specified, runs)
+    note(args, *notes)
+    compared = args.compare is not None
+    if compared and len(runs) == 2:
+        return draw_figures(specs, *runs)
+    return draw_overlay(specs, runs, differences=compared)
 
 
 def _compared(args: argparse.Namespace, runs: list[Trajectory]) -> Figure:
