@@ -9,7 +9,7 @@ from cosim.integrate.engine import Counts, Engine, Filled
 
 
 def engine(points, reached):
-    def direct(x0, z0, p, u, states, algebraics):
+    def direct(x0, z0, p, u, states, algebraics, left):
         states.fill(7.0)  # as memory may hold, from earlier runs
         states[:reached] = np.arange(reached)[:, None]
         return Filled(reached == points, reached)

@@ -264,6 +264,7 @@ class _Course:
             first: The one of them that was located; -1 for none.
         """
         if self.kernel is None:
+            self.at = at
             values = Values(at.x, self.values.p, at.u)
             self.at = replace(at, z=algebraic_values(self.dae, at.t, at.x, values))
             self._write(at.t)

@@ -14,6 +14,7 @@ from helpers.oscillators import oscillator
 
 from cosim.api import simulate
 from cosim.codegen.compiler import find_compiler
+from cosim.codegen.kernel_library import NO_LAWS
 from cosim.codegen.runge_kutta import dop853
 from cosim.codegen.runge_kutta.explicit_library import (
     _solver_text,
@@ -203,10 +204,6 @@ static int rhs_work(long long *a, long long *r, long long *i, long long *w) {
 #define NZ 1
 #define NU 1
 #define NC 1
-#define RELATIONS 0
-#define MODES 0
-#define EVENTS 0
-#define ASSIGNED 0
 """
 
 
@@ -231,7 +228,8 @@ def test_c_code_is_clean(solver, projected, tmp_path):
     project = ca.Function("project", [x, c], [x, 0]) if projected else None
     chosen = SOLVERS[solver]
     method = dop853_method() if chosen.adaptive else fixed_step_method(tableau_of(chosen))
-    parts = [TOY, TOY_PROJECTION * projected, _solver_text(method, project)]
+    text = _solver_text(method, project, None, NO_LAWS)
+    parts = [TOY, NO_LAWS.sizes, TOY_PROJECTION * projected, text]
     source = Path(tmp_path / "code.c")
     source.write_text("\n".join(parts))
     flags = "-std=c11 -O2 -Wall -Wextra -Wpedantic -Wconversion"
