@@ -1,6 +1,6 @@
 """The laws of a model for the kernel of events (fmu/solvers/hybrid): functions and tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import accumulate
 
 import casadi as ca
@@ -79,16 +79,6 @@ def law_tables(system: Hybrid, storage: str = "") -> str:
         "int barriers": [i for own in barriers for i in own],
         "int bounded": system.time_bounds.relations,
     }
-    return _tables(relations, rules, numbers, storage)
-
-
-def _tables(
-    relations: Sequence[tuple[int, ...]],
-    rules: Sequence[tuple[int, ...]],
-    numbers: Mapping[str, Sequence[int]],
-    storage: str,
-) -> str:
-    """Return the definitions of the tables; none of them is empty, as C knows no empty array."""
     tables = [
         _rows(f"{storage}const Relation relations", relations),
         _rows(f"{storage}const Rule rules", rules),
@@ -98,6 +88,7 @@ def _tables(
 
 
 def _rows(head: str, rows: Sequence[tuple[int, ...]]) -> str:
+    """Return a table that is not empty, as C knows no empty array."""
     width = 6  # members of either structure
     every = [*rows, (0,) * width]
     lines = (f"    {{{', '.join(str(int(value)) for value in row)}}},\n" for row in every)
@@ -109,8 +100,6 @@ def _numbers(head: str, values: Sequence[int]) -> str:
 
 
 TABLES = ("relations", "rules", "assigned", "adds", "barriers", "bounded")
-_NUMBERS = ("int assigned", "bool adds", "int barriers", "int bounded")
-NO_TABLES = _tables([], [], dict.fromkeys(_NUMBERS, ()), "static ")  # of a smooth model
 
 
 @cached_per_thread(16)

@@ -9,7 +9,7 @@ from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key, generated, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
-from cosim.codegen.hybrid_laws import NO_TABLES, TABLES, law_functions, law_sizes, law_tables
+from cosim.codegen.hybrid_laws import TABLES, law_functions, law_sizes, law_tables
 from cosim.codegen.initialization import algebraic_function
 from cosim.memo import cached_per_thread
 
@@ -41,7 +41,7 @@ NO_LAWS = LawText(
     [],
     "".join(f"#define {name} 0\n" for name in ("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED"))
     + "".join(f"#define LAWS_{name} 1\n" for name in ("ARG", "RES", "IW", "W")),
-    f"{NO_TABLES}static const ModelLaws model_laws = {{0}};\n",
+    "static const ModelLaws model_laws = {0};\n",
 )  # of a smooth model
 
 
