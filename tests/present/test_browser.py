@@ -6,7 +6,7 @@ from helpers.browser import CHROMIUM, opened
 from helpers.scenes import spinning
 
 import cosim
-from cosim.drawing.camera import View, camera_for, scale_of
+from cosim.drawing.camera import Camera, View, camera_for, scale_of
 from cosim.present.playback.animate import animate
 from cosim.present.playback.page import DISTANCE, page
 from cosim.present.playback.playback import playback
@@ -51,11 +51,16 @@ def test_a_known_point_is_where_the_run_says(angle, tmp_path):
         scene.scene.updateMatrixWorld(true);
         const at = new THREE.Vector3().setFromMatrixPosition(mark.group.matrixWorld);
         const seen = at.clone().project(scene.camera);
-        return [...at.toArray(), seen.x * scene.camera.aspect, seen.y];
+        const { position, matrix } = scene.camera;
+        const axes = [0, 1, 2].map((k) => new THREE.Vector3().setFromMatrixColumn(matrix, k));
+        return [[...at.toArray(), seen.x * scene.camera.aspect, seen.y], position.toArray(),
+                axes.map((axis) => axis.toArray())];
     """
-    found = asked(path, code, tmp_path)
+    found, eye, axes = asked(path, code, tmp_path)
     mark = np.array([0.5 * np.cos(angle), 0.5 * np.sin(angle), 1.0])
-    camera = camera_for(played.world, View.ISO, scale_of([played], None), DISTANCE)
+    first = camera_for(played.world, View.ISO, scale_of([played], None), DISTANCE)
+    np.testing.assert_allclose(axes, first.axes, atol=1e-5)  # the page sets only the distance
+    camera = Camera(np.array(eye), first.axes, first.up)
     np.testing.assert_allclose(found, [*mark, *camera.seen(mark)[:2]], atol=1e-5)
 
 
@@ -110,7 +115,8 @@ def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
     pytest.importorskip("ziglang")
     path = animate(cosim.load("crank_shaft"), tmp_path / "x.html")
     code = f"""
-        const facts = () => document.getElementById("facts").textContent;
+        const text = (name) => document.getElementById(name).textContent;
+        const facts = () => text("facts") + text("alarm");
         const cost = () => document.getElementById("cost").textContent;
         const csv = document.getElementById("csv"), found = [];
         for (const link of ["#density=-1", "#density=3e4", "#nix=1", "#density="]) {{

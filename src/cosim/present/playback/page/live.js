@@ -7,7 +7,7 @@ const unpacked = async (text) =>
 
 /* In a few words what is wrong; see `violation` in cosim/text.py. */
 function violation(line) {
-  const found = /it is no longer true that (.*?)(?: \(([^()]*)\))?$/.exec(line);
+  const found = /^(?:from time \S+ on )?it is no longer true that (.*?)(?: \(([^()]*)\))?$/.exec(line);
   return found ? found[2] || `not fulfilled: ${found[1]}` : line.replace(/^from time \S+ on /, "");
 }
 
@@ -41,8 +41,9 @@ class Solver {
 
   /* A run with settings by name, SI; those that are missing keep the model's own values. */
   run(chosen, most = Infinity) {
-    const { program, live } = this, { buffer } = program.memory;
-    const settings = this.resolved(chosen), used = live.settings.filter(({ name }) => settings.has(name));
+    const { program, live } = this, settings = this.resolved(chosen);
+    const { buffer } = program.memory; // another one after a run that needed more memory
+    const used = live.settings.filter(({ name }) => settings.has(name));
     new Uint32Array(buffer, this.set, used.length).set(used.map((s) => s.reference));
     new Float64Array(buffer, this.values, used.length).set(used.map((s) => settings.get(s.name)));
     new Uint32Array(buffer, this.given, 3).set([used.length, this.set, this.values]);
