@@ -9,7 +9,7 @@ from helpers.import_graph import FOLDERS, MODULES, ROOT, needs
 LONGEST = 500
 # Lines of the product in all its languages together, as none of them may be exchanged for another.
 # The bound falls with work that adds no capability.
-MOST_LINES = 58_000  # measured 56,297
+MOST_LINES = 63_500  # measured 62,417
 LANGUAGES = {".py", ".c", ".h", ".js", ".toml", ".css", ".html"}
 # Per 1000 lines of Python. Dense lines are no short code; ruff bounds branches and statements.
 MOST_NESTED, MOST_TUPLES = 2.0, 15.0  # measured 1.88 and 14.7
@@ -22,6 +22,7 @@ CROSSING = {
     "examples": "programs of the documentation",
     "faults": "cosim.host",
     "helpers": "what tests share",
+    "hybrid": "the kernel of events in cosim._fmu, on every backend",
     "mechanics": "casadi_models.mechanics",
     "physics": "the systems of casadi_models",
     "runtime": "cosim._fmu",

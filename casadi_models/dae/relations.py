@@ -230,8 +230,8 @@ class LawsWithModes:
         """Return the mode of a relation, which becomes one of the pairs if it is new."""
         for i, (known, mode) in enumerate(pairs):
             ends = {known.at_zero, relation.at_zero}
-            alike = known.floor == relation.floor and (len(ends) == 1 or ends == {0, KEEPS})
-            if alike and ca.is_equal(known.argument, relation.argument, 3):
+            shared = known.floor == relation.floor and (len(ends) == 1 or ends == {0, KEEPS})
+            if shared and ca.is_equal(known.argument, relation.argument, 3):
                 pairs[i] = replace(known, at_zero=min(ends)), mode
                 return mode
         mode = SX.sym(f"mode_{len(self._switches) + len(self._domains) + 1}")

@@ -236,7 +236,7 @@ def test_verdicts_are_colored_on_a_terminal_unless_no_color_is_set(monkeypatch, 
 
 
 def test_beginning_of_a_verb_is_enough_if_it_is_the_only_one(capsys):
-    assert main(["sim", "crank_shaft", "--stop-time", "0.1", "--at", "0", "-q"]) == 0
+    assert main(["sim", "crank_shaft", "--at", "0", "-q"]) == 0
     assert "omega" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stopped:
         main(["s", "crank_shaft"])

@@ -260,8 +260,8 @@ def test_files_of_both_versions_sample_until_the_end(tmp_path):
     assert [run["c.k"][row], run["c.k"][row - 1]] == [19, 18]
 
 
-def test_a_reset_by_another_part_that_undoes_its_own_cause_ends_with_a_sentence():
-    """An integrator, reset by a comparator as soon as it reaches 1: each part undoes the event."""
+def test_a_reset_by_another_part_that_undoes_its_own_cause_happens_once():
+    """An integrator, reset by a comparator as soon as it reaches 1, is a sawtooth."""
     one = cosim.Model("integrator", stop_time=2.0)
     x, r = one.state("x", "1", 0.0, "x"), one.input("r", "1", 0.0, "reset")
     one.derivative(x, 1.0)
@@ -273,5 +273,6 @@ def test_a_reset_by_another_part_that_undoes_its_own_cause_ends_with_a_sentence(
     two.output("r", "1", ca.if_else(y >= 1.0, 1, 0), "reset")
     parts = {"a": one.freeze(), "b": two.freeze()}
     system = cosim.couple(parts, {"a.r": "b.r", "b.x": "a.y"})
-    with pytest.raises(SolverError, match="cause each other without end"):
-        system.simulate(stop_time=1.5, macro_step=0.01)
+    for settings in ({"macro_step": 0.01}, {}):
+        run = system.simulate(stop_time=1.5, **settings)
+        assert run.final["a.x"] == pytest.approx(0.5, abs=1e-9)  # measured 2e-16

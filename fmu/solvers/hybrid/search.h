@@ -8,6 +8,7 @@
 #include "settle.h"
 
 enum { PLACES = 9, MOST_HALVINGS = 100, MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
+enum { MOST_BEYOND = 2 }; /* steps of rounding beyond a crossing */
 
 /* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
    step, and of a part of it. */
@@ -142,11 +143,13 @@ static inline int first_at(const Place *place, const double slack[], int found) 
     return first;
 }
 
-/* Moves a crossing to the time at which fresh steps cross. */
+/* Moves a crossing to the time at which fresh steps cross; where rounding leaves a choice, to the
+ * far side, so that what has become true there is true by value. */
 static inline Located locate(FreshStep *fresh, void *motion, const double slack[], double begin,
                              double end, Crossing *crossing) {
     Bounds bounds = {begin, end, 0};
     double left = 0, most = 0; /* of the margin, and what rounding makes of it */
+    int beyond = 0;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
         const double t = crossing->time;
         Place place;
@@ -155,7 +158,9 @@ static inline Located locate(FreshStep *fresh, void *motion, const double slack[
         left = place.inside[i] - slack[i];
         most = slack[i] + 8 * DBL_EPSILON * fabs(t) * fabs(place.rates[i]);
         crossing->time = better_time(&bounds, t, left, place.rates[i]);
-        if (crossing->time == t) break;
+        if (crossing->time != t) continue;
+        if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
+        crossing->time = fmin(t + 2 * ulp(t), end);
     }
     return left <= most ? CROSSES : TOUCHES;
 }

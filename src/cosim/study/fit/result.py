@@ -37,6 +37,12 @@ class Fit:
         records: The measurements.
         runs: Run with the fitted values for each record.
         subject: The model.
+
+    Example:
+        >>> import cosim
+        >>> record = cosim.simulate("crank_shaft", stop_time=1, outputs=["phi"])
+        >>> cosim.fit("crank_shaft", record, {"alpha": (1.0, 50.0)}).rank
+        1
     """
 
     columns: tuple[Column, ...]
