@@ -12,6 +12,11 @@
 #include <immintrin.h>
 #endif
 
+#if defined(__GNUC__) && !defined(__clang__)
+/* GCC 12 drops stores of vectors that a copy by `rep movs` reads, as it does for some processors. */
+#pragma GCC optimize("no-dse")
+#endif
+
 #ifndef LANES
 #error "define LANES, the number of systems side by side, before solvers are included"
 #endif

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import SolverError
 
 STOP = 3.0
 

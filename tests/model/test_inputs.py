@@ -227,10 +227,8 @@ def test_csv_of_another_tool_is_read(bicycle, write, text):
                      r"'1_0' is not a number", id="digit grouping"),
         pytest.param("time,steer_torque\n0,0,5\n1,1,5\n", ParameterError,
                      r"line 2: 3 cells .* decimal point", id="decimal comma"),
-        pytest.param('time,steer_torque\n0,"0,5"\n1,"1,5"\n', ParameterError,
-                     r"line 2, column 'steer_torque': '0,5' .* decimal point", id="quoted comma"),
-        pytest.param("time;steer_torque\n0;0,5\n1;1,5\n", ParameterError,
-                     r"line 2, column 'steer_torque': '0,5' .* decimal point", id="semicolons"),
+        pytest.param('time,steer_torque\n0.5,"0,5"\n1,"1,5"\n', ParameterError,
+                     r"line 2, column 'steer_torque': '0,5' .* decimal point", id="both marks"),
         pytest.param("time,steer_torqe\n0,1\n1,2\n", UnknownName,
                      r"input 'steer_torqe'; did you mean steer_torque", id="unknown"),
         pytest.param("time,phi\n0,1\n1,2\n", UnknownName,
@@ -259,6 +257,18 @@ def test_bad_csv_is_refused_with_file_line_and_column(bicycle, write, text, erro
     with pytest.raises(error, match=message) as caught:
         read_inputs(path, bicycle)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'time,steer_torque\n0,"0,5"\n1,"1,5"\n',
+        "time;steer_torque\n0;0,5\n1;1,5\n",
+    ],
+)
+def test_decimal_commas_are_read_where_no_number_has_a_point(bicycle, write, text):
+    series = read_inputs(write(text), bicycle)
+    np.testing.assert_array_equal(series.values[:, 0], [0.5, 1.5])
 
 
 def test_missing_csv_is_named(bicycle, tmp_path):

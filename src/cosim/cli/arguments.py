@@ -40,7 +40,7 @@ def scene_from(args: argparse.Namespace) -> Scene:
     keywords = options_in(args, *TIMES, *_NUMBERS, *_POLICY) | goal
     if getattr(args, "at", None) is not None and runs_natively(args):
         for name in ("output_interval", "stop_time"):
-            if getattr(args, name) is not None:
+            if getattr(args, name, None) is not None:
                 option = f"--{name.replace('_', '-')}"
                 raise UsageError(f"--at sets all output times; leave out {option}")
         keywords |= {"output_times": sorted(numbers_in("--at", args.at)), "stop_time": None}

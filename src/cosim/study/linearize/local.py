@@ -169,6 +169,8 @@ def followed(
     z, still = algebraic_values(dae, time, x, values), np.zeros(len(values.u))
     at = Instant(time, x, z, values.u, still, np.ones(len(system.relations)))
     at, zero = settled(system, at, values.p)
+    rests = [i for i in zero - at.sliding if at.modes[i] == 0 and not system.floors[i]]
+    at.modes[rests] = 1.0  # one of its sides, which the other one is compared with
     u, n = np.concatenate((values.u, at.modes)), len(values.u)
     edges = {n + i: system.described(i) for i in zero - at.sliding if not system.floors[i]}
     return _without_events(system, at.sliding), u, edges
