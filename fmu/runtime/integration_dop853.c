@@ -157,12 +157,12 @@ static void within_step(void *step, double t, double x[], double z[], double u[]
 
 static bool step_again(void *step, double t, double x[], double z[], double u[]) {
     Step *self = step;
-    const double from = self->memory->until, *begin = self->memory->end;
-    memcpy(self->x, begin, sizeof self->x);
+    const double from = self->memory->until, *start = self->memory->end;
+    memcpy(self->x, start, sizeof self->x);
     self->error = 0;
     if (t > from) {
-        if (stages(self->ode, from, t - from, begin, *self->k, self->x)) return false;
-        self->error = error_of(self->ode, t - from, begin, self->x, *self->k);
+        if (stages(self->ode, from, t - from, start, *self->k, self->x)) return false;
+        self->error = error_of(self->ode, t - from, start, self->x, *self->k);
     }
     if (!keep_to_constraints(self->problem, t, self->x)) return false;
     memcpy(x, self->x, sizeof self->x);
@@ -176,14 +176,14 @@ static bool step_again(void *step, double t, double x[], double z[], double u[])
  */
 static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
                             double *after, double x[]) {
-    Step step = {.ode = ode, .problem = self, .memory = memory, .k = (Slopes *)k};
-    const Motion motion = {&step, within_step, step_again};
+    Step last = {.ode = ode, .problem = self, .memory = memory, .k = (Slopes *)k};
+    const Motion motion = {&last, within_step, step_again};
     Crossing crossing;
     memory->crossing = 0;
     if (!find_event(self->fmu, &motion, memory->until, *after, &crossing)) return false;
     if (crossing.relation < 0) return true;
-    if (!(step.error <= 1)) return false;
-    memcpy(x, step.x, sizeof step.x);
+    if (!(last.error <= 1)) return false;
+    memcpy(x, last.x, sizeof last.x);
     memory->crossing = crossing.relation + 1;
     *after = crossing.time;
     return true;

@@ -13,7 +13,8 @@
 #endif
 
 #if defined(__GNUC__) && !defined(__clang__)
-/* GCC 12 drops stores of vectors that a copy by `rep movs` reads, as it does for some processors. */
+/* GCC 12 drops stores of vectors that a copy by `rep movs` reads, as it does for some processors.
+ */
 #pragma GCC optimize("no-dse")
 #endif
 

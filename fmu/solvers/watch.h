@@ -54,7 +54,7 @@ static inline int relations_at(const Watch *self, double t, const double *x, dou
 /* Whether an argument stays 0 by the equations, wherever the solver's motion goes. */
 static inline int is_kept(const Watch *self, double t, const double *x, int i) {
     double slopes[NX], solved[NZ + 1], modes[MODES + 1], towards[MODES + 1];
-    Seen exact;
+    Seen exact = {.arguments = {0}};
     return !equations_at(self->problem, t, x, slopes, solved) &&
            !relations_at(self, t, x, solved, slopes, &exact, modes, towards) &&
            fabs(exact.rates[i]) <= self->switching->stays[i];
@@ -65,7 +65,7 @@ static inline int look(const Watch *self, double t, const double *x, double *z, 
                        Place *found) {
     const Switching *s = self->switching;
     double modes[MODES + 1], towards[MODES + 1];
-    Seen seen;
+    Seen seen = {.arguments = {0}};
     found->t = t;
     if (relations_at(self, t, x, z, dx, &seen, modes, towards)) return 1;
     measure(&self->laws, s, modes, &seen, found->inside, found->rates);
@@ -87,7 +87,7 @@ static inline int look_afresh(const Watch *self, double t, const double *x, doub
 /* Boundaries that an event has displaced are back as soon as a step ends within them. */
 static inline void let_go(const Watch *self, double t, const double *x) {
     double dx[NX], z[NZ + 1], modes[MODES + 1], towards[MODES + 1];
-    Seen seen;
+    Seen seen = {.arguments = {0}};
     if (!any_leaves(self->switching) || equations_at(self->problem, t, x, dx, z)) return;
     if (!relations_at(self, t, x, z, dx, &seen, modes, towards))
         note_inside(&self->laws, self->switching, modes, seen.arguments);

@@ -19,8 +19,8 @@ enum {
 static inline double linear_root(double mode, bool floor, double value, double rate, double now) {
     if (rate == 0 || (!floor && mode * rate > 0)) return NEVER_AGAIN;
     const double boundary = !floor ? 0 : rate > 0 ? mode + 1 : mode;
-    const double root = (boundary - value) / rate;
-    return isfinite(root) ? fmax(root, nextafter(now, INFINITY)) : NEVER_AGAIN;
+    const double t = (boundary - value) / rate;
+    return isfinite(t) ? fmax(t, nextafter(now, INFINITY)) : NEVER_AGAIN;
 }
 
 static inline bool is_outside(const Laws *laws, const Point *at, int i, double t) {
@@ -130,7 +130,7 @@ static inline double dip(const Guards *self, int k, Side a, Side b) {
 static inline double leaves(const Guards *self, int k, Side a, Side b, const double lows[],
                             const double highs[]) {
     const Guard *guard = &self->guards[k];
-    double low[ORDERS], high[ORDERS];
+    double low[ORDERS] = {0}, high[ORDERS] = {0};
     for (int order = 0; order < ORDERS; order++) {
         const int i = ORDERS * guard->row + order;
         low[order] = guard->sign * (guard->sign > 0 ? lows[i] : highs[i]);
