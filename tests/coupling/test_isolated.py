@@ -26,7 +26,7 @@ def steady(unit):
 @pytest.mark.parametrize(
     ("kind", "limit", "message"),
     [
-        ("crash", "90", "the FMU crashed (SIGABRT)"),
+        ("crash", "90", "part 'bad' crashed (SIGABRT) while it ran"),
         ("hang", "3", "did not end within 3 s and was stopped"),
     ],
 )

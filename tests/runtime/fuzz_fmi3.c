@@ -49,7 +49,7 @@ static void create(unsigned k) {
         pool[k].instance = fmi3InstantiateScheduledExecution(name, token, NULL, false, true, NULL,
                                                              log, NULL, NULL, NULL);
     else if (pool[k].steps) {
-        pool[k].events = one_in(N_MODES > 0 ? 2 : 30);
+        pool[k].events = one_in(MODES > 0 ? 2 : 30);
         pool[k].instance =
             fmi3InstantiateCoSimulation(name, token, NULL, false, one_in(2), pool[k].events,
                                         one_in(2), one_in(50) ? NULL : wanted, below(3),
@@ -113,7 +113,7 @@ static fmi3Status step(fmi3Instance c) {
         fmi3DoStep(c, one_in(9) ? some_real() : now, one_in(3) ? some_real() : uniform(0.001, 0.2),
                    one_in(2), &event, &end, one_in(40) ? NULL : &early, &reached);
     if (status == fmi3OK)
-        demand((!event || N_MODES) && (!end || N_EVENTS) && !(early && end) && reached >= now,
+        demand((!event || MODES) && (!end || EVENTS) && !(early && end) && reached >= now,
                "a plain step");
     if (status == fmi3Discard) demand(reached == now, "a discarded step leaves time alone");
     return status;

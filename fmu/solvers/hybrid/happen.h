@@ -155,7 +155,7 @@ static inline bool find_risen(const Laws *laws, const double before[], const dou
 static inline Ending new_values(const Laws *laws, const Decision *at, const bool risen[],
                                 const double x[], double assigned[]) {
     int by[NX + 1]; /* the last rule that gives a state its value */
-    bool adds[NX + 1];
+    bool adds[NX + 1] = {false};
     for (int i = 0; i < NX; i++) by[i] = -1;
     memcpy(assigned, x, NX * sizeof *x);
     for (int i = 0; i < EVENTS; i++) {
