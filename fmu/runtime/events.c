@@ -147,7 +147,8 @@ int take_waiting(Instance *self) {
     return waits > 0 ? (int)waits - 2 : -1;
 }
 
-/* Whether a relation is beyond its mode, or has come to its boundary, where the value decides. */
+/* Whether a relation is beyond its mode, or rests on its boundary, where the value decides. One
+   that moves on from there crosses within the step, where the importer is told. */
 static bool any_due(Instance *self) {
     const Switching *s = &self->state.switching;
     const Laws laws = laws_of(self);
@@ -159,8 +160,8 @@ static bool any_due(Instance *self) {
     for (int i = 0; i < MODES; i++) {
         const double value = seen.arguments[i];
         if (inside[i] < 0) return true;
-        if (value == (relations[i].floor ? round(value) : 0) && s->state[i] != SLIDES &&
-            !is_held(&laws, s, &seen, i))
+        if (value == (relations[i].floor ? round(value) : 0) && rates[i] == 0 &&
+            s->state[i] != SLIDES && !is_held(&laws, s, &seen, i))
             return true;
     }
     return false;
