@@ -148,7 +148,7 @@ int take_waiting(Instance *self) {
 }
 
 /* Whether a relation is beyond its mode, or rests on its boundary, where the value decides. One
-   that moves on from there crosses within the step, where the importer is told. */
+   that moves on from there crosses within the step, which then ends for the importer. */
 static bool any_due(Instance *self) {
     const Switching *s = &self->state.switching;
     const Laws laws = laws_of(self);
