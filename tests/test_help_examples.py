@@ -4,8 +4,10 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import cosim
 from cosim.cli.main import main
 from cosim.cli.verbs import VERBS
 from cosim.errors import MissingTool
@@ -19,6 +21,15 @@ def test_every_verb_has_an_example():
     assert {example.split()[1] for example in EXAMPLES} == set(VERBS)
 
 
+def write_measured_swing(path, degrees):
+    swing = cosim.simulate("bar_on_frame", stop_time=1)
+    name, values = (
+        ("angle [deg]", np.degrees(swing["theta"])) if degrees else ("theta", swing["theta"])
+    )
+    rows = (f"{t},{value}" for t, value in zip(swing.time, values, strict=True))
+    path.write_text("\n".join([f"time,{name}", *rows]) + "\n", encoding="utf-8")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "example", [pytest.param(e, marks=[pytest.mark.nightly] * (e == LONG)) for e in EXAMPLES]
@@ -29,6 +40,8 @@ def test_example_of_the_help_runs(example, tmp_path, monkeypatch):
         monkeypatch.setenv("COSIM_CACHE", str(tmp_path / "cache"))
     if "bicycle.fmu" in example and " export " not in example:
         main(["export", "bicycle", "-o", "bicycle.fmu"])  # with the reference result
+    if "swing.csv" in example:
+        write_measured_swing(Path("swing.csv"), degrees="angle [deg]" in example)
     words = shlex.split(example)[1:]
     code = main(words)
     if code == MissingTool.exit_code:

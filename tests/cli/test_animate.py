@@ -43,7 +43,7 @@ def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
     assert animate("bicycle", *values, "-o", tmp_path / "x.html") == 0
     assert [run["thetaR_dot"][0] for run in shown] == [-12.0, -14.0, -16.0]
     assert [run.stats["variation"] for run in shown] == [
-        f"thetaR_dot={value}" for value in (-12, -14, -16)
+        f"thetaR_dot={value} rad/s" for value in (-12, -14, -16)
     ]
     shown.clear()
     backends = ("--compare", "multipliers,book", "--stop-time", "0.1")

@@ -131,8 +131,12 @@ class FmuSubject(Subject):
         """Path of the FMU."""
         return self.path
 
+    @property
+    def _description(self) -> Any:
+        return still_open(self.path, None).description
+
     def _variable(self, name: str) -> Any:
-        variables = by_name(still_open(self.path, None).description)
+        variables = by_name(self._description)
         if name not in variables:
             raise UnknownName.among(self.path, "variable", name, variables)
         return variables[name]
@@ -144,11 +148,11 @@ class FmuSubject(Subject):
             other if text is None else float(text)
             for text, other in ((variable.min, -np.inf), (variable.max, np.inf))
         )
-        return Known(column_of(variable), float(variable.start or 0.0), low, high)
+        return Known(self.column(name), float(variable.start or 0.0), low, high)
 
     def column(self, name: str) -> Column:
         """See `Subject`."""
-        return column_of(self._variable(name))
+        return column_of(self._variable(name), self._description)
 
     def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
         """See `Subject`."""
