@@ -97,8 +97,10 @@ def test_ctrl_c_in_the_first_second_of_an_export_ends_it_in_one_word(delay, tmp_
     process.stdout.readline()  # Python itself has started
     time.sleep(0.02 + delay)
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=20)[1] == b"interrupted\n"
-    assert [*tmp_path.rglob("*")] == [tmp_path / "temporary"]
+    said = process.communicate(timeout=20)[1]
+    left = {path.name for path in tmp_path.rglob("*")} - {"temporary"}
+    done = (b"x.fmu (102 kB)\n", {"x.fmu"})  # it may have finished by then
+    assert (said, left) in [(b"interrupted\n", set()), done][: 2 if delay else 1]
 
 
 FOLDER = """

@@ -143,6 +143,14 @@ class Bench:
         with instantiated(self.folder, self.fmpy, kind, self.name) as (instance, _):
             yield Session(self, kind, instance)
 
+    def has_events(self) -> bool:
+        """Return whether it may have events: what co-simulation alone never denies."""
+        if "ModelExchange" not in self.described.interfaces or self.fmpy.numberOfEventIndicators:
+            return True
+        with self.session("ModelExchange") as session:
+            session.start()
+            return session.next_event < (self.experiment("stopTime") or session.start_time + 1.0)
+
 
 @dataclass
 class Session:

@@ -142,7 +142,7 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """Co-simulation and model exchange agree over the default experiment, events included."""
     if kind != "CoSimulation" or "ModelExchange" not in bench.described.interfaces:
         raise Skipped("it compares co-simulation with model exchange")
-    if not has_events(bench):
+    if not bench.has_events():
         raise Skipped("it has no events; `motion` compares it")
     every = (v for v in bench.outputs() if v.variability == "continuous")
     runs = _Switching(bench, list(every), monotonic() + _FOR_IT * bench.timeout)
@@ -179,12 +179,3 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
         f"with another solver, by up to {np.abs(found - exact)[:, worst].max():.2g} "
         f"(range: {np.ptp(exact[:, worst]):.2g})",
     )
-
-
-def has_events(bench: Bench) -> bool:
-    """Return whether model exchange has event indicators, or a time event within the experiment."""
-    if bench.fmpy.numberOfEventIndicators:
-        return True
-    with bench.session("ModelExchange") as session:
-        session.start()
-        return session.next_event < (bench.experiment("stopTime") or session.start_time + 1.0)
