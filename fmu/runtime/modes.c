@@ -185,8 +185,10 @@ Status look_now(Instance *self, Seen *seen) {
 Status complete_step(Instance *self, Status severity) {
     Switching *s = &self->state.switching;
     const Laws laws = laws_of(self);
+    const Point at = present(self);
     const bool any = any_leaves(s) || is_sliding(s);
     Seen seen;
+    note_slack(&laws, s, &at);
     const Status status = any ? look_now(self, &seen) : OK;
     if (!any || status != OK) return status;
     note_inside(&laws, s, self->state.values + FIRST_MODE, seen.arguments);
@@ -263,8 +265,12 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end,
                 Crossing *crossing) {
     SearchedStep step = {self, laws_of(self), motion};
     Switching *s = &self->state.switching;
+    double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Place before;
-    look_at(&step, begin, &before);
+    motion->at(motion->solver, begin, x, z, u);
+    const Point at = {begin, x, z, u};
+    note_slack(&step.laws, s, &at);
+    margins_at(&step, &at, &before);
     const Located how =
         find_crossing(look_at, step_afresh, &step, s->slack, begin, before, end, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);

@@ -99,7 +99,7 @@ static inline bool law_spread(void *owner, const Point *at, double moved[]) {
     const LawOwner *self = owner;
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
-    return law_inputs(owner, at, u, slopes) &&
+    return model_laws.rounding && law_inputs(owner, at, u, slopes) &&
            call_law(owner, model_laws.rounding, &now, self->sizes, moved, NULL, NULL, NULL);
 }
 

@@ -117,11 +117,23 @@ static inline bool step_freshly(void *accepted, double t, Place *found) {
            !look_afresh(self->watch, t, self->fresh, dx, found);
 }
 
-/* The first crossing in an accepted step that ends at a place, from the place where it begins: at
- * the output times in it, whose columns take the states, and between all these places. Where there
- * is one, `fresh` is the state. Returns 0 unless a fresh step fails. */
+/* Takes what rounding makes of the arguments at a place, and looks at it and a later one anew. */
+static inline void look_closely_at(const Step *self, Place *first, Place *last) {
+    double x[NX], dx[NX];
+    const Problem *problem = self->watch->problem;
+    const Point at = {first->t, x, problem->z, problem->u};
+    if (self->within(self->motion, first->t, x, dx)) return;
+    note_slack(&self->watch->laws, self->watch->switching, &at);
+    look_at(self, first->t, x, first);
+    look_at(self, last->t, x, last);
+}
+
+/* The first crossing in an accepted step, from the place where it begins to the one where it ends:
+ * at the output times in it, whose columns take the states, and between all these places. Where
+ * there is one, `fresh` is the state. Returns 0 unless a fresh step fails. */
 static inline int crossing_of(Step *self, const double *times, double *columns, const Place *begin,
-                              const Place *end, Crossing *found) {
+                              Place *end, Crossing *found) {
+    const double *slack = self->watch->switching->slack;
     Place before = *begin, place;
     self->looked = times;
     *found = (Crossing){end->t, -1};
@@ -133,12 +145,13 @@ static inline int crossing_of(Step *self, const double *times, double *columns, 
         } else {
             place = *end;
         }
-        if (!is_suspect(&before, &place)) continue;
-        const double *slack = self->watch->switching->slack;
+        if (!is_suspect(&before, &place, slack)) continue;
+        look_closely_at(self, &before, &place);
         if (find_crossing(look_within, step_freshly, self, slack, self->t, before, place.t,
                           found) == FAILS)
             return 1;
         if (found->relation >= 0) return 0;
+        if (place.t == end->t) *end = place;
     }
     *found = (Crossing){end->t, -1};
     return 0;

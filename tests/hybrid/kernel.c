@@ -197,6 +197,31 @@ static void a_crossing_is_located_and_a_touch_is_none(void) {
     assert(found.relation < 0);
 }
 
+/* Where the interpolant sees only SECOND leave, fresh steps also go through WALL and back. */
+static void look_late(void *motion, double t, Place *found) {
+    parabola_at(-1, t, found);
+    found->inside[SECOND] = 0.6 - t;
+    found->rates[SECOND] = -1;
+    (void)motion;
+}
+
+static bool step_both(void *motion, double t, Place *found) {
+    parabola_at(((Parabola *)motion)->fresh, t, found);
+    found->inside[SECOND] = 0.52 - t;
+    found->rates[SECOND] = -1;
+    return true;
+}
+
+static void what_has_left_and_comes_back_was_first(void) {
+    const double slack[MODES + 1] = {0};
+    Place before;
+    Crossing found;
+    Parabola motion = {0, 0.01};
+    look_late(&motion, 0, &before);
+    assert(find_crossing(look_late, step_both, &motion, slack, 0, before, 1, &found) == CROSSES);
+    assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
+}
+
 int main(void) {
     walls_hit_together_count_both_and_once();
     friction_sticks_and_releases_on_the_side_of_the_load();
@@ -204,6 +229,7 @@ int main(void) {
     events_that_are_ever_closer_are_rejected();
     the_clock_is_planned_and_due();
     a_crossing_is_located_and_a_touch_is_none();
+    what_has_left_and_comes_back_was_first();
     puts("all right");
     return 0;
 }

@@ -81,10 +81,14 @@ static inline int may_dip(const Place *a, const Place *b, int i, double shallow)
     return least < shallow * most;
 }
 
-/* Whether a relation has, or may have, left its mode between two places. */
-static inline int is_suspect(const Place *a, const Place *b) {
-    for (int i = 0; i < MODES; ++i)
-        if (b->inside[i] < 0 || may_dip(a, b, i, SHALLOW)) return 1;
+/* Whether a relation has, or may have, left its mode between two places, be it by rounding. */
+static inline int is_suspect(const Place *a, const Place *b, const double slack[]) {
+    Place first = *a, last = *b;
+    for (int i = 0; i < MODES; ++i) {
+        first.inside[i] -= slack[i];
+        last.inside[i] -= slack[i];
+        if (last.inside[i] < 0 || may_dip(&first, &last, i, SHALLOW)) return 1;
+    }
     return 0;
 }
 
@@ -129,13 +133,20 @@ typedef bool FreshStep(void *motion, double t, Place *found);
 
 typedef enum { CROSSES, TOUCHES, FAILS } Located;
 
-/* The relation that crosses first, near a place: the one that was found, or one that is beyond. */
+/* What rounding makes of a margin at a place. */
+static inline double rounded_off(const Place *place, const double slack[], int i) {
+    return slack[i] + 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
+}
+
+/* The relation that crosses first, near a place: the one that was found, or one that is beyond. One
+ * that is outside and comes back has crossed before all that are on their way out. */
 static inline int first_at(const Place *place, const double slack[], int found) {
     double least = INFINITY;
     int first = found;
     for (int i = 0; i < MODES; ++i) {
         const double rate = place->rates[i], inside = place->inside[i] - slack[i];
         const bool beyond = inside < 8 * DBL_EPSILON * fabs(place->t) * rate;
+        if (rate >= 0 && place->inside[i] < -rounded_off(place, slack, i)) return i;
         if (!(rate < 0) || !(i == found || beyond) || !(-inside / rate < least)) continue;
         least = -inside / rate;
         first = i;
@@ -156,7 +167,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const double slack[
         if (!fresh(motion, t, &place)) return FAILS;
         const int i = crossing->relation = first_at(&place, slack, crossing->relation);
         left = place.inside[i] - slack[i];
-        most = slack[i] + 8 * DBL_EPSILON * fabs(t) * fabs(place.rates[i]);
+        most = rounded_off(&place, slack, i);
         crossing->time = better_time(&bounds, t, left, place.rates[i]);
         if (crossing->time != t) continue;
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
