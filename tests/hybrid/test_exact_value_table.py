@@ -1,0 +1,322 @@
+"""The table of exact values: each law of each kind of argument on each path of it, on each engine.
+
+A law is integrated, so that a final value tells where it switched and what it was at rest. The
+right value comes from the path alone: `helpers.exact_paths` knows neither CasADi nor our code.
+"""
+
+from functools import cache
+
+import casadi as ca
+import pytest
+from helpers.exact_paths import LAWS, Path, curve, through
+from helpers.hybrid_engines import ENGINES, STEPPED, judge, run_on, step_with_values
+
+import cosim
+
+STOP = 4.0  # s
+TAKING_INPUTS = [engine for engine in ENGINES if not engine.endswith(" c")]  # no series in C
+QUICK = ("dop853", "cvodes", "fmu2 cs fmpy", "fmu2 me fmpy", "fmu3 cs c")
+TOLERANCE = 5e-6  # measured 1.5e-6, erk; what is on the wrong side of a boundary is off by 0.1
+IMPORTED = 3e-5  # of fmpy's model exchange, which locates events to 1.4e-6 s; measured 1.1e-5
+
+
+def integrals(model, arguments):
+    """Add the integral of each law of each argument, and return the frozen model."""
+    for path, argument in arguments.items():
+        for law, (build, _) in LAWS.items():
+            y = model.state(name_of(path, law), "1", 0.0, f"integral of {law}")
+            model.derivative(y, build(argument))
+    return model.freeze()
+
+
+def name_of(path, law):
+    """Return the name of the state that integrates a law on a path."""
+    return f"y_{path.replace(' ', '_')}_{list(LAWS).index(law)}"
+
+
+def assert_near(value, right, engine):
+    """Assert that a final value is right within the tolerance of an engine."""
+    tolerance = IMPORTED if " me " in engine else TOLERANCE
+    assert abs(value - right) <= tolerance, f"{value:.9g}, right {right:.9g}"
+
+
+def marked(engines):
+    """Return engines as parameters; those of the sample are quick."""
+    return [e if e in QUICK else pytest.param(e, marks=pytest.mark.slow) for e in engines]
+
+
+# Inputs
+
+INPUT_PATHS = {
+    "ramp stays below": ((0, 0), (1, 0.5), (4, 0.5)),
+    "ramp to it from below": ((0, 0), (1, 1), (4, 1)),
+    "ramp to it from above": ((0, 2), (1, 1), (4, 1)),
+    "ramp stays above": ((0, 2), (1, 1.5), (4, 1.5)),
+    "ramp through it up": ((0, 0), (2, 2), (4, 2)),
+    "ramp through it down": ((0, 2), (2, 0), (4, 0)),
+    "touch from below": ((0, 0), (1, 1), (2, 0), (4, 0)),
+    "touch from above": ((0, 2), (1, 1), (2, 2), (4, 2)),
+    "rest on the way up": ((0, 0), (1, 1), (2, 1), (3, 2), (4, 2)),
+    "rest on the way down": ((0, 2), (1, 1), (2, 1), (3, 0), (4, 0)),
+    "rest and back": ((0, 0), (1, 1), (2, 1), (3, 0), (4, 0)),
+    "at it": ((0, 1), (4, 1)),
+    "at it then up": ((0, 1), (1, 1), (2, 2), (4, 2)),
+    "at it then down": ((0, 1), (1, 1), (2, 0), (4, 0)),
+    "up from it at the start": ((0, 1), (4, 1.5)),
+    "down from it at the start": ((0, 1), (4, 0.5)),
+    "to it at the end": ((0, 0), (4, 1)),
+    "jump to it from below": ((0, 0), (1, 0), (1, 1), (4, 1)),
+    "jump to it from above": ((0, 2), (1, 2), (1, 1), (4, 1)),
+    "jump over it": ((0, 0), (1, 0), (1, 2), (4, 2)),
+    "jump from it up": ((0, 1), (1, 1), (1, 2), (4, 2)),
+    "jump from it down": ((0, 1), (1, 1), (1, 0), (4, 0)),
+    "jump between rows": ((0, 0), (1.03, 0), (1.03, 1), (4, 1)),
+    "saw": ((0, 0), (1, 1), (1, 0), (2, 1), (2, 0), (3, 1), (3, 0), (4, 1)),
+    "signal": ((0, 0), (1, 0), (1, 1), (2, 1), (2, 0), (3, 0), (3, 1), (4, 1)),
+    "jump to it at the end": ((0, 0), (4, 0), (4, 1)),
+}
+FORMULAS = {
+    "formula to it from below": ("where(t < 1, t, 1)", ((0, 0), (1, 1), (4, 1))),
+    "formula to it from above": ("where(t < 1, 2 - t, 1)", ((0, 2), (1, 1), (4, 1))),
+    "formula jumps to it": ("where(t < 1, 0, 1)", ((0, 0), (1, 0), (1, 1), (4, 1))),
+    "formula jumps between rows": ("where(t < 1.03, 0, 1)", ((0, 0), (1.03, 0), (1.03, 1), (4, 1))),
+    "formula through it": ("t", ((0, 0), (4, 4))),
+    "formula at it": ("1", ((0, 1), (4, 1))),
+}  # fmt: skip
+
+
+@cache
+def input_model():
+    """Return the integrals of all laws of an input."""
+    model = cosim.Model("of_input", stop_time=STOP, output_interval=0.1)
+    return integrals(model, {"u": model.input("u", "1", 0.0, "argument")})
+
+
+@cache
+def input_run(engine, path):
+    """Return the run of a path of the input, or the error that ended it."""
+    if path in FORMULAS:
+        inputs = {"u": FORMULAS[path][0]}
+    else:
+        time, values = zip(*INPUT_PATHS[path], strict=True)
+        inputs = cosim.InputSeries(("u",), time, [[value] for value in values])
+    return attempt(lambda: run_on(engine, input_model(), inputs=inputs).final)
+
+
+def attempt(run):
+    """Return a function that gives a run's result, or raises again what it raised."""
+    try:
+        result = run()
+    except cosim.CosimError as error:
+        failure = error
+    else:
+        return lambda: result
+
+    def fail():
+        raise failure
+
+    return fail
+
+
+@pytest.mark.parametrize("engine", marked(TAKING_INPUTS))
+@pytest.mark.parametrize("path", [*INPUT_PATHS, *FORMULAS])
+def test_a_law_of_an_input_switches_where_its_path_does(path, engine):
+    points = INPUT_PATHS[path] if path in INPUT_PATHS else FORMULAS[path][1]
+    right = through(*points)
+    final = input_run(engine, path)
+    judge_laws(f"input/{path}", "u", engine, final, right)
+
+
+def judge_laws(title, path, engine, final, right: Path):
+    """Judge all laws of a path on an engine."""
+    wrong = []
+    for law in LAWS:
+        state, integral = name_of(path, law), right.integral(law)
+        complaint = judge(
+            f"{title}/{law}/{engine}",
+            lambda state=state, integral=integral: assert_near(final()[state], integral, engine),
+        )
+        wrong += [complaint] if complaint else []
+    assert not wrong, "\n".join(["", *wrong])
+
+
+SET = {
+    "set to it": [0] * 4 + [1] * 12,
+    "set to it from above": [2] * 4 + [1] * 12,
+    "set over it": [0] * 4 + [2] * 12,
+    "set from it": [1] * 4 + [0] * 12,
+    "set to it from the start": [1] * 16,
+    "set as a signal": [0, 1] * 8,
+    "set in steps": [0] * 4 + [1] * 4 + [2] * 4 + [1] * 4,
+}
+
+
+@pytest.mark.parametrize("way", STEPPED)
+@pytest.mark.parametrize("path", SET)
+def test_a_law_of_an_input_that_is_set_has_the_value_of_each_step(path, way):
+    values = [float(value) for value in SET[path]]
+    points = [(0.25 * (i + end), u) for i, u in enumerate(values) for end in (0, 1)]
+    final = attempt(lambda: step_with_values(way, input_model(), "u", values, 0.25))
+    judge_laws(f"set/{path}", "u", way, final, through(*points))
+
+
+# States
+
+STATE_PATHS = {
+    "up": through((0, 0), (4, 4)),
+    "down": through((0, 2), (4, -2)),
+    "at it": through((0, 1), (4, 1)),
+    "from it up": through((0, 1), (4, 1.5)),
+    "from it down": through((0, 1), (4, 0.5)),
+    "to it at the end": through((0, 0), (4, 1)),
+    "assigned from below": through((0, 0.5), (1, 0.5), (1, 1), (4, 1)),
+    "assigned from above": through((0, 1.5), (1, 1.5), (1, 1), (4, 1)),
+    "touch from below": curve(lambda t: 1 - (t - 2) ** 2 / 4, 0, 2, 4),
+    "touch from above": curve(lambda t: 1 + (t - 2) ** 2 / 8, 0, 2, 4),
+}
+GROUPS = {"moving": tuple(STATE_PATHS)[:6], "changed": tuple(STATE_PATHS)[6:]}
+
+
+def moving(model):
+    """Return states on straight paths."""
+    courses = {"up": (0, 1), "down": (2, -1), "at it": (1, 0), "from it up": (1, 0.125),
+               "from it down": (1, -0.125), "to it at the end": (0, 0.25)}  # fmt: skip
+    arguments = {}
+    for i, (path, (start, rate)) in enumerate(courses.items()):
+        x = arguments[path] = model.state(f"x{i}", "1", start, path)
+        model.derivative(x, rate)
+    return arguments
+
+
+def changed(model):
+    """Return states that an event assigns, and those of curved paths."""
+    arguments = {}
+    for path, start in (("assigned from below", 0.5), ("assigned from above", 1.5)):
+        x = arguments[path] = model.state(f"x{start:g}".replace(".", "_"), "1", start, path)
+        model.derivative(x, 0)
+        model.when(model.t >= 1, {x: 1}, name=path)
+    for path, sign in (("touch from below", -0.25), ("touch from above", 0.125)):
+        x = arguments[path] = model.state(path.replace(" ", "_"), "1", 1 + 4 * sign, path)
+        v = model.state("v_" + path.replace(" ", "_"), "1/s", -4 * sign, "rate")
+        model.derivative(x, v)
+        model.derivative(v, 2 * sign)
+    return arguments
+
+
+@cache
+def state_model(group):
+    """Return the integrals of all laws of a group of states."""
+    model = cosim.Model(f"of_states_{group}", stop_time=STOP, output_interval=0.1)
+    return integrals(model, {"moving": moving, "changed": changed}[group](model))
+
+
+@cache
+def state_run(engine, group):
+    """Return the final values of a group of states."""
+    return attempt(lambda: run_on(engine, state_model(group)).final)
+
+
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_law_of_a_state_switches_where_its_path_does(group, engine):
+    final = state_run(engine, group)
+    for path in GROUPS[group]:
+        judge_laws(f"state/{path}", path, engine, final, STATE_PATHS[path])
+
+
+# Discrete variables and parameters
+
+STAIRS = {
+    "to it from below": (0, 1, 1, 1),
+    "to it from above": (2, 1, 1, 1),
+    "over it": (0, 2, 0, 2),
+    "from it": (1, 2, 1, 0),
+    "at it": (1, 1, 1, 1),
+    "below": (0.5, 0.75, 0.5, 0.25),
+    "above": (1.5, 1.25, 1.5, 2),
+}
+
+
+@cache
+def discrete_model():
+    """Return the integrals of all laws of a discrete variable that changes each second."""
+    model = cosim.Model("of_discrete", stop_time=STOP, output_interval=0.1)
+    n = model.discrete("n", "1", 0.0, "argument")
+    for second in (1, 2, 3):
+        value = model.parameter(f"n{second}", "1", 0.0, f"value from {second} s on")
+        model.when(model.t >= second, {n: value}, name=f"step {second}")
+    return integrals(model, {"n": n})
+
+
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("path", STAIRS)
+def test_a_law_of_a_discrete_variable_has_the_value_of_each_piece(path, engine):
+    values = STAIRS[path]
+    start = dict(zip(("n", "n1", "n2", "n3"), map(float, values), strict=True))
+    points = [(i + end, u) for i, u in enumerate(values) for end in (0, 1)]
+    final = attempt(lambda: run_on(engine, discrete_model(), start_values=start).final)
+    judge_laws(f"discrete/{path}", "n", engine, final, through(*points))
+
+
+@cache
+def parameter_model():
+    """Return the integrals of all laws of a parameter."""
+    model = cosim.Model("of_parameter", stop_time=STOP, output_interval=0.1)
+    return integrals(model, {"p": model.parameter("p", "1", 0.0, "argument")})
+
+
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0, 1.5, 2.0, -1.0, 1 - 2**-53, 1 + 2**-52])
+def test_a_law_of_a_parameter_has_its_value(value, engine):
+    final = attempt(lambda: run_on(engine, parameter_model(), start_values={"p": value}).final)
+    right = through((0, value), (4, value))
+    judge_laws(f"parameter/{value!r}", "p", engine, final, right)
+
+
+# Time
+
+TIME_PATHS = {
+    "up": (lambda t: t, through((0, 0), (4, 4))),
+    "down": (lambda t: 2 - t, through((0, 2), (4, -2))),
+    "from it up": (lambda t: 1 + t / 8, through((0, 1), (4, 1.5))),
+    "from it down": (lambda t: 1 - t / 8, through((0, 1), (4, 0.5))),
+    "to it at the end": (lambda t: t / 4, through((0, 0), (4, 1))),
+    "up to it and rest": (lambda t: ca.fmin(t, 1), through((0, 0), (1, 1), (4, 1))),
+    "down to it and rest": (lambda t: ca.fmax(2 - t, 1), through((0, 2), (1, 1), (4, 1))),
+    "touch": (lambda t: 1 - ca.fabs(t - 1) / 3, through((0, 2 / 3), (1, 1), (4, 0))),
+    "branches": (lambda t: ca.if_else(t < 1, t, 1), through((0, 0), (1, 1), (4, 1))),
+    "floor": (ca.floor, through(*[(i + end, i) for i in range(4) for end in (0, 1)])),
+    "ceil": (ca.ceil, through(*[(i + end, i + 1) for i in range(4) for end in (0, 1)])),
+    "saw": (lambda t: t - ca.floor(t), through(*[(i + u, u) for i in range(4) for u in (0, 1)])),
+    "modulo": (lambda t: ca.fmod(t, 1), through(*[(i + u, u) for i in range(4) for u in (0, 1)])),
+    "parabola": (lambda t: 1 - (t - 2) ** 2 / 4, curve(lambda t: 1 - (t - 2) ** 2 / 4, 0, 2, 4)),
+}  # fmt: skip
+TIMES = {"moving": 5, "resting": 9, "jumping": len(TIME_PATHS)}  # where each group ends
+
+
+def time_paths(group):
+    """Return the paths of a group."""
+    ends = [0, *TIMES.values()]
+    which = list(TIMES).index(group)
+    return dict(list(TIME_PATHS.items())[ends[which] : ends[which + 1]])
+
+
+@cache
+def time_model(group):
+    """Return the integrals of all laws of arguments of time."""
+    model = cosim.Model(f"of_time_{group}", stop_time=STOP, output_interval=0.1)
+    return integrals(model, {path: law(model.t) for path, (law, _) in time_paths(group).items()})
+
+
+@cache
+def time_run(engine, group):
+    """Return the final values of a group of arguments of time."""
+    return attempt(lambda: run_on(engine, time_model(group)).final)
+
+
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("group", TIMES)
+def test_a_law_of_time_switches_where_its_path_does(group, engine):
+    final = time_run(engine, group)
+    for path, (_, right) in time_paths(group).items():
+        judge_laws(f"time/{path}", path, engine, final, right)
