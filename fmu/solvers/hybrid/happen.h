@@ -129,7 +129,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
                 gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack[i];
             /* where rates of inputs are unknown, an argument that has passed its boundary against
              * the known rate has been moved there, and its value decides */
-            const double past = past_boundary(s, &seen, i);
+            const double past = past_boundary(laws, s, &seen, i);
             const bool beyond = is_beyond(relation->floor, modes[i], past);
             const bool moved = laws->blind && relation->of_input && beyond &&
                                rates[i] >= -ROUNDING * seen.sizes[i];

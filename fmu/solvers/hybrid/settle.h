@@ -47,7 +47,7 @@ static inline Ending ending(Reason reason, int part) {
 
 /* Whether an input has moved an argument away that was 0, which no equation tells. */
 static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
-    const double way = fabs(past_boundary(s, seen, i));
+    const double way = fabs(past_boundary(laws, s, seen, i));
     return laws->relations[i].of_input && !(way <= MOVED * s->slack[i]);
 }
 
@@ -61,7 +61,7 @@ static inline bool is_held(const Laws *laws, const Switching *s, const Seen *see
 static inline void measure(const Laws *laws, const Switching *s, const double modes[],
                            const Seen *seen, double inside[], double rates[]) {
     for (int i = 0; i < MODES; i++) {
-        const double mode = modes[i], value = past_boundary(s, seen, i), slack = s->slack[i];
+        const double mode = modes[i], value = past_boundary(laws, s, seen, i), slack = s->slack[i];
         double sign = 0;
         if (s->state[i] == SLIDES) {
             const bool jumped = !laws->blind && is_moved(laws, s, seen, i);
@@ -225,8 +225,8 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
                               const Seen *seen, int i, bool *zero) {
     const Relation *relation = &laws->relations[i];
     const bool jumps = relation->of_time && s->due[i] == JUMPS;
-    const double value =
-        jumps ? timed_argument(laws, at, i, event_time(laws, s, at->t)) : past_boundary(s, seen, i);
+    const double value = jumps ? timed_argument(laws, at, i, event_time(laws, s, at->t))
+                               : past_boundary(laws, s, seen, i);
     const double boundary = relation->floor ? round(value) : 0, mode = modes_of(at)[i];
     if (!isfinite(value)) return mode; /* of a branch that is not taken */
     if (jumps) return mode_by_value(relation->floor, value);
@@ -302,7 +302,7 @@ static inline bool change_one(const Laws *laws, Switching *s, const Point *at, c
 static inline bool rests_beyond(const Laws *laws, const Switching *s, const Point *at,
                                 const Seen *seen, int i) {
     if (laws->relations[i].floor || s->state[i] == SLIDES) return false;
-    const double past = modes_of(at)[i] * past_boundary(s, seen, i);
+    const double past = modes_of(at)[i] * past_boundary(laws, s, seen, i);
     return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= ROUNDING && past < -ROUNDING;
 }
 
@@ -316,7 +316,8 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
         const bool rests = fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= tiny;
         if (rests) s->stays[i] = tiny;
         if (s->state[i] != SLIDES) s->state[i] = rests ? HELD : LEAVES;
-        s->beyond[i] = laws->relations[i].floor ? value - round(value) : value;
+        s->left[i] = laws->relations[i].floor ? round(value) : 0;
+        s->beyond[i] = value - s->left[i];
     }
 }
 

@@ -17,6 +17,7 @@ typedef struct {
     double state[MODES + 1];
     double beyond[MODES + 1]; /* argument of what is not free, which is 0 but for rounding, or for
                                  what an importer of model exchange steps too far */
+    double left[MODES + 1];   /* the boundary that is displaced by it: of a floor, a whole number */
     double stays[MODES + 1];  /* rate up to which an argument that is held stays 0 */
     double slack[MODES + 1];  /* by which rounding moves an argument */
     double due[MODES + 1];    /* when a relation of time switches next: a time, NEVER, or JUMPS */
@@ -77,9 +78,12 @@ static inline bool is_beyond(bool floor, double mode, double value) {
     return floor ? value < mode || value >= mode + 1 : mode * value < 0;
 }
 
-/* The value of an argument in excess of what was 0 at the last event. */
-static inline double past_boundary(const Switching *s, const Seen *seen, int i) {
-    return seen->arguments[i] - s->beyond[i];
+/* The value of an argument in excess of what was 0 at the last event; a floor has other boundaries,
+ * which are where they are. */
+static inline double past_boundary(const Laws *laws, const Switching *s, const Seen *seen, int i) {
+    const double value = seen->arguments[i];
+    return laws->relations[i].floor && fabs(value - s->left[i]) > 0.5 ? value
+                                                                      : value - s->beyond[i];
 }
 
 #endif

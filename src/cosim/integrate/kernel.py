@@ -119,12 +119,12 @@ class Switching:
     @property
     def slack(self) -> Vector:
         """By how much rounding moves each argument, (m,)."""
-        return self._row(3)
+        return self._row(4)
 
     @property
     def due(self) -> Vector:
         """When relations of time alone switch next, s, (m,)."""
-        return self._row(4)
+        return self._row(5)
 
     @property
     def next(self) -> float:
