@@ -1,7 +1,10 @@
 """Fixtures and selection of all tests; they need no screen and leave the user's cache alone."""
 
 import os
+import shlex
+import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -11,6 +14,8 @@ import pytest
 import cosim
 
 os.environ["MPLBACKEND"] = "Agg"  # before any test module imports matplotlib
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # commands that tests run start in half the time
+sys.dont_write_bytecode = False
 
 
 # Tests that take more than 2 s; written from the output of `pytest --durations`
@@ -81,6 +86,26 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         permanent = os.environ.get("COSIM_TEST_CACHE")  # shared by sessions while tests are written
         patch.setenv("COSIM_CACHE", permanent or str(shared_folder(tmp_path_factory, "cache")))
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _quick_compiler() -> Iterator[None]:
+    """Compile without optimization, which takes a third of the time and computes the same bits.
+
+    $COSIM_TEST_LEVEL is another level; empty for those of the package.
+    """
+    level = os.environ.get("COSIM_TEST_LEVEL", "-O0")
+    found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    with pytest.MonkeyPatch.context() as patch:
+        if level and found and sys.platform != "win32" and "CC" not in os.environ:
+            patch.setenv("CC", shlex.join([found, level]))
+        yield
+
+
+@pytest.fixture
+def optimized(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile with the options of the package, as users do."""
+    monkeypatch.delenv("CC", raising=False)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,10 @@
 """The documentation site: every page is in its menu, every public name in its API reference."""
 
 import re
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+
+import pytest
 
 import cosim
 
@@ -21,3 +24,21 @@ def test_api_reference_has_every_public_name():
         r"^::: cosim\.(\w+)$", (ROOT / "docs" / "reference.md").read_text(), re.MULTILINE
     )
     assert sorted(listed) == sorted(cosim.__all__)
+
+
+def test_an_entry_of_several_names_is_shown_for_each():
+    griffe = pytest.importorskip("griffe")
+    place = ROOT / "docs/theme/docstrings.py"
+    spec = spec_from_file_location("docstrings", place)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    text = (
+        "Say x, y: well.\n\nArgs:\n    a, b: Two\n        numbers.\n    c: One.\n\nExample:\n"
+        "    >>> 1\n    1"
+    )
+    f = griffe.Function("f", docstring=griffe.Docstring(text))
+    module.Sections().on_object(obj=f)
+    assert f.docstring.value == (
+        "Say x, y: well.\n\nArgs:\n    a: Two\n        numbers.\n    b: Two\n        numbers.\n"
+        "    c: One.\n\nExamples:\n    >>> 1\n    1"
+    )

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.text import html_table, text_table, violation
+from cosim.text import html_table, invalid_from, text_table, violation
 
 ROWS = [
     {"name": "phi", "value": 0.123456, "meaning": "roll angle " * 9},
@@ -45,11 +45,23 @@ def test_html_says_the_same_and_escapes():
 @pytest.mark.parametrize(
     ("reason", "expected"),
     [
-        ("from 1.5 s on it is no longer true that x < 2 (the wheel lifts)", "the wheel lifts"),
-        ("from time 0.5 on it is no longer true that x < 2", "not fulfilled: x < 2"),
+        ("invalid from 1.5 s: the wheel lifts", "the wheel lifts"),
+        ("invalid from 0.5 s: not fulfilled: x < 2", "not fulfilled: x < 2"),
         ("from 0.5 s on the step is too large", "the step is too large"),
         ("the step failed", "the step failed"),
     ],
 )
 def test_violation_is_named_in_a_few_words(reason, expected):
     assert violation(reason) == expected
+
+
+@pytest.mark.parametrize(
+    ("condition", "expected"),
+    [
+        ("the ground pushes it up (the wheel lifts)", "invalid from 1.5 s: the wheel lifts"),
+        ("x < 2", "invalid from 1.5 s: not fulfilled: x < 2"),
+        ("x (of the wheel) < 2", "invalid from 1.5 s: not fulfilled: x (of the wheel) < 2"),
+    ],
+)
+def test_invalid_run_says_from_when_and_why(condition, expected):
+    assert invalid_from(1.5, condition) == expected

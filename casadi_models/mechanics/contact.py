@@ -12,6 +12,8 @@ from casadi import SX
 
 from casadi_models.dae import Model
 
+__all__ = ["friction", "friction_in_plane", "impact"]
+
 _CLOSING = 1e-12  # m/s; a gap that closes faster does so by motion, not by rounding of an impact
 _MOST_CONTACTS = 6  # of one impact, whose sets of pushing contacts are tried one by one
 _NEVER_ZERO = 1e-100  # m/s; below every velocity, and its square is not zero

@@ -1,16 +1,24 @@
-"""Griffe extension: show the `Example:` sections of docstrings as code."""
+"""Griffe extension: sections and entries of docstrings as griffe reads them."""
 
 import re
 from typing import Any
 
 import griffe
 
+# An entry of a section that describes several names: "    start, stop: ..." and its further lines
+_JOINT = re.compile(r"^( +)(\w+(?:, \w+)+)(:.*(?:\n\1 +.*)*)", re.MULTILINE)
 
-class Examples(griffe.Extension):
-    """Give the section the name that griffe parses as doctest; Google's guide allows both."""
+
+class Sections(griffe.Extension):
+    """Give griffe what it parses: `Examples:` as doctest, and an entry for each name."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Rename the section in the docstring of an object."""
+        """Rewrite the docstring of an object."""
         if obj.docstring:
             text = re.sub(r"^Example:$", "Examples:", obj.docstring.value, flags=re.MULTILINE)
-            obj.docstring.value = text
+            obj.docstring.value = _JOINT.sub(_one_each, text)
+
+
+def _one_each(entry: re.Match[str]) -> str:
+    indent, names, meaning = entry.groups()
+    return "\n".join(f"{indent}{name}{meaning}" for name in names.split(", "))

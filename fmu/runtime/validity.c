@@ -14,8 +14,7 @@ void note_margins(Instance *self, const double margins[]) {
         const uint32_t bit = UINT32_C(1) << i;
         const bool inside = margins[i] > 0;
         if (!inside && !(state->outside & bit))
-            log_text(self, WARNING, "from time %.9g on it is no longer true that %s",
-                     state->values[TIME], limits[i]);
+            log_text(self, WARNING, "invalid from %.9g s: %s", state->values[TIME], violations[i]);
         state->outside = inside ? state->outside & ~bit : state->outside | bit;
         if (isfinite(margins[i])) state->widest[i] = fmax(state->widest[i], margins[i]);
     }
@@ -24,20 +23,20 @@ void note_margins(Instance *self, const double margins[]) {
 /* The limit that a failure is likely to have to do with: one that is left, or the one whose margin
    has shrunk most. Margins have units of their own; each is measured by its widest so far. */
 Hint nearest_limit(const Instance *self, const double margins[]) {
-    const char *nearest = NULL;
+    int nearest = -1;
     double least = INFINITY;
     for (int i = 0; i < N_LIMITS; i++) {
         const double widest = self->state.widest[i];
         const double share = widest > 0 ? margins[i] / widest : margins[i];
         if (!(share < least)) continue; /* nor where it is not a number */
         least = share;
-        nearest = limits[i];
+        nearest = i;
     }
-    if (!nearest) {
+    if (nearest < 0) {
         for (int i = 0; i < N_LIMITS; i++)
-            if (self->state.outside >> i & 1)
-                return (Hint){"; before, it was no longer true that ", limits[i]};
+            if (self->state.outside >> i & 1) return (Hint){"; invalid before: ", violations[i]};
         return (Hint){"", ""};
     }
-    return (Hint){least > 0 ? "; the nearest limit: " : "; it is no longer true that ", nearest};
+    return least > 0 ? (Hint){"; the nearest limit: ", limits[nearest]}
+                     : (Hint){"; invalid: ", violations[nearest]};
 }

@@ -63,7 +63,8 @@ enum { N_MARGINS = HAS_VALID ? N_LIMITS : 0, N_INDICATORS = N_MARGINS + N_WATCHE
 INSIDE_BEGIN
 
 extern const VariableInfo variables[];
-extern const char *const limits[]; /* what is true while the model holds; N_LIMITS of them */
+extern const char *const limits[];     /* what is true while the model holds; N_LIMITS of them */
+extern const char *const violations[]; /* what is wrong where it does not */
 #if HAS_EVENTS
 extern const Relation relations[];
 extern const Rule rules[];

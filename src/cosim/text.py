@@ -15,10 +15,9 @@ LONGEST_WORD = 300  # of a word, a list or a quoted text in it
 _ENDLESS = re.compile(r"(?<!\w)'[^'\n]{300,}'|\[[^][\n]{300,}\]|\S{300,}")
 # Control characters, escapes of terminals among them, and those that turn the writing direction
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-_VIOLATED = re.compile(
-    r"(?:from (?:time )?(?P<time>\S+)(?: s)? on )?it is no longer true that "
-    r"(?P<condition>.*?)(?: \((?P<instead>[^()]*)\))?"
-)
+INVALID = "invalid from"
+_VIOLATED = re.compile(rf"{INVALID} (?P<time>\S+) s: (?P<violation>.*)")
+_INSTEAD = re.compile(r".*? \(([^()]*)\)")
 
 
 def visible(text: str, *, lines: bool = False) -> str:
@@ -43,24 +42,30 @@ def readable(message: str) -> str:
     return bounded(_ENDLESS.sub(lambda found: bounded(found[0], LONGEST_WORD), shown))
 
 
-def violation(reason: str) -> str:
-    """Return in a few words what is wrong in a run that violates a validity condition.
+def violated(condition: str) -> str:
+    """Return what is wrong where a validity condition does not hold.
 
-    Args:
-        reason: As in `stats["invalid"]`. If the condition ends with what happens instead, in
-            parentheses, that is the answer; else it is the condition.
+    If the condition ends with what happens instead, in parentheses, that is the answer.
     """
-    if (found := _VIOLATED.fullmatch(reason)) is None:
-        return re.sub(r"^from (?:time )?\S+(?: s)? on ", "", reason)
-    return found["instead"] or f"not fulfilled: {found['condition']}"
+    found = _INSTEAD.fullmatch(condition)
+    return found[1] if found else f"not fulfilled: {condition}"
+
+
+def invalid_from(time: float, condition: str) -> str:
+    """Return the reason in `stats["invalid"]` of a run that violates a condition from a time, s."""
+    return f"{INVALID} {time:g} s: {violated(condition)}"
+
+
+def violation(reason: str) -> str:
+    """Return a reason as in `stats["invalid"]` without its time."""
+    found = _VIOLATED.fullmatch(reason)
+    return found["violation"] if found else re.sub(r"^from \S+ s on ", "", reason)
 
 
 def invalidity(reason: str) -> str:
-    """Return a reason as in `stats["invalid"]` in a few words, with its time if it has one."""
+    """Return a reason as in `stats["invalid"]` with three digits of its time."""
     found = _VIOLATED.fullmatch(reason)
-    if found is None or found["time"] is None:
-        return reason
-    return f"invalid from {float(found['time']):.3g} s: {violation(reason)}"
+    return f"{INVALID} {float(found['time']):.3g} s: {found['violation']}" if found else reason
 
 
 def csv_cell(text: str) -> str:

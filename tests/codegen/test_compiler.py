@@ -86,6 +86,17 @@ def test_long_code_is_compiled_with_less_optimization(cache, script, tmp_path):
     assert [word for word in long.split() if word.startswith("-O")][-1] == "-O1"  # which counts
 
 
+def test_level_of_CC_replaces_those_of_the_package(cache, script, monkeypatch, tmp_path):
+    path = script(f'echo "$@" >> {tmp_path}/calls', 'exec cc "$@"')
+    monkeypatch.setenv("CC", f"{path} -O0")
+    short = cached_library("short", lambda: CODE)
+    cached_library("long", lambda: CODE + "/*" + "x" * 200_000 + "*/")
+    for call in (tmp_path / "calls").read_text().splitlines():
+        assert [word for word in call.split() if word.startswith("-O")] == ["-O0"]
+    monkeypatch.setenv("CC", str(path))
+    assert cached_library("short", lambda: CODE) != short  # another level: another library
+
+
 def test_compiler_is_searched_in_the_order_of_the_documentation(monkeypatch, tmp_path):
     for name in ("gcc", "clang"):
         (tmp_path / name).write_text("#!/bin/sh\n")

@@ -16,6 +16,7 @@ import cosim
 from cosim.codegen import compiler as compiling
 
 pytestmark = [
+    pytest.mark.usefixtures("optimized"),
     needs_objdump,
     pytest.mark.skipif(platform.machine() != "x86_64", reason="names processors of x86-64"),
 ]

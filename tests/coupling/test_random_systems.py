@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from helpers.fmu_files import with_description
 from helpers.random_systems import SPAN, RandomSystem
+from helpers.samples import sampled
 
 import cosim
 from cosim.errors import SolverError
 
 ACCURACIES = (1e-3, 1e-6, 1e-8)
-SEEDS = [pytest.param(seed, marks=[pytest.mark.slow] if seed != 1 else []) for seed in range(20)]
+SEEDS = sampled(range(20), quick=[1], slow=range(6))
 LACKING = {  # attributes of co-simulation that a file of another tool may not have
     "rates": ("maxOutputDerivativeOrder",),
     "inputs": ("canInterpolateInputs",),

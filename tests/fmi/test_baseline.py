@@ -16,6 +16,7 @@ needs_zig = pytest.mark.skipif(
     find_spec("ziglang") is None, reason="needs the bundled compiler: pip install ziglang"
 )
 pytestmark = [
+    pytest.mark.usefixtures("optimized"),
     needs_objdump,
     pytest.mark.skipif(native_target().processor != "x86_64", reason="knows x86-64's baseline"),
 ]

@@ -1,6 +1,7 @@
-"""Fixed samples of tables: the default tests run a part, `-m slow` runs the rest."""
+"""Fixed samples of tables: the default tests run a part, `-m slow` more, `-m nightly` the rest."""
 
 from collections.abc import Collection, Iterable
+from typing import Any
 
 import pytest
 
@@ -14,6 +15,20 @@ FORMULATIONS = (
 )
 
 
-def sampled(values: Iterable[str], quick: Collection[str] = FORMULATIONS) -> list[object]:
-    """Return parameters of a test, those outside the sample marked as slow."""
-    return [pytest.param(v, marks=[] if v in quick else pytest.mark.slow) for v in values]
+def sampled(
+    values: Iterable[Any],
+    quick: Collection[Any] = FORMULATIONS,
+    slow: Collection[Any] | None = None,
+) -> list[object]:
+    """Return parameters of a test, those outside the quick sample marked as slow.
+
+    Args:
+        values: All parameters.
+        quick: Those of the default tests.
+        slow: Those of the slow tests; the rest is nightly. All if None.
+    """
+
+    def mark(value: Any) -> pytest.MarkDecorator:
+        return pytest.mark.slow if slow is None or value in slow else pytest.mark.nightly
+
+    return [pytest.param(v, marks=[] if v in quick else mark(v)) for v in values]

@@ -155,6 +155,7 @@ def write(
     (folder / "model.c").write_text(
         f"{include}{code}\nconst VariableInfo variables[] = {{\n{rows}\n}};\n"
         'const char *const limits[] = {"q < 2 m", 0};\n'
+        'const char *const violations[] = {"not fulfilled: q < 2 m", 0};\n'
     )
 
 

@@ -59,7 +59,7 @@ def test_only_what_is_recorded_has_to_be_a_number(compiled):
         simulate(pole(), **options)
     run = simulate(pole(), outputs=["fine"], **options)
     assert run.complete
-    assert run.stats["invalid"] == ["from 1.505 s on it is no longer true that x is small"]
+    assert run.stats["invalid"] == ["invalid from 1.505 s: not fulfilled: x is small"]
 
 
 def test_ignored_limits_are_not_evaluated(bicycle, everything, monkeypatch):

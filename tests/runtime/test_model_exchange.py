@@ -176,7 +176,7 @@ def test_a_limit_of_the_model_is_told_once_per_crossing(me, fmi2):
     assert told == [0, 1, 1, 1, 2]
     status, category, text = me.messages[-1]
     assert (status, category) == (WARNING, "logStatusWarning")
-    assert text == "fmi2GetReal: from time 0.5 on it is no longer true that q < 2 m"
+    assert text == "fmi2GetReal: invalid from 0.5 s: not fulfilled: q < 2 m"
     snapshot, again = me.take(), continuous(fmi2().initialize())
     assert again("SetFMUstate", snapshot) == OK
     again.get("energy")

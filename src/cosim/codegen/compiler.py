@@ -1,6 +1,7 @@
 """Compilation of C code to shared libraries, which are stored in the cache.
 
-The compiler is $CC, else cc, gcc, clang, else the one in the package `ziglang`.
+The compiler is $CC, else cc, gcc, clang, else the one in the package `ziglang`. An optimization
+level in $CC, as in CC="gcc -O0", replaces those of this package.
 """
 
 import ctypes
@@ -41,6 +42,7 @@ TIMEOUT = 600  # s, for one compiler call
 # function, such as a Jacobian, -O2 five times as long as -O1; neither gains speed. Hidden symbols
 # can be inlined.
 _LONG, _LENGTH = "-O1", 200_000  # characters
+_LEVEL = re.compile("-O.*")
 _HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # except those CasADi exports
 
 # Products and sums are not fused, so that every processor computes the same numbers. GCC fuses
@@ -133,6 +135,8 @@ def compile_library(
     elif sys.platform == "win32" and "ziglang" not in compiler:  # Clang rejects both there
         flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
     arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
+    if any(_LEVEL.fullmatch(word) for word in compiler):
+        arguments = [word for word in arguments if not _LEVEL.fullmatch(word)]
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     try:
         failed, output = _output_of(call, target.parent)

@@ -17,6 +17,7 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import Observed, Solved
 from cosim.memo import cached_per_thread
 from cosim.model.values import assign
+from cosim.text import invalid_from
 
 STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in nominal values
 
@@ -47,7 +48,7 @@ def breaches(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
         for k in _doubtful(margin):
             when = float(solved.time[0]) if k < 0 else _first_outside(dae, solved, seen, i, k)
             if when is not None:
-                text = f"from {when:g} s on it is no longer true that {meaning}"
+                text = invalid_from(when, meaning)
                 found.append(Breach(k + 1, text, when))
                 break
     return found

@@ -98,7 +98,7 @@ def test_violated_condition_is_reported_once(files, fmi):
             logger=collect,
             output_interval=0.1,
         )
-        assert len([text for text in said if "no longer true that x is below 0.5 m" in text]) == 1
+        assert len([text for text in said if "not fulfilled: x is below 0.5 m" in text]) == 1
 
 
 @VERSIONS

@@ -139,7 +139,7 @@ def test_a_failing_run_is_a_row_and_its_neighbors_keep_their_bits():
 def test_a_limit_is_reported_or_ends_its_run():
     rates = [0.5, 0.9, 0.5]
     warned = simulate_many(growth(), {"rate": rates})
-    text = "from 0.89 s on it is no longer true that x is less than 5"  # x = 5 at 8/9 s
+    text = "invalid from 0.89 s: not fulfilled: x is less than 5"  # x = 5 at 8/9 s
     assert warned.invalid == {1: text}
     assert warned.complete.all()
     stopped = simulate_many(growth(), {"rate": rates}, on_invalid="stop")

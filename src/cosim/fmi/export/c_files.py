@@ -13,6 +13,7 @@ from cosim.errors import UsageError
 from cosim.fmi.export.events import LEAST_STEPS, event_sizes, event_tables, literal
 from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role
+from cosim.text import violated
 
 
 def model_header(plan: Plan, guid: str) -> str:
@@ -49,6 +50,7 @@ def model_header(plan: Plan, guid: str) -> str:
 def variable_table(plan: Plan) -> str:
     """Return `model.c`: variables by value reference, validity conditions, relations and events."""
     limits = "".join(f"    {literal(meaning)},\n" for _, meaning in plan.dae.limits)
+    violations = "".join(f"    {literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
     rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */
@@ -61,6 +63,10 @@ const VariableInfo variables[] = {{
 
 const char *const limits[] = {{
 {limits}    NULL,
+}};
+
+const char *const violations[] = {{
+{violations}    NULL,
 }};
 {event_tables(plan.system)}"""
 

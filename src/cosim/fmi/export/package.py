@@ -35,6 +35,8 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
     Args:
         dae: The model.
         target: The file, replaced when everything has succeeded.
+
+    Keyword Args:
         fmi: Version of FMI: 2 (FMI 2.0, the default) or 3 (FMI 3.0).
         identifier: Model name in the FMU; `MODEL_FORMULATION` by default.
         outputs: Names of the variables that importers record; all observable ones by default.

@@ -23,6 +23,7 @@ from cosim.model.many_values import ManyValues
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Tolerance
 from cosim.model.values import Values, own_sizes
+from cosim.text import invalid_from
 
 CAUSES = {  # by code of the library
     1: "too many steps",
@@ -228,7 +229,7 @@ def _outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, st
     outside = ""
     if at >= 0:
         meaning = dae.limits[int(report["limit"])][1]
-        outside = f"from {grid[at]:g} s on it is no longer true that {meaning}"
+        outside = invalid_from(grid[at], meaning)
     if not code:
         return RunState.COMPLETE, "", outside
     last = f"{grid[good - 1]:g} s" if good else "the start"

@@ -25,6 +25,7 @@ from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.request import RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.values import assign, numbers_of
+from cosim.text import INVALID
 from cosim.trajectory import Trajectory
 
 
@@ -159,7 +160,7 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
                 states[number], reasons[number] = RunState.FAILED, str(error)
                 continue
             found, reasons[number] = cast(Trajectory, error.partial), error.partial.status
-            stopped = "it is no longer true that" in error.partial.status
+            stopped = INVALID in error.partial.status
             states[number] = RunState.STOPPED if stopped else RunState.FAILED
         except Interrupted as error:
             found, interrupted = cast(Trajectory, error.partial), True

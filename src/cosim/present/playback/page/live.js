@@ -5,11 +5,8 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const unpacked = async (text) =>
   new Response(new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
 
-/* In a few words what is wrong; see `violation` in cosim/text.py. */
-function violation(line) {
-  const found = /^(?:from time \S+ on )?it is no longer true that (.*?)(?: \(([^()]*)\))?$/.exec(line);
-  return found ? found[2] || `not fulfilled: ${found[1]}` : line.replace(/^from time \S+ on /, "");
-}
+/* What is wrong, without the time; see fmu/runtime/validity.c. */
+const violation = (line) => line.replace(/^invalid from \S+ s: /, "");
 
 const EVENT = /: at (\S+) s: (.*)/; // as the runtime logs one
 
@@ -91,7 +88,7 @@ class Solver {
     const reasons = [...new Set(lines.map(violation))]; // what is violated again and again is one reason
     const stopped = reached < times.length;
     if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${time[reached - 1]} s`);
-    const since = lines.map((line) => /from time (\S+) on/.exec(line)).find(Boolean);
+    const since = lines.map((line) => /invalid from (\S+) s:/.exec(line)).find(Boolean);
     return {
       time, rows: rows.subarray(references.length), across: width, down: 1, title: "",
       shapes: reached ? Array.from(rows.subarray(width - shapes, width)) : [],
