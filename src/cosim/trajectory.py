@@ -25,8 +25,8 @@ from cosim.presenters import presenter
 from cosim.series.csv_file import read_samples, repr_17, write_csv
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.series.mat_file import write_mat
-from cosim.series.samples import Column, resample, summary_rows, times_within
-from cosim.text import MOST_LINES, Table, html_table, text_table
+from cosim.series.samples import Column, resample, summary_table, summary_text, times_within
+from cosim.text import MOST_LINES, Table, html_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from casadi_models.dae import Drawing
 
 SHOWN_PANELS = 6  # of the picture in a notebook
-_OF_ROWS = "min and max of the rows"
 
 __all__ = ["Column", "Trajectory", "repr_17"]
 
@@ -269,12 +268,6 @@ class Trajectory:
         A run that can be computed again is computed at further times until polynomials fit it to
         its tolerance; `curves.extremes`, `mean()`, `rms()` and `first(i, level)` are then numbers
         of its motion. Of other runs they are numbers of the rows.
-
-        Example:
-            >>> import cosim
-            >>> run = cosim.simulate("crank_shaft", stop_time=1)
-            >>> run.select("omega").curves.mean()
-            array([55.])
         """
         known, again = self._rows(), self.again
         if again is None or len(self) < 2 or not self.columns:
@@ -292,10 +285,9 @@ class Trajectory:
     def summary(self) -> Table:
         """Return start, end, smallest and largest value of every variable, in display units.
 
-        The smallest and largest values are those of `curves`: of the motion of a run that can be
-        computed again, and of the rows of any other one, which the headline then says.
+        They are those of `curves`: of the motion, or of the rows, which the headline then says.
         """
-        return self._summary(self.curves)
+        return summary_table(self.columns, self.curves, self._headline())
 
     @classmethod
     def read_csv(
@@ -341,9 +333,7 @@ class Trajectory:
         return cls(model or place.stem, times + time_offset, own, values, stats)
 
     def __repr__(self) -> str:
-        rows = summary_rows(self.columns, self._rows(), when=False)
-        table = text_table(rows, most=MOST_LINES - 2)
-        return "\n".join((self._headline(), table, _OF_ROWS) if rows else (self._headline(),))
+        return summary_text(self.columns, self._rows(), self._headline())
 
     def _repr_html_(self) -> str:
         if not len(self) or not self.columns:
@@ -351,7 +341,7 @@ class Trajectory:
         from cosim.plotting import embedded
 
         shown = self.select(self.names[:SHOWN_PANELS])
-        summary = self._summary(self._rows())
+        summary = summary_table(self.columns, self._rows(), self._headline())
         left = len(summary.rows) - MOST_LINES
         table = html_table(summary.rows[:MOST_LINES], summary.caption, digits=6)
         more = f"<p>... and {left} more: run.summary()</p>" if left > 0 else ""
@@ -497,15 +487,6 @@ class Trajectory:
     def _rows(self) -> Curves:
         own = self.with_events()
         return of_rows(Rows(own.time, own.values))
-
-    def _summary(self, known: Curves) -> Table:
-        """Return start, end and extremes of what is known, in display units."""
-        rows = summary_rows(self.columns, known, when=True)
-        caption = self._headline() + f"; {_OF_ROWS}" * (bool(rows) and not len(known.begins))
-        rough = [name for name, fits in zip(self.names, known.resolved, strict=True) if not fits]
-        if rough and len(known.begins):
-            caption += f"; min and max of points of {', '.join(rough)}"
-        return Table(tuple(rows), caption, digits=6)
 
     def _headline(self) -> str:
         times = "no time" if not len(self) else "1 time" if len(self) == 1 else f"{len(self)} times"

@@ -16,6 +16,7 @@ _NODES = 16  # of a panel
 _FINE = 64  # points of a panel between which its extremes are sought
 _LEVELS = 10  # of refinement; each one computes the motion once
 _PARTS = 4  # of a panel that is refined
+_PER_STEP = 2  # nodes in a mean step of the solver
 _MOST = 20_000  # panels of a run
 _SLACK = 100.0  # errors of steps add up to about this many tolerances over a run
 
@@ -173,7 +174,8 @@ def curves(
     """Return motions as polynomials, each refined by itself until these fit it.
 
     The first panels are those of the output times. A panel is refined while it holds more than a
-    few mean steps of the solver, or while the last coefficients of a curve are not small.
+    few mean steps of the solver, or while the last coefficients of a curve are not small. Where
+    these are small and do not fall any more, they are the noise of the solver's interpolation.
 
     Args:
         sample: Computes motions at times that are no breaks.
@@ -185,8 +187,10 @@ def curves(
     """
     begin, end = float(rows[0].time[0]), float(rows[0].time[-1])
     shortest = 1e4 * np.spacing(max(abs(begin), abs(end)))  # else its nodes are the same numbers
-    widths = [_NODES * (end - begin) / (4 * max(count, 1)) for count in steps]
+    widths = [_NODES * (end - begin) / (_PER_STEP * max(count, 1)) for count in steps]
     first = _first_panels(begin, end, breaks, len(rows[0].time))
+    older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
+    unknown = np.full(len(sizes), np.inf)
     leaves = [list[tuple[float, float, Vector]]() for _ in rows]
     first = [panel for panel in first if _width(panel) > shortest]
     waiting = dict.fromkeys(range(len(rows)), first)
@@ -207,13 +211,18 @@ def curves(
             largest[run] = np.maximum(largest[run], _largest(values.reshape(-1, len(sizes))))
             allowed = _SLACK * accuracy * np.maximum(largest[run], accuracy * sizes)
             with np.errstate(invalid="ignore"):
-                rough = _tail(_FIT @ values) > allowed
+                tails = _tail(_FIT @ values)
+                rough = tails > allowed
             full = len(leaves[run]) + _PARTS * len(own) > _MOST
-            for panel, here, bad in zip(own, values, rough, strict=True):
+            doubt = np.sqrt(accuracy) * largest[run]  # below it, what does not fall is noise
+            for panel, here, tail, bad in zip(own, values, tails, rough, strict=True):
+                before, parent = older.pop((run, panel), (unknown, unknown))
+                bad &= (tail > doubt) | (tail < before / _PARTS)  # a kink falls by its square
                 split = bad.any() or _width(panel) > widths[run]
                 if split and level < _LEVELS and not full and _width(panel) > _PARTS * shortest:
                     parts = np.linspace(*panel, _PARTS + 1).tolist()
                     waiting[run] += pairwise(parts)
+                    older |= {(run, part): (parent, tail) for part in pairwise(parts)}
                 else:
                     leaves[run].append((*panel, here))
                     resolved[run] &= ~bad

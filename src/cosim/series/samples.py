@@ -11,6 +11,9 @@ from casadi_models.units import converted, parse_unit
 from cosim.arrays import Vector
 from cosim.errors import ParameterError
 from cosim.series.curves import Curves
+from cosim.text import MOST_LINES, Table, text_table
+
+OF_ROWS = "min and max of the rows"
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,23 @@ def summary_rows(columns: Sequence[Column], known: Curves, *, when: bool) -> lis
         row |= {"max at [s]": float(high_at[i])} if when else {}
         rows.append(row)
     return rows
+
+
+def summary_table(columns: Sequence[Column], known: Curves, headline: str) -> Table:
+    """Return `summary_rows` under a headline that says which extremes are not of the motion."""
+    rows = summary_rows(columns, known, when=True)
+    if rows and not len(known.begins):
+        headline += f"; {OF_ROWS}"
+    elif rough := [c.name for c, fits in zip(columns, known.resolved, strict=True) if not fits]:
+        headline += f"; min and max of points of {', '.join(rough)}"
+    return Table(tuple(rows), headline, digits=6)
+
+
+def summary_text(columns: Sequence[Column], known: Curves, headline: str) -> str:
+    """Return `summary_rows` of rows alone, without times, as a few lines of text."""
+    rows = summary_rows(columns, known, when=False)
+    table = text_table(rows, most=MOST_LINES - 2)
+    return "\n".join((headline, table, OF_ROWS) if rows else (headline,))
 
 
 def resample(
