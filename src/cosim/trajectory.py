@@ -23,9 +23,10 @@ from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.presenters import presenter
 from cosim.series.csv_file import read_samples, repr_17, write_csv
+from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.series.mat_file import write_mat
-from cosim.series.samples import Column, resample, summary_rows, times_within
-from cosim.text import MOST_LINES, Table, html_table, text_table
+from cosim.series.samples import Column, resample, summary_table, summary_text, times_within
+from cosim.text import MOST_LINES, Table, html_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -86,6 +87,7 @@ class Trajectory:
         m: 3 times from 0 to 2 s, 1 variable, complete
         name  unit  start  end  min  max
         x     m     0      4    0    4
+        min and max of the rows
     """
 
     model: str
@@ -259,13 +261,33 @@ class Trajectory:
             found = replace(self, time=np.atleast_1d(requested), values=values)
         return found.final if requested.ndim == 0 else found
 
-    def summary(self) -> Table:
-        """Return start, end, smallest and largest value of every variable, in display units."""
-        return Table(
-            tuple(summary_rows(self.columns, self.time, self.values, when=True)),
-            self._headline(),
-            digits=6,
+    @cached_property
+    def curves(self) -> Curves:
+        """What is known of the variables between the output times.
+
+        A run that can be computed again is computed at further times until polynomials fit it to
+        its tolerance; `curves.extremes`, `mean()`, `rms()` and `first(i, level)` are then numbers
+        of its motion. Of other runs they are numbers of the rows.
+        """
+        known, again = self._rows(), self.again
+        if again is None or len(self) < 2 or not self.columns:
+            return known
+        found = curves(
+            lambda times, _: again(times).select(self.names).values[None],
+            [known.rows],
+            [int(self.stats.get("steps") or 0)],
+            float(self.stats.get("relative_tolerance") or DEFAULT_RELATIVE_TOLERANCE),
+            np.array([column.nominal for column in self.columns]),
+            [event.time for event in self.events],
         )
+        return found[0]
+
+    def summary(self) -> Table:
+        """Return start, end, smallest and largest value of every variable, in display units.
+
+        They are those of `curves`: of the motion, or of the rows, which the headline then says.
+        """
+        return summary_table(self.columns, self.curves, self._headline())
 
     @classmethod
     def read_csv(
@@ -311,9 +333,7 @@ class Trajectory:
         return cls(model or place.stem, times + time_offset, own, values, stats)
 
     def __repr__(self) -> str:
-        rows = summary_rows(self.columns, self.time, self.values, when=False)
-        table = text_table(rows, most=MOST_LINES - 1)
-        return "\n".join(part for part in (self._headline(), table) if part)
+        return summary_text(self.columns, self._rows(), self._headline())
 
     def _repr_html_(self) -> str:
         if not len(self) or not self.columns:
@@ -321,9 +341,9 @@ class Trajectory:
         from cosim.plotting import embedded
 
         shown = self.select(self.names[:SHOWN_PANELS])
-        rows = summary_rows(self.columns, self.time, self.values, when=True)
-        left = len(rows) - MOST_LINES
-        table = html_table(rows[:MOST_LINES], self._headline(), digits=6)
+        summary = summary_table(self.columns, self._rows(), self._headline())
+        left = len(summary.rows) - MOST_LINES
+        table = html_table(summary.rows[:MOST_LINES], summary.caption, digits=6)
         more = f"<p>... and {left} more: run.summary()</p>" if left > 0 else ""
         return f"{embedded(shown.plot(), 'curves')}{table}{more}"
 
@@ -331,7 +351,8 @@ class Trajectory:
         return ["time", *self.names]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"again": None}  # a pickled result does not contain its model
+        # a pickled result does not contain its model
+        return {n: v for n, v in self.__dict__.items() if n != "curves"} | {"again": None}
 
     @property
     def structured(self) -> NDArray[Any]:
@@ -462,6 +483,10 @@ class Trajectory:
             return self.names.index(name)
         except ValueError:
             raise UnknownName.among(f"{self.model}: run", "variable", name, self.names) from None
+
+    def _rows(self) -> Curves:
+        own = self.with_events()
+        return of_rows(Rows(own.time, own.values))
 
     def _headline(self) -> str:
         times = "no time" if not len(self) else "1 time" if len(self) == 1 else f"{len(self)} times"

@@ -10,6 +10,10 @@ from numpy.typing import ArrayLike
 from casadi_models.units import converted, parse_unit
 from cosim.arrays import Vector
 from cosim.errors import ParameterError
+from cosim.series.curves import Curves
+from cosim.text import MOST_LINES, Table, text_table
+
+OF_ROWS = "min and max of the rows"
 
 
 @dataclass(frozen=True)
@@ -63,30 +67,45 @@ class Column:
         return in_display
 
 
-def summary_rows(
-    columns: Sequence[Column], time: Vector, values: Vector, *, when: bool
-) -> list[dict[str, Any]]:
+def summary_rows(columns: Sequence[Column], known: Curves, *, when: bool) -> list[dict[str, Any]]:
     """Return start, end, smallest and largest value of each column in display units.
 
     Args:
-        columns, time, values: Samples, SI, (n, len(columns)), at times, s, (n,).
+        columns: The variables.
+        known: Their curves, SI, or all that is known of them.
         when: Whether to add the times of the smallest and the largest value.
     """
-    if not len(time):
+    values = known.rows.values
+    if not len(values) or not columns:
         return []
+    low, low_at, high, high_at = known.extremes
     rows = []
-    for column, own in zip(columns, values.T, strict=True):
-        shown = column.shown(own)
-        known = shown if np.isfinite(shown).any() else np.zeros(len(shown))
-        low, high = int(np.nanargmin(known)), int(np.nanargmax(known))
+    for i, column in enumerate(columns):
+        shown = column.shown(np.array([values[0, i], values[-1, i], low[i], high[i]])).tolist()
         row: dict[str, Any] = {"name": column.name, "unit": column.shown_unit}
-        row |= {"start": float(shown[0]), "end": float(shown[-1])}
-        row["min"] = float(shown[low])
-        row |= {"min at [s]": float(time[low])} if when else {}
-        row["max"] = float(shown[high])
-        row |= {"max at [s]": float(time[high])} if when else {}
+        row |= dict(zip(("start", "end", "min"), shown, strict=False))
+        row |= {"min at [s]": float(low_at[i])} if when else {}
+        row["max"] = shown[3]
+        row |= {"max at [s]": float(high_at[i])} if when else {}
         rows.append(row)
     return rows
+
+
+def summary_table(columns: Sequence[Column], known: Curves, headline: str) -> Table:
+    """Return `summary_rows` under a headline that says which extremes are not of the motion."""
+    rows = summary_rows(columns, known, when=True)
+    if rows and not len(known.begins):
+        headline += f"; {OF_ROWS}"
+    elif rough := [c.name for c, fits in zip(columns, known.resolved, strict=True) if not fits]:
+        headline += f"; min and max of points of {', '.join(rough)}"
+    return Table(tuple(rows), headline, digits=6)
+
+
+def summary_text(columns: Sequence[Column], known: Curves, headline: str) -> str:
+    """Return `summary_rows` of rows alone, without times, as a few lines of text."""
+    rows = summary_rows(columns, known, when=False)
+    table = text_table(rows, most=MOST_LINES - 2)
+    return "\n".join((headline, table, OF_ROWS) if rows else (headline,))
 
 
 def resample(

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import cosim
 from cosim.errors import UnknownName, UsageError
+from cosim.series.curves import Rows, of_rows
 from cosim.study.sweep.reductions import Keep, Reduction, keep_from
 
 TIME = np.linspace(0, 2 * np.pi, 2001)
@@ -12,7 +14,8 @@ WAVES = np.array([[1.0], [2.0]]) * np.sin(TIME)
 
 def test_numbers_of_a_sine_are_those_of_the_textbook():
     def of(kind, level=None):
-        return Reduction(kind, "x", level).of(TIME, WAVES)
+        rows = of_rows(Rows(TIME, WAVES.T))
+        return np.array([Reduction(kind, "x", level).of(rows, i) for i in range(2)])
 
     np.testing.assert_allclose(of("max"), [1, 2], rtol=1e-6)
     np.testing.assert_allclose(of("min"), [-1, -2], rtol=1e-6)
@@ -49,3 +52,29 @@ def test_words_name_the_results_to_store():
 def test_other_words_are_rejected(words, error):
     with pytest.raises(error):
         keep_from(words, ["a", "b"])
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_numbers_of_a_sweep_are_those_of_the_motion(solver):
+    model = cosim.Model("oscillator", stop_time=1.0)
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    rate = model.parameter("rate", "1/s", 1.0, "angular frequency")
+    model.derivative(x, v)
+    model.derivative(v, -(rate**2) * x)
+    rates = 20 * np.pi * np.array([1.0, 2.0])  # each period ends at an output time
+    keep = ["max", "min", "mean", "rms", "first(x, 0.5)"]
+    found = cosim.sweep(
+        model.freeze(), {"rate": rates}, keep=keep, solver=solver, output_interval=0.1, workers=0
+    )
+    np.testing.assert_allclose(found["x_min"], -1, rtol=1e-5)  # 1 at every output time
+    np.testing.assert_allclose(found["x_max"], 1, rtol=1e-5)
+    np.testing.assert_allclose(found["x_mean"], 0, atol=1e-6)
+    np.testing.assert_allclose(found["x_rms"], np.sqrt(0.5), rtol=1e-5)
+    np.testing.assert_allclose(found["x_first_0.5"], np.pi / 3 / rates, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("solver", "of_rows"), [("dop853", ""), ("rk4", " of the rows")])
+def test_store_says_which_numbers_are_of_the_rows(solver, of_rows):
+    run = {"stop_time": 0.1, "solver": solver, "workers": 0}
+    found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, keep=["max(phi)"], **run)
+    assert found.to_xarray()["phi_max"].attrs["long_name"] == "max of phi" + of_rows

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import UnknownName
 from cosim.host.optional_packages import optional_module
+from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.text import MOST_LINES, Table, invalidity, sentence, text_table
 from cosim.trajectory import Column, Trajectory
 
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from casadi_models.dae import Drawing
+
+
+_NUMBERS = 4_000_000  # that runs computed together at further times have
 
 
 class RunState(StrEnum):
@@ -54,6 +59,8 @@ class Ensemble:
         drawing: The drawing of the model; None if unknown.
         numbers: Parameters and constant inputs that were not varied, SI; None if unknown.
         with_events: Runs with events, by position, with these and the row of one that ended them.
+        again: Computes runs without events, given by their positions, at other times: values,
+            (positions, times, columns); None if they cannot be computed again.
 
     Example:
         >>> import cosim
@@ -78,6 +85,7 @@ class Ensemble:
     drawing: Drawing | None = field(default=None, repr=False)
     numbers: Mapping[str, float] | None = field(default=None, repr=False)
     with_events: Mapping[int, Trajectory] = field(default_factory=dict, repr=False)
+    again: Callable[[Vector, Integers], Vector] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -135,6 +143,39 @@ class Ensemble:
             self.model, self.time[:n], self.columns, table, stats, status, drawing, None, numbers
         )
 
+    def rows(self, i: int) -> Curves:
+        """Return what the output times tell of a run."""
+        run = self.with_events.get(i)
+        return of_rows(
+            Rows(self.time, self.values[i]) if run is None else Rows(run.time, run.values)
+        )
+
+    def curves(self) -> Iterator[tuple[int, Curves]]:
+        """Yield each complete run and what is known of its variables between the output times.
+
+        Runs that can be computed again are known at every time; see `Trajectory.curves`.
+        """
+        complete = np.flatnonzero(self.complete)
+        events = [i for i in complete.tolist() if i in self.with_events]
+        yield from ((i, self.with_events[i].curves) for i in events)
+        plain = np.array([i for i in complete if i not in self.with_events], dtype=np.int64)
+        again = self.again
+        if again is None or len(self.time) < 2:
+            yield from ((i, self.rows(i)) for i in plain.tolist())
+            return
+        nodes = 4 * max(len(self.time), 4 * int(self.steps.max(initial=0)))
+        size = max(1, _NUMBERS // (nodes * len(self.columns) + 1))
+        for first in range(0, len(plain), size):
+            some = plain[first : first + size]
+            found = curves(
+                partial(_some_again, again, some),
+                [Rows(self.time, self.values[i]) for i in some],
+                [int(self.steps[i]) for i in some],
+                float(self.stats.get("relative_tolerance") or DEFAULT_RELATIVE_TOLERANCE),
+                np.array([column.nominal for column in self.columns]),
+            )
+            yield from zip(some.tolist(), found, strict=True)
+
     def reason(self, i: int) -> str:
         """Return why a run is not complete or from when on it is invalid; "" if neither."""
         return invalidity(self.reasons.get(i, self.invalid.get(i, "")))
@@ -146,7 +187,7 @@ class Ensemble:
             rows.append(range_row(column.name, column.shown_unit, column.shown(own)))
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
         facts = f"{len(self)} runs, {len(self.time)} times{span}"
-        return Table(tuple(rows), f"{self.model}: {facts}, {self.status}")
+        return Table(tuple(rows), f"{self.model}: {facts}, {self.status}; min and max of the rows")
 
     def __repr__(self) -> str:
         table = self.summary()
@@ -176,6 +217,12 @@ class Ensemble:
         coordinates = {"time": ("time", self.time, {"units": "s"}), **given}
         dataset: xr.Dataset = xarray.Dataset(variables, coordinates, {"model": self.model})
         return dataset
+
+
+def _some_again(
+    again: Callable[[Vector, Integers], Vector], some: Integers, times: Vector, runs: Integers
+) -> Vector:
+    return again(times, some[runs])
 
 
 def varied_rows(varied: Mapping[str, Vector]) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Unpack, cast
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
+from cosim.arrays import Integers, Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.pulses import pulse_within_a_step
 from cosim.codegen.runge_kutta.lanes import fits_lanes
@@ -22,8 +24,9 @@ from cosim.integrate.outputs import recorded_columns, watching
 from cosim.integrate.run import run
 from cosim.integrate.solvers import chosen_solver, with_largest_step
 from cosim.model.many_values import ManyValues, assign_many
-from cosim.model.request import RunRequest
+from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Solver, Tolerance
+from cosim.model.times import Times
 from cosim.model.values import assign, numbers_of
 from cosim.text import INVALID
 from cosim.trajectory import Trajectory
@@ -91,8 +94,10 @@ def simulate_many(
         found = one_by_one(request, values)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **found.stats}
+    again = partial(values_at, request, values.given, lanes) if chosen.adaptive else None
     ensemble = replace(
         found,
+        again=again,
         stats=stats | {"wall_time": perf_counter() - began},
         drawing=request.dae.drawing,
         numbers=numbers_of(request.dae, assign(request.dae)),
@@ -103,6 +108,32 @@ def simulate_many(
             f"{request.dae.full_name}: interrupted after {done} of {len(ensemble)} runs", ensemble
         )
     return ensemble
+
+
+def values_at(
+    request: RunRequest,
+    given: Mapping[str, Vector],
+    lanes: int | None,
+    times: Vector,
+    runs: Integers,
+) -> Vector:
+    """Compute variants at other output times, with the same begin and end and thus the same steps.
+
+    Args:
+        request: The request of all variants.
+        given: Their values by name.
+        lanes: See `simulate_many`.
+        times: Output times, s, (n,).
+        runs: Positions of the variants, (m,).
+
+    Returns:
+        Values, (m, n, outputs); NaN where a variant fails.
+    """
+    stop = request.times.span(request.dae)[1]
+    own = Times.at(times, request.times.start, stop=stop)
+    policy = replace(request.policy, on_invalid=OnInvalid.IGNORE)
+    asked = replace(request, times=own, policy=policy, values={})
+    return simulate_many(asked, {n: rows[runs] for n, rows in given.items()}, lanes=lanes).values
 
 
 def runs_in_lanes(request: RunRequest) -> bool:

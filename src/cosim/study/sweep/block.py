@@ -82,10 +82,15 @@ class Job:
         reasons = dict(ensemble.invalid) | dict(ensemble.reasons)
         numbers = dict[str, Vector]()
         for reduction in self.keep.reductions:
-            found = reduction.of(ensemble.time, ensemble[reduction.variable]).copy()
-            for i, run in ensemble.with_events.items():  # one may have ended the run
-                found[i] = reduction.of(run.time, run[reduction.variable][None])[0]
-            numbers[reduction.name] = np.where(states == COMPLETE, found, np.nan)
+            numbers[reduction.name] = np.full(len(states), np.nan)
+        if any(reduction.of_motion for reduction in self.keep.reductions):
+            every = ensemble.curves()
+        else:
+            every = ((i, ensemble.rows(i)) for i in np.flatnonzero(states == COMPLETE).tolist())
+        for i, known in every if self.keep.reductions else ():
+            for reduction in self.keep.reductions:
+                curve = ensemble.names.index(reduction.variable)
+                numbers[reduction.name][i] = reduction.of(known, curve)
         for function in self.keep.functions:
             _add_results(function, ensemble, states, reasons, numbers)
         return Block(

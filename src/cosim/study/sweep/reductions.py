@@ -10,6 +10,7 @@ import numpy as np
 
 from cosim.arrays import Truths, Vector
 from cosim.errors import UnknownName, UsageError
+from cosim.series.curves import Curves
 from cosim.trajectory import Trajectory
 
 REDUCTIONS = ("final", "max", "min", "mean", "rms", "first")
@@ -45,38 +46,22 @@ class Reduction:
         words = {"final": "final value", "rms": "root mean square over time"}
         return f"{words.get(self.kind, self.kind)} of {self.variable}"
 
-    def of(self, time: Vector, values: Vector) -> Vector:
-        """Return the number of each run, (runs,), from its values at times, (runs, times)."""
-        if self.kind == "final":
-            return values[:, -1]
-        if self.kind in ("mean", "rms"):
-            powers = values if self.kind == "mean" else values * values
-            if len(time) > 1:
-                mean = np.trapezoid(powers, time, axis=1) / (time[-1] - time[0])
-            else:
-                mean = powers[:, 0]
-            result: Vector = mean if self.kind == "mean" else np.sqrt(mean)
-            return result
+    @property
+    def of_motion(self) -> bool:
+        """Whether the number depends on what is between the output times."""
+        return self.kind != "final"
+
+    def of(self, known: Curves, curve: int) -> float:
+        """Return the number of one curve of a run."""
         if self.kind == "first":
-            return _first(time, values - (self.level or 0.0))
-        extreme: Vector = getattr(np, self.kind)(values, axis=1)
-        return extreme
-
-
-def _first(time: Vector, heights: Vector) -> Vector:
-    """Return the time when each row first crosses zero, by linear interpolation."""
-    before, after = heights[:, :-1], heights[:, 1:]
-    with np.errstate(invalid="ignore"):
-        passes = (before == 0) | (before * after < 0)
-    passes = np.concatenate((passes, heights[:, -1:] == 0), axis=1)
-    at = passes.argmax(axis=1)
-    rows = np.arange(len(heights))
-    nearest = np.minimum(at + 1, heights.shape[1] - 1)
-    left, right = heights[rows, at], heights[rows, nearest]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        part = np.where(left == 0, 0.0, left / (left - right))
-    found = time[at] + part * (time[nearest] - time[at])
-    return np.where(passes.any(axis=1), found, np.nan)
+            return known.first(curve, self.level or 0.0)
+        if self.kind == "final":
+            return float(known.rows.values[-1, curve])
+        if self.kind in ("max", "min"):
+            found = known.extremes.high if self.kind == "max" else known.extremes.low
+        else:
+            found = known.mean() if self.kind == "mean" else known.rms()
+        return float(found[curve])
 
 
 Function = Callable[[Trajectory], Mapping[str, float]]  # of users: numbers of one run by name

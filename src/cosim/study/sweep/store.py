@@ -45,6 +45,7 @@ class Layout:
         time: Output times, s.
         keep: The results to store.
         block: Runs that are computed and written together.
+        of_rows: Whether the numbers of each run are those of its output times alone.
     """
 
     manifest: Mapping[str, Any]
@@ -53,6 +54,7 @@ class Layout:
     time: Vector
     keep: Keep
     block: int
+    of_rows: bool = False
 
     def blocks(self) -> Iterator[tuple[int, int]]:
         """Yield first run and number of runs of each block."""
@@ -248,7 +250,8 @@ class Store:
         self._add("steps", run, 0, {"long_name": "steps of the solver"})
         self._add("reached", run, 0, {"long_name": "valid output times"})
         for reduction in layout.keep.reductions:
-            self._add(reduction.name, run, np.nan, {"long_name": reduction.meaning})
+            of_rows = " of the rows" if reduction.of_motion and layout.of_rows else ""
+            self._add(reduction.name, run, np.nan, {"long_name": reduction.meaning + of_rows})
         for output in layout.columns:
             if layout.keep.trajectories:
                 self._add(output.name, ("run", "time"), np.nan, output.facts)

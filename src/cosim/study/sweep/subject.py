@@ -23,6 +23,7 @@ from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
 from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
 from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.outputs import recorded_columns, watching
+from cosim.integrate.solvers import chosen_solver
 from cosim.model.catalogue import load
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Solver
@@ -115,6 +116,11 @@ class ModelSubject:
         values = overriding(request.dae, request.values, dict.fromkeys(columns, 0.0))
         return simulate_many(replace(request, values={}), {**values, **columns}, threads=threads)
 
+    def knows_motion(self, settings: Mapping[str, Any]) -> bool:
+        """Return whether runs can be computed again at further times."""
+        request = self._with(settings)
+        return chosen_solver(request.dae, request.solver)[0].adaptive
+
     def close(self) -> None:
         """Do nothing: compiled code is shared by all subjects of a process."""
 
@@ -176,6 +182,10 @@ class FmuSubject:
                     f"give {', '.join(_TAKEN)} or outputs"
                 )
         return f"fmpy {self._fmu.interface}"
+
+    def knows_motion(self, settings: Mapping[str, Any]) -> bool:
+        """Return False: an FMU tells its values at output times only."""
+        return False
 
     def run(
         self, columns: Mapping[str, Vector], settings: Mapping[str, Any], threads: int

@@ -196,7 +196,7 @@ class SweepResult:
         return self.data.to_xarray()
 
 
-_STORE_FORMAT = 4
+_STORE_FORMAT = 5
 _LANE_BLOCK = 16, 1024  # fewest and most runs of a block in SIMD lanes
 _BLOCK = 1, 16  # fewest and most runs of a block, run one by one
 _BLOCKS = 24  # blocks of a sweep, if these bounds allow it
@@ -290,7 +290,9 @@ def sweep(
         | {"machine": platform.machine()},
     }
     block = _block_size(len(chosen), len(time) * len(names), in_lanes=in_lanes)
-    layout = Layout(manifest, chosen, columns, time, stored, block)
+    layout = Layout(
+        manifest, chosen, columns, time, stored, block, not opened.knows_motion(recorded)
+    )
     job = Job(opened, recorded, len(time), stored, processors())
     with ExitStack() as held:
         if scheduler is not None:  # this process waits for workers, which end with it
