@@ -12,8 +12,11 @@ from cosim.fmi.run.c_structures import c_type
 from cosim.fmi.run.instance import getter_name, is_second
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
-_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3  # kinds of FMI 2's status
-_SIZE, _DOUBLE, _POINTER = ctypes.c_size_t, ctypes.c_double, ctypes.c_void_p
+_LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status
+_TERMINATED = 3
+_SIZE = ctypes.c_size_t
+_DOUBLE = ctypes.c_double
+_POINTER = ctypes.c_void_p
 _CONTINUOUS = {"Real", "Float64"}
 
 
@@ -35,14 +38,16 @@ class Group:
     """
 
     def __init__(self, calls: "PreparedCalls", kind: str, variables: Sequence[Any]) -> None:
-        n, second = len(variables), calls.second
+        n = len(variables)
+        second = calls.second
         self._references = (ctypes.c_uint32 * n)(*(v.valueReference for v in variables))
         self._values = (c_type(kind, second) * n)()
         self.buffer = np.frombuffer(self._values, dtype=np.dtype(self._values._type_))
         size = _SIZE(n)
         arguments = [calls.instance, self._references, size, self._values]
         arguments += [] if second else [size]
-        self._get, self._set = calls.function(f"Get{kind}"), calls.function(f"Set{kind}")
+        self._get = calls.function(f"Get{kind}")
+        self._set = calls.function(f"Set{kind}")
         self._arguments = arguments
         self.columns: list[int] = []
 
@@ -67,14 +72,17 @@ class PreparedCalls:
 
     def __init__(self, instance: Any, description: Any) -> None:
         self.second = is_second(description)
-        self._dll, self._description = instance.dll, description
+        self._dll = instance.dll
+        self._description = description
         self.instance = _POINTER(instance.component)
-        self._time, self._length, self._last = _DOUBLE(), _DOUBLE(), _DOUBLE()
-        no, flags = ctypes.c_int(0), (ctypes.c_bool(), ctypes.c_bool(), ctypes.c_bool())
-        self._ends, self._early = flags[1], flags[2]
+        self._time = _DOUBLE()
+        self._length = _DOUBLE()
+        self._last = _DOUBLE()
+        flags = (ctypes.c_bool(), ctypes.c_bool(), ctypes.c_bool())
+        _, self._ends, self._early = flags
         arguments: tuple[Any, ...] = (self.instance, self._time, self._length)
         if self.second:
-            arguments += (no,)
+            arguments += (ctypes.c_int(0),)
         else:
             results = [ctypes.byref(flag) for flag in flags]
             arguments += (ctypes.c_bool(False), *results, ctypes.byref(self._last))
@@ -108,7 +116,8 @@ class PreparedCalls:
 
     def step(self, time: float, length: float) -> Step:
         """Take a communication step from a time, s."""
-        self._time.value, self._length.value = time, length
+        self._time.value = time
+        self._length.value = length
         status = self._do_step(*self._arguments)
         if not self.second:
             if self._early.value and not self._ends.value and status <= WARNING:
@@ -116,7 +125,8 @@ class PreparedCalls:
             return Step(status, self._last.value, self._ends.value)
         if status != DISCARD:
             return Step(status, time + length, False)
-        ends, last = ctypes.c_int(), _DOUBLE(time)
+        ends = ctypes.c_int()
+        last = _DOUBLE(time)
         self.function("GetBooleanStatus")(self.instance, _TERMINATED, ctypes.byref(ends))
         if not ends.value:
             return Step(status, time, False)
@@ -139,17 +149,19 @@ class StateCalls:
             f"Serialize{state}",
             f"{'DeSerialize' if calls.second else 'Deserialize'}{state}",
         )
-        self._check, self._instance = check, calls.instance
+        self._check = check
+        self._instance = calls.instance
         names = (f"Get{state}", f"Set{state}", f"Free{state}", size_of, write, read)
         self._take, self._put, self._free, self._size_of, self._write, self._read = (
             (calls.function(name), name) for name in names
         )
-        self._state, self._size, self._length = _POINTER(), _SIZE(), _SIZE()
+        self._state = _POINTER()
+        self._size = _SIZE()
+        self._length = _SIZE()
         self._read_state = _POINTER()
         self._room = ctypes.create_string_buffer(0)
-        at_state, at_size = ctypes.byref(self._state), ctypes.byref(self._size)
-        self._take_arguments = calls.instance, at_state
-        self._size_arguments = calls.instance, self._state, at_size
+        self._at_state = ctypes.byref(self._state)
+        self._at_size = ctypes.byref(self._size)
         self._read_place = ctypes.byref(self._read_state)
 
     def _call(self, call: tuple[Callable[..., int], str], *arguments: Any) -> None:
@@ -159,8 +171,8 @@ class StateCalls:
 
     def save(self) -> bytes:
         """Return the state as bytes."""
-        self._call(self._take, *self._take_arguments)
-        self._call(self._size_of, *self._size_arguments)
+        self._call(self._take, self._instance, self._at_state)
+        self._call(self._size_of, self._instance, self._state, self._at_size)
         size = self._size.value
         if len(self._room) != size:
             self._room = ctypes.create_string_buffer(size)

@@ -12,7 +12,8 @@ from cosim.fmi.run.request import FmuRequest
 from cosim.integrate.keywords import requested
 from cosim.model.values import number
 from cosim.session.opened_file import OpenedFile, exported
-from cosim.session.session import Experiment, Session
+from cosim.session.restart import Experiment
+from cosim.session.session import Session
 
 
 def open(
@@ -71,7 +72,8 @@ def open(
     if isinstance(model, os.PathLike) or (isinstance(model, str) and model.endswith(".fmu")):
         if solver is not None:
             raise UsageError(f"{model}: an FMU has its own solver; leave solver out")
-        file, dae = OpenedFile(model), None
+        file = OpenedFile(model)
+        dae = None
     else:
         dae = requested(model).dae
         file = exported(dae, solver)

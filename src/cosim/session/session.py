@@ -8,52 +8,39 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
 from functools import cached_property
-from math import isfinite, nan
+from math import nan
 from types import TracebackType
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import Any, NoReturn, Self
 from weakref import finalize
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from casadi_models.dae import Dae
+from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
-from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
-from cosim.fmi.run.instance import by_name, initialize, is_number, unit_of, why_it_ended
+from cosim.errors import FmuError, UsageError
+from cosim.fmi.run.instance import by_name, initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
-from cosim.fmi.run.typed_values import typed_value
-from cosim.fmi.units import units_for
 from cosim.integrate.keywords import requested
-from cosim.model.quantities import quantity
-from cosim.model.values import listed, number, plain_values
-from cosim.session.calls import FATAL, WARNING, Group, Jacobians, PreparedCalls, StateCalls
+from cosim.model.values import number, plain_values
+from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls
+from cosim.session.clock import target_of
+from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
+from cosim.session.restart import Experiment, Restart
+from cosim.session.values import Values, inputs_of, plain_value
 from cosim.trajectory import Event
 
 _HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, kept
-_SUM, _MAGIC = struct.Struct("<I"), b"session1"
-_LARGEST = 64  # requests of variables that are prepared at a time
+_LARGEST = 64  # resets that are prepared
+_SUM = struct.Struct("<I")
+_MAGIC = b"session1"
 
 
 class _Phase(StrEnum):
-    RUNNING, ENDED, FAILED, CLOSED = "running", "ended", "failed", "closed"
-
-
-class LinearSystem(NamedTuple):
-    """Matrices of x' = A x + B u, y = C x + D u for small deviations from the present state."""
-
-    A: Vector
-    B: Vector
-    C: Vector
-    D: Vector
-
-
-class Experiment(NamedTuple):
-    """What an FMU learns of a run: times in s and tolerance, by the names of fmpy."""
-
-    startTime: float  # noqa: N815
-    stopTime: float | None  # noqa: N815
-    tolerance: float | None
+    RUNNING = "running"
+    ENDED = "ended"
+    FAILED = "failed"
+    CLOSED = "closed"
 
 
 class Session:
@@ -81,20 +68,21 @@ class Session:
         experiment: Experiment,
         dae: Dae | None = None,
     ) -> None:
-        self.name, self._file, self._dae = file.name, file, dae
-        self._experiment, self._own = experiment, uuid.uuid4().bytes
+        self.name = file.name
+        self._file = file
+        self._dae = dae
+        self._experiment = experiment
+        self._own = uuid.uuid4().bytes
         self._description = description = file.description
         self._variables = by_name(description)
-        every = [v for v in description.modelVariables if is_number(v)]
-        self._inputs = [v for v in every if v.causality == "input"]
-        self._rates = [item.variable for item in description.derivatives]
-        self.inputs = tuple(v.name for v in self._inputs)
+        self.inputs = tuple(v.name for v in inputs_of(description))
         self.outputs = tuple(output_names(self.name, self._variables, None))
-        self.states = tuple(rate.derivative.name for rate in self._rates)
+        self.states = tuple(item.variable.derivative.name for item in description.derivatives)
         facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
         self._identity = hashlib.sha256(facts.encode()).digest()[:16]
-        self._start_values = self._checked(values)
-        self._stack, self._used = ExitStack(), False
+        self._start_values = dict(values) if isinstance(values, Mapping) else values
+        self._stack = ExitStack()
+        self._used = False
         finalize(self, self._stack.close)
         self._begin(self._start_values, experiment)
 
@@ -116,20 +104,30 @@ class Session:
         self._phase = _Phase.CLOSED
         self._stack.close()
 
-    def _begin(self, values: Mapping[str, Any], experiment: Experiment) -> None:
+    def _begin(self, given: Mapping[str, Any], experiment: Experiment) -> None:
         """Take a fresh or reset instance through its initialization."""
+        restart = self._restarts.get(tuple(given)) if self._used else None
+        if restart is not None and not restart.accepts(given):
+            restart = None
+        values = self._checked(given) if restart is None else {}
         self._phase = _Phase.FAILED
-        self._reason = "its initialization failed"
-        if not hasattr(self, "_calls") or not self._file.is_own:
+        if not self._used or not self._file.is_own:
             self._renew()
         try:
-            if self._used:
-                self._instance.reset()
-            self._used = True
             self._events.clear()
-            initialize(self._instance, self._description, values, **experiment._asdict())
+            if restart is not None:
+                self._check(*restart.run(given, experiment))
+            else:
+                if self._used:
+                    self._instance.reset()
+                initialize(self._instance, self._description, values, **experiment._asdict())
+                self._prepare_restart(given)
+        except FmuError:
+            raise
         except Exception as error:
             raise self._explained(error) from error
+        finally:
+            self._used = True
         self._time = self._first = experiment.startTime
         self._length, self._count = nan, 0  # of equal steps in succession
         self._phase = _Phase.RUNNING
@@ -143,9 +141,20 @@ class Session:
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
         self._used = False
-        self._selections: dict[Any, list[Group]] = {}
-        self._setters: dict[str, tuple[Any, Group]] = {}
-        self._jacobians: dict[Any, tuple[Jacobians, Jacobians]] = {}
+        self._values = Values(self.name, self._description, self._calls, self._check)
+        self._linearizers: dict[Any, Linearizer] = {}
+        self._restarts: dict[tuple[str, ...], Restart] = {}
+
+    def _prepare_restart(self, given: Mapping[str, Any]) -> None:
+        """Prepare a reset with values of these names, if each value can be checked on its own."""
+        dae = self._dae
+        if dae is None or len(self._restarts) >= _LARGEST:
+            return
+        plain = {v.name: v for v in (*dae.states, *dae.inputs) if v.start_kind is Start.EXACT}
+        if plain.keys() >= given.keys():
+            bounds = {name: (plain[name].minimum, plain[name].maximum) for name in given}
+            variables = [self._variables[name] for name in given]
+            self._restarts[tuple(given)] = Restart(self._calls, variables, bounds)
 
     def reset(
         self,
@@ -165,12 +174,14 @@ class Session:
             FmuError: The initialization failed, or the session is closed.
         """
         self._reject_closed()
-        values = self._start_values | self._checked(start_values or {})
+        given = {} if start_values is None else start_values
+        if isinstance(given, Mapping):
+            given = {**self._start_values, **given}
         experiment = self._experiment
         if start_time is not None:
             start = number(self.name, "start_time", start_time)
             experiment = experiment._replace(startTime=start)
-        self._begin(values, experiment)
+        self._begin(given, experiment)
 
     def copy(self) -> "Session":
         """Return another session of the model in the present state.
@@ -225,15 +236,17 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING:
             self._require()
-        time, log = self._time, self._instance.log_texts
+        time = self._time
+        log = self._instance.log_texts
         if log:
             log.clear()
         if to is None and step == self._length:
-            first, count = self._first, self._count + 1
+            first = self._first
+            count = self._count + 1
             target = first + count * self._length
         else:
             first, count = time, 1
-            target = self._target(step, to)
+            target = target_of(self.name, time, step, to)
             if target == time:
                 return ()
         try:
@@ -254,31 +267,6 @@ class Session:
         self._events.clear()
         return found
 
-    def _target(self, step: float | None, to: float | None) -> float:
-        """Return the time to reach, s."""
-        if (step is None) == (to is None):
-            raise UsageError(f"{self.name}: advance takes a step or a time to reach; give one")
-        if to is not None:
-            target = number(self.name, "to", to)
-            if target < self._time:
-                raise ParameterError(
-                    f"{self.name}: to = {target:.12g} s is before the present time "
-                    f"{self._time:.12g} s; go back with restore or reset"
-                )
-            return target
-        length = number(self.name, "step", step)
-        if length < 0:
-            raise ParameterError(
-                f"{self.name}: step = {length:g} s goes backwards; go back with restore or reset"
-            )
-        target = self._time + length
-        if length > 0 and target == self._time:
-            raise ParameterError(
-                f"{self.name}: step = {length:g} s is too short at {self._time:.12g} s to change "
-                "the time; give a longer one"
-            )
-        return target
-
     # -- values -------------------------------------------------------------------------------
 
     def set(
@@ -297,57 +285,11 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING:
             self._require()
-        if values is not None:
-            named = {**self._by_name(values), **named}
-        found = []
-        for name, value in named.items():
-            variable, group = self._setters.get(name) or self._setter(name)
-            if type(value) is not float or not isfinite(value):
-                value = self._plain(variable, value)
-            found.append((group, value))
-        for group, plain in found:
-            group.buffer[0] = plain
-            status = group.set()
-            if status > WARNING:
-                self._check(status, "Set")
-
-    def _by_name(self, values: Any) -> dict[str, Any]:
-        if isinstance(values, Mapping):
-            return dict(values)
-        row = values.tolist() if isinstance(values, np.ndarray) else values
-        if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != len(self.inputs):
-            what = f"its {len(self.inputs)} inputs {', '.join(self.inputs)}" if self.inputs else ""
-            raise UsageError.of_type(
-                f"{self.name}: set", values, f"values by name, or one for each of {what or 'none'}"
-            )
-        return dict(zip(self.inputs, row, strict=True))
-
-    def _setter(self, name: str) -> tuple[Any, Group]:
-        """Return a variable that may be set during a run, with its prepared call."""
-        variable = self._variables.get(name)
-        settable = [v for v in self._variables.values() if _may_change(v)]
-        if variable is None:
-            raise UnknownName.among(self.name, "input", name, [v.name for v in settable])
-        if not _may_change(variable):
-            shown = ", ".join(self.inputs) or "no inputs"
-            raise UsageError(
-                f"{self.name}: {name} cannot be set during a run, which takes {shown} and tunable "
-                "parameters; give it to reset(start_values=...)"
-            )
-        found = variable, self._calls.groups([variable])[0]
-        self._setters[name] = found
-        return found
-
-    def _plain(self, variable: Any, value: Any) -> Any:
-        """Return a value in the variable's unit and type."""
-        numeric = variable.type not in ("Boolean", "Enumeration")
-        if isinstance(value, str) and numeric:
-            units = units_for(variable, self._description)
-            value = quantity(variable.name, value, unit_of(variable) or "1", definitions=units)
-        return typed_value(self.name, variable, value)
+        self._values.set(values, named)
 
     def __getitem__(self, name: str) -> float:
-        return float(self.get((name,))[0])
+        value: float = self.get((name,))[0]
+        return float(value)
 
     def get(self, names: Sequence[str] | None = None) -> Vector:
         """Return values.
@@ -364,34 +306,7 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING and self._phase is not _Phase.ENDED:
             self._require()
-        key = tuple(names) if isinstance(names, list | tuple) else names
-        groups = self._selections.get(key)
-        if groups is None:
-            groups = self._selection(key)
-        if len(groups) == 1:
-            status = groups[0].get()
-            if status > WARNING:
-                self._check(status, "Get")
-            return groups[0].buffer.astype(float)  # a copy
-        row = np.empty(sum(len(group.columns) for group in groups))
-        for group in groups:
-            self._check(group.get(), "Get")
-            row[group.columns] = group.buffer
-        return row
-
-    def _selection(self, names: Any) -> list[Group]:
-        """Prepare the calls that read variables."""
-        chosen = self.outputs if names is None else listed(f"{self.name}: get", names)
-        for name in chosen:
-            if name not in self._variables:
-                raise UnknownName.among(self.name, "variable", name, self._variables)
-            if not is_number(self._variables[name]):
-                raise UsageError(f"{self.name}: {name} is not a single number")
-        if len(self._selections) >= _LARGEST:
-            self._selections.clear()
-        groups = self._calls.groups([self._variables[name] for name in chosen])
-        self._selections[names if isinstance(names, tuple | None) else chosen] = groups
-        return groups
+        return self._values.get(names)
 
     # -- states -------------------------------------------------------------------------------
 
@@ -420,9 +335,12 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING:
             self._require()
-        states, kept, content = self._states, 0, b""
+        states = self._states
+        content = b""
+        kept = 0
         if self._serializes:
-            owner, content = self._identity, states.save()
+            owner = self._identity
+            content = states.save()
         else:
             owner = self._own
             self._kept.append(states.keep())
@@ -452,7 +370,8 @@ class Session:
         if self._serializes:
             self._states.restore(whole[_HEAD.size :])
         else:
-            states, held = self._states, self._kept
+            states = self._states
+            held = self._kept
             if kept > len(held):
                 raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
             states.go_back(held[kept - 1])
@@ -477,38 +396,21 @@ class Session:
             FmuError: The FMU has no directional derivatives, or they have no value here.
         """
         self._require()
-        key = tuple(outputs) if isinstance(outputs, list | tuple) else outputs
-        if key not in self._jacobians:
-            self._jacobians[key] = self._prepared_jacobians(key)
-        of_rates, of_outputs = self._jacobians[key]
-        for jacobian in (of_rates, of_outputs):
-            self._check(jacobian.evaluate(), "GetDirectionalDerivative")
-        n, upper, lower = len(self.states), of_rates.values.T, of_outputs.values.T
-        parts = upper[:, :n], upper[:, n:], lower[:, :n], lower[:, n:]
-        return LinearSystem(*(part.copy() for part in parts))
+        key = tuple(outputs) if isinstance(outputs, list) else outputs
+        found = self._linearizers.get(key) if isinstance(key, tuple | None) else None
+        if found is None:
+            self._reject_samples()
+            found = Linearizer(self.name, self._description, self._calls, key)
+            self._linearizers[found.outputs if key is not None else None] = found
+        self._check(found.evaluate(), "GetDirectionalDerivative")
+        return found.system()
 
-    def _prepared_jacobians(self, outputs: Any) -> tuple[Jacobians, Jacobians]:
+    def _reject_samples(self) -> None:
         if self._dae is not None and any(event.sampled for event in self._dae.events):
             raise UsageError(
                 f"{self.name} has samples, which change its state at instants; use "
                 "cosim.linearize, which gives the discrete map from sample to sample"
             )
-        if not self._description.coSimulation.providesDirectionalDerivative or not self._rates:
-            raise FmuError(
-                f"{self.name} has no directional derivatives by its states; compare steps from a "
-                "saved state instead"
-            )
-        names = self.outputs if outputs is None else listed(f"{self.name}: linearize", outputs)
-        shown = output_names(self.name, self._variables, names) if names else []
-        knowns = [*(rate.derivative for rate in self._rates), *self._inputs]
-        for v in self._inputs:
-            if v.type not in ("Real", "Float64"):
-                raise UsageError(f"{self.name}: the input {v.name} is no real number")
-        unknowns = [self._variables[name] for name in shown]
-        return (
-            Jacobians(self._calls, self._rates, knowns),
-            Jacobians(self._calls, unknowns, knowns),
-        )
 
     # -- checks and failures ------------------------------------------------------------------
 
@@ -524,8 +426,10 @@ class Session:
         elif values:
             known = self._variables
             values = {
-                n: self._plain(known[n], v) if isinstance(v, str) and n in known else v
-                for n, v in values.items()
+                name: plain_value(self.name, self._description, known[name], value)
+                if name in known
+                else value
+                for name, value in values.items()
             }
         return checked_values(self.name, self._variables, values)
 
@@ -579,9 +483,3 @@ def _free(instance: Any, states: StateCalls, kept: list[Any]) -> None:
     """Free saved states, unless nothing of the FMU may be called any more."""
     if not getattr(instance, "is_fatal", False):
         states.free(*kept)
-
-
-def _may_change(variable: Any) -> bool:
-    """Tell whether a variable may be set between steps."""
-    tunable = variable.causality == "parameter" and variable.variability == "tunable"
-    return is_number(variable) and (variable.causality == "input" or tunable)
