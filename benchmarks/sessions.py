@@ -56,10 +56,11 @@ class OverFmpy:
         self.fmu.enterInitializationMode(startTime=0.0, tolerance=1e-9)
         self.fmu.setFloat64([self.known[name] for name in start], [*start.values()])
         self.fmu.exitInitializationMode()
-        self.time = 0.0
+        self.time, self.torque = 0.0, 0.3
 
     def step(self) -> list[float]:
-        self.fmu.setFloat64([self.known["steer_torque"]], [0.3])
+        self.torque = -self.torque
+        self.fmu.setFloat64([self.known["steer_torque"]], [self.torque])
         self.fmu.doStep(currentCommunicationPoint=self.time, communicationStepSize=STEP)
         self.time += STEP
         return self.fmu.getFloat64([self.known[name] for name in OUTPUTS])
@@ -91,7 +92,9 @@ def main(samples: int) -> None:
     with cosim.open("bicycle") as bike:
 
         def step() -> None:
-            bike.set(steer_torque=0.3)
+            nonlocal torque
+            torque = -torque  # which keeps the bicycle upright
+            bike.set(steer_torque=torque)
             bike.advance(STEP)
             bike.get(OUTPUTS)
 
@@ -100,9 +103,10 @@ def main(samples: int) -> None:
         def ready() -> None:
             bike.restore(saved)
             step()
-            bike.set(steer_torque=0.3)
+            bike.set(steer_torque=-torque)
             calls._time.value, calls._length.value = bike.time, STEP
 
+        torque = 0.3
         step()
         saved = bike.save()
         alone = median(lambda: calls._do_step(*calls._arguments), samples, before=ready)

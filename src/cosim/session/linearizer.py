@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.instance import by_name
@@ -57,7 +59,16 @@ class Linearizer:
         knowns = [*(rate.derivative for rate in rates), *inputs]
         self._states = len(rates)
         self._rates = Jacobians(calls, rates, knowns)
-        self._outputs = Jacobians(calls, [variables[n] for n in self.outputs], knowns)
+        shown = [variables[n] for n in self.outputs]
+        self._lower: Vector = np.zeros((len(shown), len(knowns)))
+        self._computed = list[int]()
+        places = {v.name: column for column, v in enumerate(knowns[: len(rates)])}
+        for row, v in enumerate(shown):
+            if v.name in places:  # a state depends on itself alone
+                self._lower[row, places[v.name]] = 1.0
+            else:
+                self._computed.append(row)
+        self._outputs = Jacobians(calls, [shown[row] for row in self._computed], knowns)
 
     def evaluate(self) -> int:
         """Compute the matrices at the present state; return the worst status."""
@@ -67,5 +78,6 @@ class Linearizer:
         """Return the matrices."""
         n = self._states
         upper = self._rates.values.T.copy()
-        lower = self._outputs.values.T.copy()
+        lower = self._lower.copy()
+        lower[self._computed] = self._outputs.values.T
         return LinearSystem(upper[:, :n], upper[:, n:], lower[:, :n], lower[:, n:])
