@@ -1,6 +1,8 @@
 """Sessions: the bits of straight runs, exact values, and every kind of wrong call."""
 
+import gc
 import random
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -367,6 +369,17 @@ def test_fatal_error_closes_the_file_for_good(tmp_path):
             session.advance(0.1)
         with pytest.raises(FmuError, match="fatal error; open it again"):
             session.reset()
+
+
+def test_session_that_nobody_closes_is_freed_with_its_states(tmp_path):
+    session = cosim.open(foreign_part(tmp_path, "lag", canSerializeFMUstate="false"))
+    session.set(u=1.0)
+    session.restore(session.save())
+    seen, freed = ref(session), []
+    session._stack.callback(freed.append, True)
+    del session
+    gc.collect()
+    assert (seen(), freed) == (None, [True])
 
 
 def test_closed_session_rejects_every_call(session):

@@ -140,6 +140,10 @@ class StateCalls:
     Args:
         calls: Of the instance.
         check: Raises the error of a status.
+
+    Attributes:
+        kept: Pointers to the states to free before the instance.
+        free: The C function for it.
     """
 
     def __init__(self, calls: PreparedCalls, check: Callable[[int, str], None]) -> None:
@@ -152,12 +156,14 @@ class StateCalls:
         self._check = check
         self._instance = calls.instance
         names = (f"Get{state}", f"Set{state}", f"Free{state}", size_of, write, read)
-        self._take, self._put, self._free, self._size_of, self._write, self._read = (
+        self._take, self._put, freed, self._size_of, self._write, self._read = (
             (calls.function(name), name) for name in names
         )
+        self.free = freed[0]
         self._state = _POINTER()
         self._size = _SIZE()
         self._length = _SIZE()
+        self.kept = [self._state]
         self._read_state = _POINTER()
         self._room = ctypes.create_string_buffer(0)
         self._at_state = ctypes.byref(self._state)
@@ -186,23 +192,36 @@ class StateCalls:
         try:
             self._call(self._put, self._instance, self._read_state)
         finally:
-            self._free[0](self._instance, self._read_place)
+            self.free(self._instance, self._read_place)
 
-    def keep(self) -> Any:
-        """Return a saved state of this instance, which cannot leave the process."""
+    def keep(self) -> int:
+        """Save the state in this process; return its number."""
         state = _POINTER()
         self._call(self._take, self._instance, ctypes.byref(state))
-        return state
+        self.kept.append(state)
+        return len(self.kept) - 1
 
-    def go_back(self, state: Any) -> None:
-        """Set a state that `keep` returned."""
-        self._call(self._put, self._instance, state)
+    def go_back(self, number: int) -> bool:
+        """Set the state of a number; return whether there is one."""
+        if number >= len(self.kept):
+            return False
+        self._call(self._put, self._instance, self.kept[number])
+        return True
 
-    def free(self, *states: Any) -> None:
-        """Free the states that belong to the instance, before it is freed."""
-        for state in (*states, self._state):
-            if state.value:
-                self._free[0](self._instance, ctypes.byref(state))
+
+def free_states(instance: Any, free: Callable[..., int], kept: Sequence[Any]) -> None:
+    """Free saved states, unless nothing of the FMU may be called any more.
+
+    Args:
+        instance: Of fmpy.
+        free: The C function.
+        kept: Pointers to the states.
+    """
+    if getattr(instance, "is_fatal", False):
+        return
+    for state in kept:
+        if state.value:
+            free(_POINTER(instance.component), ctypes.byref(state))
 
 
 class Jacobians:

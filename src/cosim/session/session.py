@@ -22,7 +22,7 @@ from cosim.fmi.run.instance import by_name, initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import number, plain_values
-from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls
+from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import target_of
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
@@ -135,8 +135,7 @@ class Session:
     def _renew(self) -> None:
         """Replace the instance by a new one."""
         self._stack.close()
-        for prepared in ("_states", "_kept"):
-            vars(self).pop(prepared, None)
+        vars(self).pop("_states", None)
         self._instance, self._explain = self._file.instance(self._stack)
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
@@ -319,8 +318,7 @@ class Session:
         if not self._description.coSimulation.canGetAndSetFMUstate:
             raise FmuError(f"{self.name} cannot save its state; begin again with reset")
         found = StateCalls(self._calls, self._check)
-        self._kept: list[Any] = []
-        self._stack.callback(_free, self._instance, found, self._kept)
+        self._stack.callback(free_states, self._instance, found.free, found.kept)
         return found
 
     def save(self) -> bytes:
@@ -343,8 +341,7 @@ class Session:
             content = states.save()
         else:
             owner = self._own
-            self._kept.append(states.keep())
-            kept = len(self._kept)
+            kept = states.keep()
         facts = (self._time, self._first, self._length, self._count, kept)
         whole = _HEAD.pack(_MAGIC, owner, *facts) + content
         return _SUM.pack(zlib.crc32(whole)) + whole
@@ -370,11 +367,8 @@ class Session:
         if self._serializes:
             self._states.restore(whole[_HEAD.size :])
         else:
-            states = self._states
-            held = self._kept
-            if kept > len(held):
+            if not self._states.go_back(kept):
                 raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
-            states.go_back(held[kept - 1])
         self._time, self._first, self._length, self._count = clock
         self._events.clear()
         self._phase = _Phase.RUNNING
@@ -477,9 +471,3 @@ class Session:
             raise FmuError(f"{self.name}: the session is closed; open it again")
         if getattr(self._instance, "is_fatal", False):
             raise FmuError(f"{self.name}: the FMU has reported a fatal error; open it again")
-
-
-def _free(instance: Any, states: StateCalls, kept: list[Any]) -> None:
-    """Free saved states, unless nothing of the FMU may be called any more."""
-    if not getattr(instance, "is_fatal", False):
-        states.free(*kept)
