@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[1]
     [
         ("fmu_cost.py --short", "co-simulation from C, a step of 0.01 s"),
         ("export.py crank_shaft", "all warm:"),
+        ("sessions.py --short", "session: save"),
         ("predicted_errors.py crank_shaft --samples 1", "crank_shaft/driven"),
         ("operations.py", "double_pendulum/multipliers"),
         ("structure.py", "files entered"),

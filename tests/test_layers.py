@@ -33,6 +33,7 @@ cosim.backend | cosim.coupling
 cosim.scene
 cosim.verify
 cosim.study
+cosim.session
 cosim.api
 cosim.present
 cosim cosim.solvers cosim.contact cosim.kane cosim.rotations | cosim.cli

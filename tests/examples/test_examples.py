@@ -172,6 +172,7 @@ def test_example_is_short(path):
 # own files in tests/examples, tests/clients, tests/integrate, tests/model/foreign
 JUDGED_ELSEWHERE = {
     *("arm", "fit_bar", "rider", "optimal_control", "rolling_disc"),
+    *("filter_roll", "steered"),
     *("bicycle_jump", "belt", "pendulum_stop", "slider_crank_friction"),
 }
 

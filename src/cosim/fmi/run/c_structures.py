@@ -54,6 +54,16 @@ _FUNCTIONS = {
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
+def _kind(getter: str, second: bool) -> str:
+    """Return the kind of variables that a getter is for, e.g. of fmi2GetReal."""
+    return _GETTERS_2[getter] if second else getter
+
+
+def c_type(getter: str, second: bool) -> Any:
+    """Return the C type of the values of a getter, by the type in its name."""
+    return KINDS[_kind(getter, second)]
+
+
 class Functions(ctypes.Structure):
     """Addresses of an FMU's functions and of its instance."""
 
@@ -129,7 +139,7 @@ class Recorded:
         )
 
     def _group(self, instance: Any, getter: str, references: list[int], second: bool) -> _Group:
-        kind = _GETTERS_2[getter] if second else getter
+        kind = _kind(getter, second)
         name = f"fmi{2 if second else 3}Get{getter}"
         addresses = (ctypes.c_uint32 * len(references))(*references)
         buffer = (KINDS[kind] * len(references))()

@@ -1,0 +1,141 @@
+"""Cost of sessions: a step, a saved state, a Kalman filter, against FMPy's own loops.
+
+Prints medians for the bicycle: 10 ms with one input and two outputs from Python through a session,
+through FMPy's objects, and the time of the C function alone; save and restore; a step of the filter
+of `examples/filter_roll.py` and of the same filter over FMPy's objects.
+"""
+
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+import fmpy
+import numpy as np
+from fmpy.fmi3 import FMU3Slave
+
+import cosim
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+from filter_roll import DISTURBED, NAMES, NOISE, START, STEP, filtered
+
+OUTPUTS = ("phi", "delta")
+
+
+def median(call, repeats=2000, *, before=None) -> float:
+    """Return the median time of a call, us."""
+    times = []
+    for _ in range(repeats):
+        if before is not None:
+            before()
+        began = perf_counter()
+        call()
+        times.append(perf_counter() - began)
+    return 1e6 * statistics.median(times)
+
+
+class OverFmpy:
+    """The bicycle through FMPy's objects, as its documentation shows."""
+
+    def __init__(self, path: Path) -> None:
+        folder = fmpy.extract(path)
+        self.description = description = fmpy.read_model_description(folder)
+        known = {v.name: v.valueReference for v in description.modelVariables}
+        self.known = known
+        self.rates = [item.variable.valueReference for item in description.derivatives]
+        self.states = [item.variable.derivative for item in description.derivatives]
+        identifier = description.coSimulation.modelIdentifier
+        self.fmu = FMU3Slave(
+            guid=description.guid, unzipDirectory=folder, modelIdentifier=identifier
+        )
+        self.fmu.instantiate()
+        self.begin({})
+
+    def begin(self, start: dict[str, float]) -> None:
+        self.fmu.enterInitializationMode(startTime=0.0, tolerance=1e-9)
+        self.fmu.setFloat64([self.known[name] for name in start], [*start.values()])
+        self.fmu.exitInitializationMode()
+        self.time, self.torque = 0.0, 0.3
+
+    def step(self) -> list[float]:
+        self.torque = -self.torque
+        self.fmu.setFloat64([self.known["steer_torque"]], [self.torque])
+        self.fmu.doStep(currentCommunicationPoint=self.time, communicationStepSize=STEP)
+        self.time += STEP
+        return self.fmu.getFloat64([self.known[name] for name in OUTPUTS])
+
+    def filtered(self, measured: np.ndarray) -> np.ndarray:
+        x, P = np.zeros(4), np.diag([0.1, 0.1, 0.5, 0.5]) ** 2
+        C, found = np.eye(4)[:1], []
+        kept = [[v.name for v in self.states].index(name) for name in NAMES]
+        references = [self.known[name] for name in NAMES]
+        for angle in measured:
+            K = P @ C.T / (C @ P @ C.T + NOISE**2)
+            x = x + K[:, 0] * (angle - x[0])
+            P = (np.eye(4) - K @ C) @ P
+            found.append(x)
+            self.fmu.reset()
+            self.begin(dict(zip(NAMES, x.tolist(), strict=True)))
+            columns = [
+                self.fmu.getDirectionalDerivative(self.rates, [v.valueReference], [1.0])
+                for v in self.states
+            ]
+            A = np.array(columns).T[np.ix_(kept, kept)] * STEP
+            F = np.eye(4) + A + A @ A / 2
+            self.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=STEP)
+            x, P = np.array(self.fmu.getFloat64(references)), F @ P @ F.T + DISTURBED
+        return np.array(found)
+
+
+def main(samples: int) -> None:
+    with cosim.open("bicycle") as bike:
+
+        def step() -> None:
+            nonlocal torque
+            torque = -torque  # which keeps the bicycle upright
+            bike.set(steer_torque=torque)
+            bike.advance(STEP)
+            bike.get(OUTPUTS)
+
+        calls = bike._calls  # the C function alone, after an input is set
+
+        def ready() -> None:
+            bike.restore(saved)
+            step()
+            bike.set(steer_torque=-torque)
+            calls._time.value, calls._length.value = bike.time, STEP
+
+        torque = 0.3
+        step()
+        saved = bike.save()
+        alone = median(lambda: calls._do_step(*calls._arguments), samples, before=ready)
+        bike.reset()
+        print(f"solver, 10 ms                       {alone:8.2f} us")
+        print(f"session: set, advance, get          {median(step, samples):8.2f} us")
+        bike.reset()
+        saved = bike.save()
+        print(f"session: save                       {median(bike.save, samples):8.2f} us")
+        print(f"session: restore                    {median(lambda: bike.restore(saved)):8.2f} us")
+        with tempfile.TemporaryDirectory() as folder:
+            path = cosim.export_fmu(cosim.load("bicycle"), Path(folder) / "bike.fmu", fmi=3)
+            other = OverFmpy(path)
+            print(f"FMPy: setFloat64, doStep, getFloat64{median(other.step, samples):8.2f} us")
+            other.fmu.reset()
+            truth = cosim.simulate("bicycle", start_values=START, stop_time=2.0, outputs=NAMES)
+            measured = truth["phi"] + np.random.default_rng(1).normal(0.0, NOISE, len(truth))
+            filters = {
+                "session": lambda: filtered(measured, bike)[0],
+                "FMPy": lambda: other.filtered(measured),
+            }
+            results = {}
+            for name, run in filters.items():
+                began = perf_counter()
+                results[name] = run()
+                each = 1e6 * (perf_counter() - began) / len(measured)
+                print(f"{name + ': a step of the filter':36}{each:8.2f} us")
+            print(f"largest difference: {np.abs(results['session'] - results['FMPy']).max():.1e}")
+
+
+if __name__ == "__main__":
+    main(200 if "--short" in sys.argv else 2000)

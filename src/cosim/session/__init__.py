@@ -1,0 +1,1 @@
+"""Sessions: models that stay alive between calls of Python."""

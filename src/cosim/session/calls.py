@@ -1,0 +1,255 @@
+"""`PreparedCalls`: the C functions of one FMU instance, with arguments that are converted once."""
+
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import FmuError
+from cosim.fmi.run.c_structures import c_type
+from cosim.fmi.run.instance import getter_name, is_second
+
+OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
+_LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status
+_TERMINATED = 3
+_SIZE = ctypes.c_size_t
+_DOUBLE = ctypes.c_double
+_POINTER = ctypes.c_void_p
+_CONTINUOUS = {"Real", "Float64"}
+
+
+class Step(NamedTuple):
+    """Result of a communication step: status, the time reached, s, and whether the run ends."""
+
+    status: int
+    reached: float
+    ends: bool
+
+
+class Group:
+    """Variables of one C type, with the arguments of the functions that get and set them.
+
+    Attributes:
+        get, set: Functions without arguments that return the status.
+        buffer: The values, (n,), which both functions use.
+        columns: Places of the variables in the list that the user gave.
+    """
+
+    def __init__(self, calls: "PreparedCalls", kind: str, variables: Sequence[Any]) -> None:
+        n = len(variables)
+        second = calls.second
+        self._references = (ctypes.c_uint32 * n)(*(v.valueReference for v in variables))
+        self._values = (c_type(kind, second) * n)()
+        self.buffer = np.frombuffer(self._values, dtype=np.dtype(self._values._type_))
+        size = _SIZE(n)
+        arguments = [calls.instance, self._references, size, self._values]
+        arguments += [] if second else [size]
+        self._get = calls.function(f"Get{kind}")
+        self._set = calls.function(f"Set{kind}")
+        self._arguments = arguments
+        self.columns: list[int] = []
+
+    def get(self) -> int:
+        """Read the values into the buffer."""
+        status: int = self._get(*self._arguments)
+        return status
+
+    def set(self) -> int:
+        """Set the values of the buffer."""
+        status: int = self._set(*self._arguments)
+        return status
+
+
+class PreparedCalls:
+    """Functions of an FMU instance for co-simulation.
+
+    Args:
+        instance: Of fmpy.
+        description: Of fmpy.
+    """
+
+    def __init__(self, instance: Any, description: Any) -> None:
+        self.second = is_second(description)
+        self._dll = instance.dll
+        self._description = description
+        self.instance = _POINTER(instance.component)
+        self._time = _DOUBLE()
+        self._length = _DOUBLE()
+        self._last = _DOUBLE()
+        flags = (ctypes.c_bool(), ctypes.c_bool(), ctypes.c_bool())
+        _, self._ends, self._early = flags
+        arguments: tuple[Any, ...] = (self.instance, self._time, self._length)
+        if self.second:
+            arguments += (ctypes.c_int(0),)
+        else:
+            results = [ctypes.byref(flag) for flag in flags]
+            arguments += (ctypes.c_bool(False), *results, ctypes.byref(self._last))
+        self._arguments = arguments
+        self._do_step = self.function("DoStep")
+
+    def function(self, name: str) -> Callable[..., int]:
+        """Return a function of the library, by its name in the FMI without prefix.
+
+        Raises:
+            FmuError: The library has no such function.
+        """
+        full = f"fmi{2 if self.second else 3}{name}"
+        try:
+            found: Callable[..., int] = self._dll[full]
+        except AttributeError:
+            raise FmuError(f"its library has no function {full}") from None
+        return found
+
+    def groups(self, variables: Sequence[Any]) -> list[Group]:
+        """Return variables by their C types, in the order of their first occurrence."""
+        kinds: dict[str, list[int]] = {}
+        for place, variable in enumerate(variables):
+            kinds.setdefault(getter_name(variable, self._description), []).append(place)
+        found = []
+        for kind, places in kinds.items():
+            group = Group(self, kind, [variables[place] for place in places])
+            group.columns = places
+            found.append(group)
+        return found
+
+    def step(self, time: float, length: float) -> Step:
+        """Take a communication step from a time, s."""
+        self._time.value = time
+        self._length.value = length
+        status = self._do_step(*self._arguments)
+        if not self.second:
+            if self._early.value and not self._ends.value and status <= WARNING:
+                raise FmuError("it returned early from fmi3DoStep, which was not allowed")
+            return Step(status, self._last.value, self._ends.value)
+        if status != DISCARD:
+            return Step(status, time + length, False)
+        ends = ctypes.c_int()
+        last = _DOUBLE(time)
+        self.function("GetBooleanStatus")(self.instance, _TERMINATED, ctypes.byref(ends))
+        if not ends.value:
+            return Step(status, time, False)
+        self.function("GetRealStatus")(self.instance, _LAST_SUCCESSFUL_TIME, ctypes.byref(last))
+        return Step(OK, last.value, True)
+
+
+class StateCalls:
+    """Functions of an instance that save and restore its state.
+
+    Args:
+        calls: Of the instance.
+        check: Raises the error of a status.
+
+    Attributes:
+        kept: Pointers to the states to free before the instance.
+        free: The C function for it.
+    """
+
+    def __init__(self, calls: PreparedCalls, check: Callable[[int, str], None]) -> None:
+        state = "FMUstate" if calls.second else "FMUState"
+        size_of, write, read = (
+            f"Serialized{state}Size",
+            f"Serialize{state}",
+            f"{'DeSerialize' if calls.second else 'Deserialize'}{state}",
+        )
+        self._check = check
+        self._instance = calls.instance
+        names = (f"Get{state}", f"Set{state}", f"Free{state}", size_of, write, read)
+        self._take, self._put, freed, self._size_of, self._write, self._read = (
+            (calls.function(name), name) for name in names
+        )
+        self.free = freed[0]
+        self._state = _POINTER()
+        self._size = _SIZE()
+        self._length = _SIZE()
+        self.kept = [self._state]
+        self._read_state = _POINTER()
+        self._room = ctypes.create_string_buffer(0)
+        self._at_state = ctypes.byref(self._state)
+        self._at_size = ctypes.byref(self._size)
+        self._read_place = ctypes.byref(self._read_state)
+
+    def _call(self, call: tuple[Callable[..., int], str], *arguments: Any) -> None:
+        status = call[0](*arguments)
+        if status > WARNING:
+            self._check(status, call[1])
+
+    def save(self) -> bytes:
+        """Return the state as bytes."""
+        self._call(self._take, self._instance, self._at_state)
+        self._call(self._size_of, self._instance, self._state, self._at_size)
+        size = self._size.value
+        if len(self._room) != size:
+            self._room = ctypes.create_string_buffer(size)
+        self._call(self._write, self._instance, self._state, self._room, self._size)
+        return self._room.raw
+
+    def restore(self, content: bytes) -> None:
+        """Set the state that bytes describe."""
+        self._length.value = len(content)
+        self._call(self._read, self._instance, content, self._length, self._read_place)
+        try:
+            self._call(self._put, self._instance, self._read_state)
+        finally:
+            self.free(self._instance, self._read_place)
+
+    def keep(self) -> int:
+        """Save the state in this process; return its number."""
+        state = _POINTER()
+        self._call(self._take, self._instance, ctypes.byref(state))
+        self.kept.append(state)
+        return len(self.kept) - 1
+
+    def go_back(self, number: int) -> bool:
+        """Set the state of a number; return whether there is one."""
+        if number >= len(self.kept):
+            return False
+        self._call(self._put, self._instance, self.kept[number])
+        return True
+
+
+def free_states(instance: Any, free: Callable[..., int], kept: Sequence[Any]) -> None:
+    """Free saved states, unless nothing of the FMU may be called any more.
+
+    Args:
+        instance: Of fmpy.
+        free: The C function.
+        kept: Pointers to the states.
+    """
+    if getattr(instance, "is_fatal", False):
+        return
+    for state in kept:
+        if state.value:
+            free(_POINTER(instance.component), ctypes.byref(state))
+
+
+class Jacobians:
+    """Directional derivatives of unknowns by knowns.
+
+    Args:
+        calls: Of the instance.
+        unknowns, knowns: Variables.
+    """
+
+    def __init__(
+        self, calls: PreparedCalls, unknowns: Sequence[Any], knowns: Sequence[Any]
+    ) -> None:
+        self._function = calls.function("GetDirectionalDerivative")
+        self.values: Vector = np.empty((len(knowns), len(unknowns)))
+        rows = (ctypes.c_uint32 * len(unknowns))(*(v.valueReference for v in unknowns))
+        self._columns = list(self._arguments(calls, rows, knowns)) if unknowns else []
+
+    def _arguments(
+        self, calls: PreparedCalls, rows: Any, knowns: Sequence[Any]
+    ) -> Iterator[tuple[Any, ...]]:
+        n, one, seed = _SIZE(len(rows)), _SIZE(1), (_DOUBLE * 1)(1.0)
+        for known, column in zip(knowns, self.values, strict=True):
+            reference = (ctypes.c_uint32 * 1)(known.valueReference)
+            result = column.ctypes.data_as(_POINTER)
+            given = (calls.instance, rows, n, reference, one, seed)
+            yield (*given, result) if calls.second else (*given, one, result, n)
+
+    def evaluate(self) -> int:
+        """Compute the values, (knowns, unknowns); return the worst status."""
+        return max((self._function(*arguments) for arguments in self._columns), default=OK)

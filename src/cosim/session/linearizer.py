@@ -1,0 +1,83 @@
+"""`Linearizer`: A, B, C, D of an instance, by its directional derivatives."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import FmuError, UsageError
+from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.request import output_names
+from cosim.model.values import listed
+from cosim.session.calls import Jacobians, PreparedCalls
+from cosim.session.values import inputs_of
+
+
+class LinearSystem(NamedTuple):
+    """Matrices of x' = A x + B u, y = C x + D u for small deviations from the present state."""
+
+    A: Vector
+    B: Vector
+    C: Vector
+    D: Vector
+
+
+class Linearizer:
+    """Prepared calls of the directional derivatives.
+
+    Args:
+        name: Of the session, for errors.
+        description: Of fmpy.
+        calls: Of the instance.
+        outputs: Names of y; the outputs of the FMU when None.
+
+    Attributes:
+        outputs: Names of y.
+
+    Raises:
+        FmuError: The FMU has no directional derivatives, or no states.
+        UnknownName, UsageError: An output does not exist, or an input is no real number.
+    """
+
+    def __init__(
+        self, name: str, description: Any, calls: PreparedCalls, outputs: Sequence[str] | None
+    ) -> None:
+        rates = [item.variable for item in description.derivatives]
+        if not description.coSimulation.providesDirectionalDerivative or not rates:
+            raise FmuError(
+                f"{name} has no directional derivatives by its states; compare steps from a saved "
+                "state instead"
+            )
+        variables = by_name(description)
+        inputs = inputs_of(description)
+        chosen = None if outputs is None else listed(f"{name}: linearize", outputs)
+        self.outputs = tuple(output_names(name, variables, chosen))
+        for v in inputs:
+            if v.type not in ("Real", "Float64"):
+                raise UsageError(f"{name}: the input {v.name} is no real number")
+        knowns = [*(rate.derivative for rate in rates), *inputs]
+        self._states = len(rates)
+        self._rates = Jacobians(calls, rates, knowns)
+        shown = [variables[n] for n in self.outputs]
+        self._lower: Vector = np.zeros((len(shown), len(knowns)))
+        self._computed = list[int]()
+        places = {v.name: column for column, v in enumerate(knowns[: len(rates)])}
+        for row, v in enumerate(shown):
+            if v.name in places:  # a state depends on itself alone
+                self._lower[row, places[v.name]] = 1.0
+            else:
+                self._computed.append(row)
+        self._outputs = Jacobians(calls, [shown[row] for row in self._computed], knowns)
+
+    def evaluate(self) -> int:
+        """Compute the matrices at the present state; return the worst status."""
+        return max(self._rates.evaluate(), self._outputs.evaluate())
+
+    def system(self) -> LinearSystem:
+        """Return the matrices."""
+        n = self._states
+        upper = self._rates.values.T.copy()
+        lower = self._lower.copy()
+        lower[self._computed] = self._outputs.values.T
+        return LinearSystem(upper[:, :n], upper[:, n:], lower[:, :n], lower[:, n:])

@@ -1,0 +1,87 @@
+"""`open`: begin a session of a model, an FMU or a system."""
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from casadi_models.dae import Dae
+from cosim.coupling.system import System
+from cosim.errors import UsageError
+from cosim.fmi.run.instance import Interface
+from cosim.fmi.run.request import FmuRequest
+from cosim.integrate.keywords import requested
+from cosim.model.values import number
+from cosim.session.opened_file import OpenedFile, exported
+from cosim.session.restart import Experiment
+from cosim.session.session import Session
+
+
+def open(
+    model: Dae | System | str | os.PathLike[str],
+    *,
+    start_values: Mapping[str, float | str] | None = None,
+    start_time: float | None = None,
+    stop_time: float | None = None,
+    relative_tolerance: float | None = None,
+    solver: str | None = None,
+) -> Session:
+    """Begin a session: a model that stays alive, is advanced step by step, saved and restored.
+
+    A model runs as compiled code of its FMU for co-simulation, in this process; the first session
+    of a model compiles it. The binary of an FMU from elsewhere runs in this process, too: only open
+    FMUs you trust. A run with the same communication points as the session has the same bits.
+
+    Args:
+        model: A `Dae`, the name of a model, "PATH.py:FUNCTION", the file of an FMU for
+            co-simulation, or a `System` of models, whose variables are called `part.variable`.
+        start_values: Start values, parameters and constant inputs by name, as in `simulate`.
+        start_time: s; 0, or that of the FMU, when None.
+        stop_time: End that the FMU learns, s, and rejects steps beyond it; none when None.
+        relative_tolerance: Of the solver in the FMU; that of its default experiment when None.
+        solver: Of a model, as in `export_fmu`.
+
+    Returns:
+        The session, at the start time; a context manager that closes itself.
+
+    Raises:
+        UnknownName, UsageError, ParameterError, InitialConditionError: A name or a value does not
+            fit.
+        FmuError: The file is no FMU for co-simulation that can run here, or its initialization
+            failed.
+        MissingTool: A model needs a compiler, and none works.
+
+    Example:
+        >>> import cosim
+        >>> with cosim.open("bicycle", start_values={"speed": "4 m/s"}) as bike:
+        ...     bike.set(steer_torque="0.3 N.m")
+        ...     events = bike.advance(0.01)
+        ...     saved = bike.save()
+        ...     events = bike.advance(to=0.5)
+        ...     bike.restore(saved)
+        ...     bike.time, bike.get(["phi", "delta"]).shape
+        (0.01, (2,))
+    """
+    if isinstance(model, System):
+        if not model.is_model:
+            raise UsageError(
+                f"{model.name}: a session of a system needs models as parts; "
+                f"{', '.join(p.name for p in model.fmus) or 'there are none'}: open an FMU alone, "
+                "or use System.simulate"
+            )
+        model = model.dae
+    if isinstance(model, os.PathLike) or (isinstance(model, str) and model.endswith(".fmu")):
+        if solver is not None:
+            raise UsageError(f"{model}: an FMU has its own solver; leave solver out")
+        file = OpenedFile(model)
+        dae = None
+    else:
+        dae = requested(model).dae
+        file = exported(dae, solver)
+    facts: dict[str, Any] = {"start_time": start_time, "stop_time": stop_time}
+    if stop_time is None and start_time is not None:  # any span that follows
+        facts["stop_time"] = number(file.name, "start_time", start_time) + 1.0
+    facts["relative_tolerance"] = relative_tolerance
+    request = FmuRequest.of(file.description, Interface.CO_SIMULATION, file.name, **facts)
+    stop = None if stop_time is None else request.stop
+    experiment = Experiment(request.start, stop, request.tolerance)
+    return Session(file, start_values or {}, experiment, dae)

@@ -1,0 +1,53 @@
+"""`OpenedFile`: an unpacked FMU for co-simulation that several sessions share."""
+
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from weakref import finalize
+
+from casadi_models.dae import Dae
+from cosim.fmi.archive import unpacked
+from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.instance import Interface, choose_interface, instantiated, read_description
+from cosim.fmi.trust import is_made_here
+from cosim.host.temporary import temporary_folder
+from cosim.memo import cached_per_thread
+
+
+class OpenedFile:
+    """An unpacked FMU; its files are removed when no session uses it any more.
+
+    Args:
+        path: Of the FMU.
+        name: What messages call it; the path when None.
+
+    Attributes:
+        description: Of fmpy.
+        is_own: Whether it was exported here, so that its reset is complete.
+
+    Raises:
+        FmuError, SecurityError: It is no FMU for co-simulation that can run here.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], name: str | None = None) -> None:
+        self.name = name or str(path)
+        with ExitStack() as opening:
+            self._folder = opening.enter_context(unpacked(path))
+            self.description = read_description(self._folder, path)
+            choose_interface(self._folder, self.description, Interface.CO_SIMULATION, path)
+            self.is_own = is_made_here(path)
+            finalize(self, opening.pop_all().close)
+
+    def instance(self, stack: ExitStack) -> tuple[Any, Any]:
+        """Return a new instance that a stack frees, and a function that explains its errors."""
+        facts = self._folder, self.description, Interface.CO_SIMULATION, self.name
+        return stack.enter_context(instantiated(*facts))
+
+
+@cached_per_thread(8)
+def exported(dae: Dae, solver: str | None) -> OpenedFile:
+    """Return the FMU of a model, which is exported once."""
+    with temporary_folder() as folder:
+        path = export_fmu(dae, Path(folder) / "model.fmu", fmi=3, solver=solver)
+        return OpenedFile(path, dae.full_name)

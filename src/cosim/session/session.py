@@ -1,0 +1,473 @@
+"""`Session`: a model that stays alive: set inputs, advance, read, save, go back, branch."""
+
+import hashlib
+import struct
+import uuid
+import zlib
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from enum import StrEnum
+from functools import cached_property
+from math import nan
+from types import TracebackType
+from typing import Any, NoReturn, Self
+from weakref import finalize
+
+from numpy.typing import ArrayLike
+
+from casadi_models.dae import Dae, Start
+from cosim.arrays import Vector
+from cosim.errors import FmuError, UsageError
+from cosim.fmi.run.instance import by_name, initialize, why_it_ended
+from cosim.fmi.run.request import checked_values, output_names
+from cosim.integrate.keywords import requested
+from cosim.model.values import number, plain_values
+from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
+from cosim.session.clock import target_of
+from cosim.session.linearizer import Linearizer, LinearSystem
+from cosim.session.opened_file import OpenedFile
+from cosim.session.restart import Experiment, Restart
+from cosim.session.values import Values, inputs_of, plain_value
+from cosim.trajectory import Event
+
+_HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, kept
+_LARGEST = 64  # resets that are prepared
+_SUM = struct.Struct("<I")
+_MAGIC = b"session1"
+
+
+class _Phase(StrEnum):
+    RUNNING = "running"
+    ENDED = "ended"
+    FAILED = "failed"
+    CLOSED = "closed"
+
+
+class Session:
+    """A model that stays alive; open one with `cosim.open`. One thread at a time may use it.
+
+    Values are in SI units; those of an FMU from elsewhere are in its own units.
+
+    Attributes:
+        name: Of the model, or the path of the FMU.
+        inputs, outputs: Names of the inputs and outputs.
+        states: Names of the continuous states, in the order of `linearize`.
+
+    Example:
+        >>> import cosim
+        >>> with cosim.open("crank_shaft", start_values={"omega": 10.0}) as shaft:
+        ...     events = shaft.advance(to=1.0)  # alpha is 10 rad/s2
+        ...     round(shaft["omega"], 6)
+        20.0
+    """
+
+    def __init__(
+        self,
+        file: OpenedFile,
+        values: Mapping[str, float | str],
+        experiment: Experiment,
+        dae: Dae | None = None,
+    ) -> None:
+        self.name = file.name
+        self._file = file
+        self._dae = dae
+        self._experiment = experiment
+        self._own = uuid.uuid4().bytes
+        self._description = description = file.description
+        self._variables = by_name(description)
+        self.inputs = tuple(v.name for v in inputs_of(description))
+        self.outputs = tuple(output_names(self.name, self._variables, None))
+        self.states = tuple(item.variable.derivative.name for item in description.derivatives)
+        facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
+        self._identity = hashlib.sha256(facts.encode()).digest()[:16]
+        self._start_values = dict(values) if isinstance(values, Mapping) else values
+        self._stack = ExitStack()
+        self._used = False
+        finalize(self, self._stack.close)
+        self._begin(self._start_values, experiment)
+
+    # -- life ---------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: object, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"session of {self.name} at {self._time:.12g} s, {self._phase}"
+
+    def close(self) -> None:
+        """Free the model; nothing but `close` may be called afterwards."""
+        self._phase = _Phase.CLOSED
+        self._stack.close()
+
+    def _begin(self, given: Mapping[str, Any], experiment: Experiment) -> None:
+        """Take a fresh or reset instance through its initialization."""
+        restart = self._restarts.get(tuple(given)) if self._used else None
+        if restart is not None and not restart.accepts(given):
+            restart = None
+        values = self._checked(given) if restart is None else {}
+        self._phase = _Phase.FAILED
+        if not self._used or not self._file.is_own:
+            self._renew()
+        try:
+            self._events.clear()
+            if restart is not None:
+                self._check(*restart.run(given, experiment))
+            else:
+                if self._used:
+                    self._instance.reset()
+                initialize(self._instance, self._description, values, **experiment._asdict())
+                self._prepare_restart(given)
+        except FmuError:
+            raise
+        except Exception as error:
+            raise self._explained(error) from error
+        finally:
+            self._used = True
+        self._time = self._first = experiment.startTime
+        self._length, self._count = nan, 0  # of equal steps in succession
+        self._phase = _Phase.RUNNING
+
+    def _renew(self) -> None:
+        """Replace the instance by a new one."""
+        self._stack.close()
+        vars(self).pop("_states", None)
+        self._instance, self._explain = self._file.instance(self._stack)
+        self._events: list[tuple[float, str]] = self._instance.logged_events
+        self._calls = PreparedCalls(self._instance, self._description)
+        self._used = False
+        self._values = Values(self.name, self._description, self._calls, self._check)
+        self._linearizers: dict[Any, Linearizer] = {}
+        self._restarts: dict[tuple[str, ...], Restart] = {}
+
+    def _prepare_restart(self, given: Mapping[str, Any]) -> None:
+        """Prepare a reset with values of these names, if each value can be checked on its own."""
+        dae = self._dae
+        if dae is None or len(self._restarts) >= _LARGEST:
+            return
+        plain = {v.name: v for v in (*dae.states, *dae.inputs) if v.start_kind is Start.EXACT}
+        if plain.keys() >= given.keys():
+            bounds = {name: (plain[name].minimum, plain[name].maximum) for name in given}
+            variables = [self._variables[name] for name in given]
+            self._restarts[tuple(given)] = Restart(self._calls, variables, bounds)
+
+    def reset(
+        self,
+        start_values: Mapping[str, float | str] | None = None,
+        *,
+        start_time: float | None = None,
+    ) -> None:
+        """Begin again.
+
+        Args:
+            start_values: Values by name that replace those of `cosim.open` for this time.
+            start_time: s; that of `cosim.open` when None.
+
+        Raises:
+            UnknownName, UsageError, ParameterError, InitialConditionError: A name or a value does
+                not fit; the session stays as it was.
+            FmuError: The initialization failed, or the session is closed.
+        """
+        self._reject_closed()
+        given = {} if start_values is None else start_values
+        if isinstance(given, Mapping):
+            given = {**self._start_values, **given}
+        experiment = self._experiment
+        if start_time is not None:
+            start = number(self.name, "start_time", start_time)
+            experiment = experiment._replace(startTime=start)
+        self._begin(given, experiment)
+
+    def copy(self) -> "Session":
+        """Return another session of the model in the present state.
+
+        Raises:
+            FmuError: The FMU cannot write its state as bytes, or allows one instance only.
+        """
+        self._require()
+        abilities = self._description.coSimulation
+        if abilities.canBeInstantiatedOnlyOncePerProcess:
+            raise FmuError(f"{self.name} allows one instance in a process; it cannot be copied")
+        if not self._serializes:
+            raise FmuError(
+                f"{self.name} cannot write its state as bytes; it cannot be copied, but go back "
+                "with save and restore"
+            )
+        other = Session(self._file, self._start_values, self._experiment, self._dae)
+        other.restore(self.save())
+        other._events[:] = self._events
+        return other
+
+    # -- running ------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """The present time, s."""
+        return self._time
+
+    @property
+    def stop(self) -> str | None:
+        """Why the model has ended the run; None if it has not."""
+        return self._reason if self._phase is _Phase.ENDED else None
+
+    def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
+        """Integrate with constant inputs.
+
+        Equal steps in succession end at first time + n * step, so that rounding does not add up.
+
+        Args:
+            step: Length, s; 0 does nothing.
+            to: Time to reach, s, in place of a length.
+
+        Returns:
+            The events within the step, without their values. If one of them ends the run, `time`
+            is the time of it, and `stop` says why.
+
+        Raises:
+            ParameterError: A time is not finite, or before the present one.
+            UsageError: None or both of the arguments are given.
+            FmuError: The model failed, ended the run before, or is closed. After a failure,
+                `restore` and `reset` lead on.
+        """
+        if self._phase is not _Phase.RUNNING:
+            self._require()
+        time = self._time
+        log = self._instance.log_texts
+        if log:
+            log.clear()
+        if to is None and step == self._length:
+            first = self._first
+            count = self._count + 1
+            target = first + count * self._length
+        else:
+            first, count = time, 1
+            target = target_of(self.name, time, step, to)
+            if target == time:
+                return ()
+        try:
+            status, reached, ends = self._calls.step(time, target - time)
+        except FmuError as error:
+            self._fail(self._explained(error))
+        if status > WARNING:
+            self._fail(self._failure(status, "DoStep"))
+        if ends:
+            self._phase, self._time = _Phase.ENDED, reached
+            self._reason = why_it_ended(log)
+        else:
+            self._time, self._first, self._count = target, first, count
+            self._length = nan if step is None else float(step)
+        if not self._events:
+            return ()
+        found = tuple(Event(at, name, {}, {}) for at, name in self._events)
+        self._events.clear()
+        return found
+
+    # -- values -------------------------------------------------------------------------------
+
+    def set(
+        self, values: Mapping[str, float | str] | ArrayLike | None = None, /, **named: float | str
+    ) -> None:
+        """Set inputs, or parameters that may change during a run.
+
+        Args:
+            values: Values by name, or of all `inputs` in their order, (n,).
+            named: Numbers, or texts with a unit, by name.
+
+        Raises:
+            UnknownName, UsageError, ParameterError: A variable does not exist or cannot be set, or
+                a value does not fit; then nothing is set.
+            FmuError: The model rejects a value, has ended or failed, or is closed.
+        """
+        if self._phase is not _Phase.RUNNING:
+            self._require()
+        self._values.set(values, named)
+
+    def __getitem__(self, name: str) -> float:
+        value: float = self.get((name,))[0]
+        return float(value)
+
+    def get(self, names: Sequence[str] | None = None) -> Vector:
+        """Return values.
+
+        Args:
+            names: Of the variables; `outputs` when None.
+
+        Returns:
+            Their values, (n,).
+
+        Raises:
+            UnknownName, UsageError: A variable does not exist, or is not one number.
+            FmuError: A value is not defined, or the session has failed or is closed.
+        """
+        if self._phase is not _Phase.RUNNING and self._phase is not _Phase.ENDED:
+            self._require()
+        return self._values.get(names)
+
+    # -- states -------------------------------------------------------------------------------
+
+    @property
+    def _serializes(self) -> bool:
+        return bool(self._description.coSimulation.canSerializeFMUstate)
+
+    @cached_property
+    def _states(self) -> StateCalls:
+        if not self._description.coSimulation.canGetAndSetFMUstate:
+            raise FmuError(f"{self.name} cannot save its state; begin again with reset")
+        found = StateCalls(self._calls, self._check)
+        self._stack.callback(free_states, self._instance, found.free, found.kept)
+        return found
+
+    def save(self) -> bytes:
+        """Return the state of the session, for `restore`.
+
+        If the FMU writes its state as bytes, as every model does, they outlive the session and
+        hold for other sessions of the same model; otherwise for this session until it is closed
+        or an FMU from elsewhere is reset.
+
+        Raises:
+            FmuError: The FMU cannot save its state, or the session has ended, failed or is closed.
+        """
+        if self._phase is not _Phase.RUNNING:
+            self._require()
+        states = self._states
+        content = b""
+        kept = 0
+        if self._serializes:
+            owner = self._identity
+            content = states.save()
+        else:
+            owner = self._own
+            kept = states.keep()
+        facts = (self._time, self._first, self._length, self._count, kept)
+        whole = _HEAD.pack(_MAGIC, owner, *facts) + content
+        return _SUM.pack(zlib.crc32(whole)) + whole
+
+    def restore(self, saved: bytes) -> None:
+        """Go back, or forward, to a saved state; also after a failure or the end of the run.
+
+        Raises:
+            UsageError: The bytes are no saved state of this model, or damaged.
+            FmuError: The FMU rejects the state, or the session is closed.
+        """
+        self._reject_closed()
+        if not isinstance(saved, bytes):
+            raise UsageError.of_type(f"{self.name}: restore", saved, "what save has returned")
+        whole = saved[_SUM.size :]
+        if len(whole) < _HEAD.size or _SUM.unpack_from(saved)[0] != zlib.crc32(whole):
+            raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
+        magic, owner, *clock, kept = _HEAD.unpack_from(whole)
+        expected = self._identity if self._serializes else self._own
+        if magic != _MAGIC or owner != expected:
+            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
+            raise UsageError(f"{self.name}: these bytes were saved by another {what}")
+        if self._serializes:
+            self._states.restore(whole[_HEAD.size :])
+        else:
+            if not self._states.go_back(kept):
+                raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+        self._time, self._first, self._length, self._count = clock
+        self._events.clear()
+        self._phase = _Phase.RUNNING
+
+    def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
+        """Return A, B, C, D at the present state, by directional derivatives of the FMU.
+
+        Between events; `cosim.linearize` also gives the discrete map of samples.
+
+        Args:
+            outputs: Names of y; `outputs` of the session when None.
+
+        Returns:
+            The matrices; rows and columns as in `states`, `inputs` and the outputs.
+
+        Raises:
+            UnknownName: An output does not exist.
+            UsageError: The model has samples, an input is no real number.
+            FmuError: The FMU has no directional derivatives, or they have no value here.
+        """
+        self._require()
+        key = tuple(outputs) if isinstance(outputs, list) else outputs
+        found = self._linearizers.get(key) if isinstance(key, tuple | None) else None
+        if found is None:
+            self._reject_samples()
+            found = Linearizer(self.name, self._description, self._calls, key)
+            self._linearizers[found.outputs if key is not None else None] = found
+        self._check(found.evaluate(), "GetDirectionalDerivative")
+        return found.system()
+
+    def _reject_samples(self) -> None:
+        if self._dae is not None and any(event.sampled for event in self._dae.events):
+            raise UsageError(
+                f"{self.name} has samples, which change its state at instants; use "
+                "cosim.linearize, which gives the discrete map from sample to sample"
+            )
+
+    # -- checks and failures ------------------------------------------------------------------
+
+    def _checked(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return start values by the names of the FMU, in its units."""
+        if not isinstance(values, Mapping):
+            raise UsageError.of_type(
+                f"{self.name}: start_values", values, "values by name, e.g. {'phi': 1}"
+            )
+        if self._dae is not None and values:
+            request = requested(self._dae, start_values=values)
+            values = plain_values(self._dae, request.values)
+        elif values:
+            known = self._variables
+            values = {
+                name: plain_value(self.name, self._description, known[name], value)
+                if name in known
+                else value
+                for name, value in values.items()
+            }
+        return checked_values(self.name, self._variables, values)
+
+    def _failure(self, status: int, function: str) -> FmuError:
+        from fmpy.fmi1 import FMICallException
+
+        if status == FATAL:
+            self._instance.is_fatal = True
+        prefix = f"fmi{2 if self._calls.second else 3}"
+        error = self._explained(FMICallException(function=f"{prefix}{function}", status=status))
+        self._instance.log_texts.clear()
+        return error
+
+    def _explained(self, error: Exception) -> FmuError:
+        found: FmuError = self._explain(error)
+        return found
+
+    def _check(self, status: int, function: str) -> None:
+        """Raise the error of a status; one that is more than a rejection ends the run."""
+        if status <= WARNING:
+            return
+        error = self._failure(status, function)
+        if status > WARNING + 1:
+            self._fail(error)
+        raise error
+
+    def _fail(self, error: FmuError) -> NoReturn:
+        self._phase, self._reason = _Phase.FAILED, str(error)
+        self._events.clear()
+        raise error
+
+    def _require(self) -> None:
+        """Reject a call that a running session alone answers."""
+        self._reject_closed()
+        if self._phase is _Phase.FAILED:
+            raise FmuError(f"{self.name}: the session has failed; go on with restore or reset")
+        if self._phase is _Phase.ENDED:
+            raise FmuError(
+                f"{self.name}: the run has ended at {self._time:.12g} s ({self._reason}); go on "
+                "with restore or reset"
+            )
+
+    def _reject_closed(self) -> None:
+        if self._phase is _Phase.CLOSED:
+            raise FmuError(f"{self.name}: the session is closed; open it again")
+        if getattr(self._instance, "is_fatal", False):
+            raise FmuError(f"{self.name}: the FMU has reported a fatal error; open it again")

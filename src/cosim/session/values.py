@@ -1,0 +1,142 @@
+"""`Values`: variables of a session, set and read by prepared calls."""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import UnknownName, UsageError
+from cosim.fmi.run.instance import by_name, is_number, unit_of
+from cosim.fmi.run.request import output_names
+from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.units import units_for
+from cosim.model.quantities import quantity
+from cosim.model.values import listed
+from cosim.session.calls import WARNING, Group, PreparedCalls
+
+_LARGEST = 64  # lists of variables whose calls are kept
+
+
+class Values:
+    """The variables of an instance.
+
+    Args:
+        name: Of the session, for errors.
+        description: Of fmpy.
+        calls: Of the instance.
+        check: Raises the error of a status.
+
+    Attributes:
+        inputs: Those that are one number.
+        outputs: Names of the outputs.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        description: Any,
+        calls: PreparedCalls,
+        check: Callable[[int, str], None],
+    ) -> None:
+        self._name, self._description, self._calls, self._check = name, description, calls, check
+        self._variables = by_name(description)
+        self.inputs = inputs_of(description)
+        self.outputs = tuple(output_names(name, self._variables, None))
+        self._selections: dict[Any, list[Group]] = {}
+        self._setters: dict[str, tuple[Any, Group]] = {}
+
+    def set(self, values: Any, named: dict[str, Any]) -> None:
+        """Set inputs and tunable parameters; see `Session.set`."""
+        if values is not None:
+            named = {**self._by_name(values), **named}
+        found = []
+        for name, value in named.items():
+            variable, group = self._setters.get(name) or self._setter(name)
+            if type(value) is not float or not isfinite(value):
+                value = plain_value(self._name, self._description, variable, value)
+            found.append((group, value))
+        for group, plain in found:
+            group.buffer[0] = plain
+            status = group.set()
+            if status > WARNING:
+                self._check(status, "Set")
+
+    def _by_name(self, values: Any) -> dict[str, Any]:
+        if isinstance(values, Mapping):
+            return dict(values)
+        names = [v.name for v in self.inputs]
+        row = values.tolist() if isinstance(values, np.ndarray) else values
+        if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != len(names):
+            shown = f"{len(names)} inputs {', '.join(names)}" if names else "inputs: it has none"
+            raise UsageError.of_type(
+                f"{self._name}: set", values, f"values by name, or one for each of its {shown}"
+            )
+        return dict(zip(names, row, strict=True))
+
+    def _setter(self, name: str) -> tuple[Any, Group]:
+        """Return a variable that may be set during a run, with its prepared call."""
+        variable = self._variables.get(name)
+        if variable is None:
+            settable = [v.name for v in self._variables.values() if _may_change(v)]
+            raise UnknownName.among(self._name, "input", name, settable)
+        if not _may_change(variable):
+            shown = ", ".join(v.name for v in self.inputs) or "no inputs"
+            raise UsageError(
+                f"{self._name}: {name} cannot be set during a run, which takes {shown} and tunable "
+                "parameters; give it to reset(start_values=...)"
+            )
+        found = variable, self._calls.groups([variable])[0]
+        self._setters[name] = found
+        return found
+
+    def get(self, names: Sequence[str] | None) -> Vector:
+        """Return values, (n,); see `Session.get`."""
+        key = tuple(names) if isinstance(names, list) else names
+        groups = self._selections.get(key) if isinstance(key, tuple | None) else None
+        if groups is None:
+            groups = self._selection(key)
+        if len(groups) == 1:
+            status = groups[0].get()
+            if status > WARNING:
+                self._check(status, "Get")
+            return groups[0].buffer.astype(float)  # a copy
+        row = np.empty(sum(len(group.columns) for group in groups))
+        for group in groups:
+            self._check(group.get(), "Get")
+            row[group.columns] = group.buffer
+        return row
+
+    def _selection(self, names: Any) -> list[Group]:
+        """Prepare the calls that read variables."""
+        chosen = self.outputs if names is None else listed(f"{self._name}: get", names)
+        for name in chosen:
+            if name not in self._variables:
+                raise UnknownName.among(self._name, "variable", name, self._variables)
+            if not is_number(self._variables[name]):
+                raise UsageError(f"{self._name}: {name} is not a single number")
+        if len(self._selections) >= _LARGEST:
+            self._selections.clear()
+        groups = self._calls.groups([self._variables[name] for name in chosen])
+        self._selections[names if isinstance(names, tuple | None) else chosen] = groups
+        return groups
+
+
+def inputs_of(description: Any) -> list[Any]:
+    """Return the inputs that are one number."""
+    return [v for v in description.modelVariables if v.causality == "input" and is_number(v)]
+
+
+def plain_value(owner: str, description: Any, variable: Any, value: Any) -> Any:
+    """Return a value, perhaps a text with a unit, in the variable's unit and type."""
+    if isinstance(value, str) and variable.type not in ("Boolean", "Enumeration"):
+        units = units_for(variable, description)
+        value = quantity(variable.name, value, unit_of(variable) or "1", definitions=units)
+    return typed_value(owner, variable, value)
+
+
+def _may_change(variable: Any) -> bool:
+    """Tell whether a variable may be set between steps."""
+    tunable = variable.causality == "parameter" and variable.variability == "tunable"
+    return is_number(variable) and (variable.causality == "input" or tunable)

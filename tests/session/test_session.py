@@ -1,0 +1,428 @@
+"""Sessions: the bits of straight runs, exact values, and every kind of wrong call."""
+
+import gc
+import random
+from weakref import ref
+
+import numpy as np
+import pytest
+from helpers.event_models import ball, sampled, stopping
+from helpers.fmi_cases import VERSIONS
+from helpers.foreign_part import foreign_part
+from helpers.small_models import decay
+
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import FmuError, InitialConditionError, ParameterError, UnknownName, UsageError
+
+STEP = 0.01
+
+
+def blow_up():
+    """Return x' = x^2 + u from x = 1: infinite at 1 s."""
+    model = Model("blow_up_driven", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "what grows")
+    u = model.input("u", "1/s", 0.0, "push")
+    model.derivative(x, x**2 + u)
+    return model.freeze()
+
+
+def driven_ball():
+    """Return the bouncing ball with a force, a discrete count and a sampled controller."""
+    model = Model("driven_ball", stop_time=2.0)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    n, pull = model.discrete("n", "1", 0, "impacts"), model.discrete("pull", "N", 0.0, "control")
+    wind = model.input("wind", "N", 0.0, "force")
+    model.derivative(h, v)
+    model.derivative(v, -9.81 + wind + pull)
+    model.when(h < 0, {v: -0.7 * v, n: n + 1}, name="impact")
+    model.every(0.13, {pull: -0.5 * v}, name="control", offset=0.05)
+    return model.freeze()
+
+
+MODELS = {"decay": decay, "ball": ball, "sampled": sampled, "driven_ball": driven_ball}
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sessions")
+    return {
+        (name, fmi): cosim.export_fmu(build(), folder / f"{name}_{fmi}.fmu", fmi=fmi)
+        for name, build in MODELS.items()
+        for fmi in (2, 3)
+    }
+
+
+@pytest.fixture
+def session():
+    with cosim.open(decay()) as opened:
+        yield opened
+
+
+# -- bits -----------------------------------------------------------------------------------------
+
+
+@VERSIONS
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("by", ["step", "to"])
+def test_session_has_the_bits_and_events_of_a_whole_run(name, fmi, by, fmus):
+    whole = cosim.simulate_fmu(
+        fmus[name, fmi], interface="CoSimulation", stop_time=1.0, output_interval=STEP
+    )
+    with cosim.open(fmus[name, fmi], stop_time=1.0) as session:
+        rows, events = [session.get(whole.names)], []
+        for time in whole.time[1:]:
+            events += session.advance(STEP) if by == "step" else session.advance(to=time)
+            rows.append(session.get(whole.names))
+            assert session.time == time
+    np.testing.assert_array_equal(rows, whole.values)
+    assert [(e.time, e.name) for e in events] == [(e.time, e.name) for e in whole.events]
+
+
+def straight(path, push, rows):
+    """Return the outputs and times of a session that only sets inputs and advances."""
+    with cosim.open(path) as session:
+        found = [(session.time, session.get())]
+        for k in range(rows):
+            if session.inputs:
+                session.set([push[k]] * len(session.inputs))
+            session.advance(STEP)
+            found.append((session.time, session.get()))
+    return found
+
+
+SHARES = {"advance": 12, "save": 3, "restore": 3, "copy": 1, "reset": 0.5, "wrong": 2}
+WRONG = [
+    lambda s: s.advance(-1.0),
+    lambda s: s.advance(to=-1.0),
+    lambda s: s.set(nothing=1.0),
+    lambda s: s.get(["none"]),
+    lambda s: s.restore(b"none"),
+]
+
+
+def detour(session, push, expected, choose, *, by_step):
+    """Do random things with a session; what it returns must have the bits of the straight run."""
+    place, saved, made = 0, [], []
+    for _ in range(150):
+        (what,) = choose.choices([*SHARES], [*SHARES.values()])
+        if what == "advance" and place + 1 < len(expected):
+            if session.inputs:
+                session.set([push[place]] * len(session.inputs))
+            if by_step:
+                session.advance(STEP)
+            else:
+                session.advance(to=expected[place + 1][0])
+            place += 1
+        elif what == "save":
+            saved.append((place, session.save()))
+        elif what == "restore" and saved:
+            place, content = choose.choice(saved)
+            session.restore(content)
+        elif what == "copy" and len(made) < 4:
+            made.append(session)
+            session = session.copy()
+        elif what == "reset":
+            session.reset()
+            place = 0
+        elif what == "wrong":
+            with pytest.raises(cosim.CosimError):
+                choose.choice(WRONG)(session)
+        time, values = expected[place]
+        assert session.time == time
+        if choose.random() < 0.7:
+            np.testing.assert_array_equal(session.get(), values)
+    for one in [*made, session]:
+        one.close()
+
+
+@VERSIONS
+@pytest.mark.parametrize("name", MODELS)
+def test_detours_change_no_bit(name, fmi, fmus):
+    choose = random.Random(f"{name} {fmi}")
+    push = [round(choose.uniform(-2, 2), 2) for _ in range(120)]
+    expected = straight(fmus[name, fmi], push, 120)
+    for by_step in (True, False):
+        detour(cosim.open(fmus[name, fmi]), push, expected, choose, by_step=by_step)
+
+
+def test_detours_of_a_foreign_fmu_change_no_bit(tmp_path):
+    path = foreign_part(tmp_path, "lag")
+    choose = random.Random(3)
+    push = [choose.uniform(-2, 2) for _ in range(60)]
+    detour(cosim.open(path), push, straight(path, push, 60), choose, by_step=True)
+
+
+# -- exact values -------------------------------------------------------------------------------
+
+
+def test_decay_meets_its_closed_form(session):
+    session.set(force=1.0)
+    session.advance(to=1.0)
+    assert session["x"] == pytest.approx(2 - np.exp(-0.5), rel=1e-9)  # measured 1e-11
+    np.testing.assert_array_equal(session.get(["y", "x"]), [session["y"], session["x"]])
+    assert session["y"] == 2 * session["x"]
+
+
+def test_start_is_at_rest_and_nothing_moves_by_itself(session):
+    assert (session.time, session["x"], session.advance(0), session.time) == (0.0, 1.0, (), 0.0)
+    assert session.advance(to=0.0) == ()
+
+
+def test_equal_steps_do_not_add_up_rounding(session):
+    for _ in range(70):
+        session.advance(0.1)
+    assert session.time == 7.0
+
+
+def test_events_are_returned_by_the_step_in_which_they_happen():
+    with cosim.open(ball()) as session:
+        assert session.advance(to=0.4) == ()
+        (impact,) = session.advance(to=0.5)
+    assert impact.name == "impact"
+    assert impact.time == pytest.approx(np.sqrt(2 / 9.81), abs=1e-9)  # measured 1e-12
+
+
+def test_set_takes_units_vectors_and_names_and_rejects_them_as_a_whole(session):
+    session.set(force="36 km/h")
+    assert session["force"] == 10.0
+    session.set([2])
+    assert session["force"] == 2.0
+    session.set({"rate": 0.25, "force": 1})
+    assert session["rate"] == 0.25
+    with pytest.raises(ParameterError, match="nan is not finite"):
+        session.set(force=5.0, rate=float("nan"))
+    assert session["force"] == 1.0
+
+
+def test_reset_takes_start_values_for_once(session):
+    session.advance(0.3)
+    session.reset({"x": 3.0})
+    assert (session.time, session["x"], session["force"]) == (0.0, 3.0, 0.0)
+    session.reset(start_time=2.0)
+    assert (session.time, session["x"]) == (2.0, 1.0)
+    with pytest.raises(UnknownName, match="did you mean x"):
+        session.reset({"X": 1.0})
+    assert session.time == 2.0
+
+
+def test_prepared_resets_have_the_bits_of_the_first_one():
+    dae = driven_ball()
+    with cosim.open(dae) as session:
+        for values in ({"h": 0.5, "wind": 0.2}, {"h": 0.3, "wind": -0.2}):
+            rows = []
+            for _ in range(3):
+                session.reset(values)
+                session.advance(0.5)
+                rows.append(session.get())
+            np.testing.assert_array_equal(rows[1:], [rows[0]] * 2)
+            with cosim.open(dae, start_values=values) as other:
+                other.advance(0.5)
+                np.testing.assert_array_equal(other.get(), rows[0])
+        with pytest.raises(ParameterError, match="not finite"):
+            session.reset({"h": float("nan"), "wind": 0.2})
+        assert session.time == 0.5
+
+
+@pytest.mark.slow
+def test_start_values_through_outputs_and_of_calculated_states():
+    with cosim.open("bicycle", start_values={"speed": "4 m/s"}) as bike:
+        assert bike["speed"] == pytest.approx(4.0, abs=1e-12)
+        assert bike.copy()["speed"] == bike["speed"]
+        bike.reset({"phi": 0.2})
+        assert (bike["phi"], bike["speed"]) == (0.2, pytest.approx(4.0, abs=1e-12))
+        with pytest.raises(InitialConditionError, match="calculated"):
+            bike.reset({"theta": 0.1})
+
+
+def test_linear_system_is_that_of_linearize():
+    expected = cosim.linearize("bar_on_frame/reduced", outputs=["theta", "M_phi"])
+    with cosim.open("bar_on_frame/reduced") as bar:
+        found = bar.linearize(["theta", "M_phi"])
+        assert bar.states == expected.states
+        assert bar.linearize().C.shape == (len(bar.outputs), len(bar.states))
+    for matrix, reference in zip(
+        found, (expected.A, expected.B, expected.C, expected.D), strict=True
+    ):
+        np.testing.assert_allclose(matrix, reference, rtol=1e-9, atol=1e-9)
+
+
+def test_system_of_models_runs_as_one_model():
+    model = Model("follower")
+    place, target = model.state("x", "m", 1.0, "place"), model.input("target", "m", 0.0, "target")
+    model.derivative(place, 0.5 * (target - place))
+    parts = {"first": decay(), "second": model.freeze()}
+    system = cosim.couple(parts, {"second.target": "first.y"})
+    with cosim.open(system, start_values={"first.x": 2.0}) as session:
+        session.set({"first.force": 1.0})
+        saved = session.save()
+        session.advance(to=1.0)
+        x = session["second.x"]
+        session.restore(saved)
+        session.advance(to=1.0)
+        assert session["second.x"] == x
+        assert session["first.x"] == pytest.approx(2.0, abs=1e-9)  # at rest
+        assert x == pytest.approx(4 - 3 * np.exp(-0.5), rel=1e-9)  # x' = (4 - x)/2 from 1
+
+
+def test_linearize_rejects_samples_and_files_without_derivatives(tmp_path):
+    with cosim.open(sampled()) as session, pytest.raises(UsageError, match="has samples"):
+        session.linearize()
+    path = foreign_part(tmp_path, "lag", providesDirectionalDerivative="false")
+    with cosim.open(path) as session, pytest.raises(FmuError, match="no directional derivatives"):
+        session.linearize()
+
+
+# -- saved states -------------------------------------------------------------------------------
+
+
+def test_saved_state_outlives_the_session_and_the_file(tmp_path):
+    with cosim.open(decay()) as session:
+        session.advance(0.5)
+        saved, x = session.save(), session["x"]
+    with cosim.open(cosim.export_fmu(decay(), tmp_path / "again.fmu", fmi=3)) as session:
+        session.restore(saved)
+        assert (session.time, session["x"]) == (0.5, x)
+
+
+def test_wrong_bytes_are_rejected_and_change_nothing(session):
+    session.advance(0.1)
+    saved, x = session.save(), session["x"]
+    damaged = saved[:100] + bytes([saved[100] ^ 1]) + saved[101:]
+    for content, what in ((damaged, "damaged"), (b"", "no saved session"), (saved[:-1], "damaged")):
+        with pytest.raises(UsageError, match=what):
+            session.restore(content)
+    with cosim.open(ball()) as other, pytest.raises(UsageError, match="another model"):
+        session.restore(other.save())
+    with pytest.raises(UsageError, match="type int"):
+        session.restore(3)
+    assert (session.time, session["x"]) == (0.1, x)
+
+
+def test_file_that_writes_no_bytes_goes_back_in_its_own_session(tmp_path):
+    path = foreign_part(tmp_path, "lag", canSerializeFMUstate="false")
+    with cosim.open(path, start_values={"u": 1.0}) as session, cosim.open(path) as other:
+        saved = session.save()
+        session.advance(0.5)
+        session.restore(saved)
+        assert (session.time, session["y"]) == (0.0, 0.0)
+        with pytest.raises(UsageError, match="another session"):
+            other.restore(saved)
+        with pytest.raises(FmuError, match="cannot be copied"):
+            session.copy()
+        session.reset()
+        with pytest.raises(UsageError, match="freed by a reset"):
+            session.restore(saved)
+
+
+def test_file_without_states_can_only_begin_again(tmp_path):
+    abilities = {"canGetAndSetFMUstate": "false", "canSerializeFMUstate": "false"}
+    with cosim.open(foreign_part(tmp_path, "lag", **abilities)) as session:
+        session.set(u=1.0)
+        session.advance(0.5)
+        with pytest.raises(FmuError, match="cannot save its state"):
+            session.save()
+        session.reset()
+        assert (session.time, session["y"]) == (0.0, 0.0)
+
+
+# -- failures -----------------------------------------------------------------------------------
+
+
+@VERSIONS
+def test_failed_session_can_be_restored_and_reset(fmi, tmp_path):
+    path = cosim.export_fmu(blow_up(), tmp_path / "blow_up.fmu", fmi=fmi)
+    with cosim.open(path) as session:
+        session.advance(0.5)
+        saved = session.save()
+        with pytest.raises(FmuError, match="DoStep"):
+            session.advance(to=1.5)
+        with pytest.raises(FmuError, match="has failed; go on with restore or reset"):
+            session.get(["x"])
+        session.restore(saved)
+        assert session["x"] == pytest.approx(2.0, rel=1e-8)  # of 1/(1 - t)
+        session.set(u=-4.0)  # x stays at 2
+        session.advance(to=5.0)
+        assert session["x"] == pytest.approx(2.0, abs=1e-3)
+        session.reset()
+        assert session["x"] == 1.0
+
+
+def test_run_that_the_model_ends_says_why_and_can_go_back():
+    dae = stopping()
+    with cosim.open(dae) as session:
+        saved = session.save()
+        while session.stop is None and session.time < 10:
+            session.advance(0.25)
+        assert session.stop
+        with pytest.raises(FmuError, match="has ended at"):
+            session.advance(0.25)
+        assert session.get().shape == (len(session.outputs),)
+        session.restore(saved)
+        assert (session.time, session.stop) == (0.0, None)
+
+
+def test_fatal_error_closes_the_file_for_good(tmp_path):
+    path = foreign_part(tmp_path, "lag", fault="return 4;")
+    with cosim.open(path) as session:
+        with pytest.raises(FmuError, match="DoStep"):
+            session.advance(0.1)
+        with pytest.raises(FmuError, match="fatal error; open it again"):
+            session.reset()
+
+
+def test_session_that_nobody_closes_is_freed_with_its_states(tmp_path):
+    session = cosim.open(foreign_part(tmp_path, "lag", canSerializeFMUstate="false"))
+    session.set(u=1.0)
+    session.restore(session.save())
+    seen, freed = ref(session), []
+    session._stack.callback(freed.append, True)
+    del session
+    gc.collect()
+    assert (seen(), freed) == (None, [True])
+
+
+def test_closed_session_rejects_every_call(session):
+    saved = session.save()
+    session.close()
+    session.close()
+    calls = (session.save, session.copy, session.reset, session.linearize, session.get,
+             lambda: session.advance(0.1), lambda: session.set(force=1.0),
+             lambda: session.restore(saved), lambda: session["x"])  # fmt: skip
+    for call in calls:
+        with pytest.raises(FmuError, match="session is closed; open it again"):
+            call()
+    assert "closed" in repr(session)
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "says"),
+    [
+        (lambda s: s.advance(), UsageError, "give one"),
+        (lambda s: s.advance(0.1, to=0.2), UsageError, "give one"),
+        (lambda s: s.advance(-0.1), ParameterError, "goes backwards"),
+        (lambda s: s.advance(to=-0.1), ParameterError, "before the present time"),
+        (lambda s: s.advance(float("nan")), ParameterError, "not finite"),
+        (lambda s: s.advance(to=float("inf")), ParameterError, "not finite"),
+        (lambda s: (s.advance(0.5), s.advance(1e-20)), ParameterError, "too short"),
+        (lambda s: s.advance("0.1"), ParameterError, "not a real number"),
+        (lambda s: s.set(forse=1.0), UnknownName, "did you mean force"),
+        (lambda s: s.set(x=1.0), UsageError, "cannot be set during a run"),
+        (lambda s: s.set(force="3 kg"), ParameterError, "cannot be converted"),
+        (lambda s: s.set(force=None), ParameterError, "not a real number"),
+        (lambda s: s.set([1.0, 2.0]), UsageError, "1 inputs force"),
+        (lambda s: s.set(3.0), UsageError, "values by name"),
+        (lambda s: s.set(rate=1e9), FmuError, "not within"),
+        (lambda s: s.get("x"), UsageError, "list of names"),
+        (lambda s: s.get(["z"]), UnknownName, "no variable 'z'"),
+        (lambda s: s["z"], UnknownName, "no variable 'z'"),
+        (lambda s: s.reset({"x": float("inf")}), ParameterError, "not finite"),
+        (lambda s: s.reset([1.0]), UsageError, "values by name"),
+        (lambda s: s.linearize(["z"]), UnknownName, "no output 'z'"),
+    ],
+)
+def test_wrong_call_is_rejected_and_the_session_goes_on(call, kind, says, session):
+    with pytest.raises(kind, match=says):
+        call(session)
+    session.advance(to=1.0)
+    assert session["x"] == pytest.approx(np.exp(-0.5), rel=1e-9)
