@@ -65,7 +65,7 @@ static inline int end_here(Coupling *self) {
     System *system = self->system;
     const long long part = system->part;
     if (system->rows == system->points ||
-        (system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t)))
+        (system->rows > 0 && same_time(system, system->times[system->rows - 1], self->now.t)))
         --system->rows;
     const int how = record_next(self);
     if (how != DONE) return how;
@@ -113,7 +113,7 @@ static inline int pass_events(Coupling *self) {
 /* Go back to the begin of a macro step within which there is an event; let it happen if it is there
  * already. */
 static inline int back_to_event(Coupling *self) {
-    const int here = same_time(self->event, self->now.t);
+    const int here = same_time(self->system, self->event, self->now.t);
     if (++self->unreached > MOST_UPDATES) return STUCK;
     if (restore_all_but(self, here ? self->system->parts + self->system->part : NULL))
         return CALL_FAILED;
@@ -124,7 +124,7 @@ static inline int back_to_event(Coupling *self) {
     if (how != DONE) return how;
     const System *system = self->system;
     const int recorded =
-        system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t);
+        system->rows > 0 && same_time(system, system->times[system->rows - 1], self->now.t);
     return recorded ? record_all(self, system->rows - 1) : DONE;
 }
 
@@ -144,7 +144,7 @@ static inline int arrive(Coupling *self) {
     }
     int how = pass_events(self);
     if (how == DONE && system->rows < system->points &&
-        same_time(system->times[system->rows], self->now.t))
+        same_time(system, system->times[system->rows], self->now.t))
         how = record_next(self);
     if (how != DONE) return how;
     for (long long k = 0; k < system->inputs; ++k)
@@ -196,7 +196,7 @@ static inline double next_end(const Coupling *self, double h) {
         const double taken = (self->now.t - system->start) / system->quantum;
         const double steps = fmax(floor(1.01 * h / system->quantum), 1);
         const double end = system->start + (round(taken) + steps) * system->quantum;
-        return end >= system->stop || same_time(end, system->stop) ? system->stop : end;
+        return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
     }
     const double goal = fmin(system->stop, self->event);
     return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
@@ -210,7 +210,7 @@ static inline int run_adaptive(Coupling *self) {
     Attempts window = {0};
     if (save_all(self)) return CALL_FAILED;
     if (is_noisy(self, h, system->tolerance)) return NOISY;
-    while (system->time < system->stop && !same_time(system->time, system->stop)) {
+    while (system->time < system->stop && !same_time(system, system->time, system->stop)) {
         if (halted) return INTERRUPTED;
         double error = 0;
         self->next.t = next_end(self, h);
@@ -262,10 +262,11 @@ static inline int jumped(Coupling *self) {
 
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
-    for (long long n = 1; system->time < system->stop && !same_time(system->time, system->stop);) {
+    for (long long n = 1;
+         system->time < system->stop && !same_time(system, system->time, system->stop);) {
         if (halted) return INTERRUPTED;
         double error = 0, end = fmin(system->start + (double)n * system->macro_step, system->stop);
-        if (same_time(end, system->stop)) end = system->stop;
+        if (same_time(system, end, system->stop)) end = system->stop;
         self->next.t = fmin(end, self->event);
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);

@@ -43,8 +43,8 @@ typedef struct {
 } System;
 
 /* Whether two times are the same but for rounding. */
-static inline int same_time(double a, double b) {
-    return fabs(a - b) <= 1e-12 * fmax(fabs(a), fabs(b));
+static inline int same_time(const System *system, double a, double b) {
+    return at_one_time(a, b, system->start, 1e-12);
 }
 
 /* The interface at a communication point: inputs and their rates. */

@@ -98,7 +98,8 @@ static inline int compare_with_cubics(Coupling *self, const Part *part, double s
 
 /* Whether a row is that of an output time before a time. */
 static inline int is_before(const System *system, long long row, double t) {
-    return row < system->points && system->times[row] < t && !same_time(system->times[row], t);
+    return row < system->points && system->times[row] < t &&
+           !same_time(system, system->times[row], t);
 }
 
 /* Into how many steps a part divides one: if it holds its inputs, into so many that their error
@@ -142,7 +143,7 @@ static inline int step_through(Coupling *self, Part *part, double from, double t
         if (how != STEPPED) return how;
         if (self->refused) return PART_FAILED;
         t = part->reached;
-        if (t >= to || same_time(t, to)) return STEPPED;
+        if (t >= to || same_time(self->system, t, to)) return STEPPED;
     }
     return PART_FAILED;
 }
@@ -171,7 +172,7 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
         const int last = !(recording && is_before(system, row, end));
         const double to = last ? end : system->times[row];
         const int how = to > t ? advance(self, part, t, to) : STEPPED;
-        if (how == AT_EVENT && last && same_time(part->reached, end)) return STEPPED;
+        if (how == AT_EVENT && last && same_time(system, part->reached, end)) return STEPPED;
         if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
