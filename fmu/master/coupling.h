@@ -13,7 +13,7 @@
 
 enum { MOST_FORCED = 1000, WINDOW = 2000 /* attempts */ };
 
-static const double SAFE = 0.8, SHORTER = 0.2, LONGER = 2.0;      /* of macro steps */
+static const double SAFE = 0.8, SHORTER = 0.2;                    /* of macro steps */
 static const double SHORTEST = 1e-9, FIRST = 1e-3, LONGEST = 0.1; /* macro steps, of the span */
 static const double HARDLY = 1e-3;                                /* progress, of the span */
 static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
@@ -158,10 +158,8 @@ static inline int arrive(Coupling *self) {
 /* Whether the next macro step is repeated until its interface agrees: to an event, and where there
  * is too little to extrapolate from, as after one, every step is, if it can be. */
 static inline int iterates(const Coupling *self) {
-    const double before = self->known ? self->now.t - self->past[0].t : 0;
     if (self->system->method != EXTRAPOLATED) return self->system->method == ITERATED;
-    return self->all_roll_back &&
-           (isfinite(self->event) || self->next.t - self->now.t > 1.01 * LONGER * before);
+    return self->all_roll_back && (isfinite(self->event) || !has_near_past(self));
 }
 
 /* Attempts of macro steps, in windows of equal number. */
@@ -206,7 +204,9 @@ static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
     const double least = fmax(SHORTEST * span, 1.01 * system->quantum);
-    double h = FIRST * span;
+    const double first = FIRST * system->refinement * span;
+    const double longest = LONGEST * system->refinement * span;
+    double h = first;
     Attempts window = {0};
     if (save_all(self)) return CALL_FAILED;
     if (is_noisy(self, h, system->tolerance)) return NOISY;
@@ -244,11 +244,17 @@ static inline int run_adaptive(Coupling *self) {
             return vanished(self, STEP_VANISHED);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
-        h = fmin(fmax(length * fmin(fmax(factor, SHORTER), LONGER), SHORTEST * span),
-                 LONGEST * span);
-        if (self->known == 0) h = FIRST * span; /* after an event */
+        h = length * fmin(fmax(factor, SHORTER), LONGER);
+        h = fmin(fmax(h, SHORTEST * span), longest);
+        if (self->known == 0) h = first; /* after an event */
     }
     return DONE;
+}
+
+/* How far outputs have moved from what was predicted for the end of the last step. */
+static inline double jump_of(const Coupling *self) {
+    const long long m = self->system->inputs;
+    return largest(m, self->found, self->found + 2 * m);
 }
 
 /* Whether an output has jumped in the last step, so that a cubic through both sides misleads: the
@@ -257,7 +263,7 @@ static inline int jumped(Coupling *self) {
     const long long m = self->system->inputs;
     as_vector(self, &self->now, self->change);
     const double change = largest(m, self->found, self->change);
-    return change > 0 && largest(m, self->found, self->found + 2 * m) >= change;
+    return change > 0 && jump_of(self) >= change;
 }
 
 static inline int run_fixed(Coupling *self) {
@@ -280,6 +286,7 @@ static inline int run_fixed(Coupling *self) {
         const double given = largest(system->inputs, self->found, self->w);
         system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));
         const int jumps = jumped(self);
+        if (jumps) system->mismatch = fmax(system->mismatch, jump_of(self));
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         if (jumps) self->known = 0;

@@ -32,6 +32,7 @@ typedef struct {
     double macro_step; /* 0: chosen by the error */
     double tolerance;  /* of the inputs, in their scales */
     double quantum;    /* macro steps are multiples of it; 0: any */
+    double refinement; /* the longest and the first macro steps, of the usual ones */
     long long method;
     long long threads; /* whether parts step at the same time, where their order does not matter */
     long long *called; /* the part that is being called, for who looks on; NULL */

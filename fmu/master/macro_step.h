@@ -19,12 +19,16 @@ enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
 static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double LONGER = 2.0;   /* of macro steps, times the one before */
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
 /* A cubic by its derivatives at the time `since` after the first of two points. */
 static inline void cubic_at(const Interface *a, const Interface *b, long long k, double since,
                             double derivatives[4]) {
-    const double h = b->t - a->t, chord = (b->u[k] - a->u[k]) / h;
+    const double h = b->t - a->t, difference = b->u[k] - a->u[k];
+    const double rounding = 8 * DBL_EPSILON * fmax(fabs(a->u[k]), fabs(b->u[k]));
+    const double chord = /* the rates tell it where the values are too near to each other */
+        fabs(difference) <= rounding ? (a->r[k] + b->r[k]) / 2 : difference / h;
     const double second = 2 * (3 * chord - 2 * a->r[k] - b->r[k]) / h;
     const double third = 6 * (a->r[k] + b->r[k] - 2 * chord) / (h * h);
     derivatives[0] = a->u[k] + since * (a->r[k] + since * (second / 2 + since * third / 6));
@@ -273,6 +277,12 @@ static inline int step_parts(Coupling *self, int pass, int recording) {
     return STEPPED;
 }
 
+/* Whether the past tells about the next macro step: one much shorter than it tells rounding. */
+static inline int has_near_past(const Coupling *self) {
+    const double before = self->known ? self->now.t - self->past[0].t : 0;
+    return self->next.t - self->now.t <= 1.01 * LONGER * before;
+}
+
 /* The polynomial through values and rates at the newest points, the present one among them, at the
  * next point. */
 static inline void predict(const Coupling *self, int points, Interface *next) {
@@ -387,8 +397,12 @@ static inline long long worst_input(const Coupling *self, const double *given) {
 static inline int macro_step(Coupling *self, int iterates, double *error) {
     System *system = self->system;
     const long long m = system->inputs, n = 2 * m;
-    const double share = system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS : AGREED;
+    /* one that ends at an event settles fully, so that no part falls back behind its crossing */
+    const double share = isfinite(self->event)    ? 0
+                         : system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS
+                                                  : AGREED;
     const int records = is_before(system, system->rows, self->next.t);
+    if (!has_near_past(self)) self->known = 0;
     if (system->method >= EXTRAPOLATED)
         predict(self, 2, &self->next);
     else
