@@ -41,11 +41,11 @@ static inline int co_simulation(Run *run, Fmu *fmu) {
     if (record(fmu, run->recording, 0)) return CALL_FAILED;
     run->rows = 1;
     for (long long n = 0; run->rows < run->points;) {
-        if (time > run->stop || near(time, run->stop)) return DONE;
+        if (time > run->stop || near(run, time, run->stop)) return DONE;
         if (halted) return INTERRUPTED;
         const double regular = run->start + (double)(n + 1) * run->interval;
         double next = regular;
-        if (next > run->stop && !near(next, run->stop)) {
+        if (next > run->stop && !near(run, next, run->stop)) {
             if (!run->any_step) return DONE;
             next = run->stop;
         }
@@ -58,7 +58,7 @@ static inline int co_simulation(Run *run, Fmu *fmu) {
         if (record(fmu, run->recording, run->rows)) return CALL_FAILED;
         ++run->rows;
         if (how != DONE) return how;
-        if (near(time, regular)) ++n;
+        if (near(run, time, regular)) ++n;
     }
     return DONE;
 }

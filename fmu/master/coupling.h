@@ -13,7 +13,7 @@
 
 enum { MOST_FORCED = 1000, WINDOW = 2000 /* attempts */ };
 
-static const double SAFE = 0.8, SHORTER = 0.2, LONGER = 2.0;      /* of macro steps */
+static const double SAFE = 0.8, SHORTER = 0.2;                    /* of macro steps */
 static const double SHORTEST = 1e-9, FIRST = 1e-3, LONGEST = 0.1; /* macro steps, of the span */
 static const double HARDLY = 1e-3;                                /* progress, of the span */
 static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
@@ -65,7 +65,7 @@ static inline int end_here(Coupling *self) {
     System *system = self->system;
     const long long part = system->part;
     if (system->rows == system->points ||
-        (system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t)))
+        (system->rows > 0 && same_time(system, system->times[system->rows - 1], self->now.t)))
         --system->rows;
     const int how = record_next(self);
     if (how != DONE) return how;
@@ -113,7 +113,7 @@ static inline int pass_events(Coupling *self) {
 /* Go back to the begin of a macro step within which there is an event; let it happen if it is there
  * already. */
 static inline int back_to_event(Coupling *self) {
-    const int here = same_time(self->event, self->now.t);
+    const int here = same_time(self->system, self->event, self->now.t);
     if (++self->unreached > MOST_UPDATES) return STUCK;
     if (restore_all_but(self, here ? self->system->parts + self->system->part : NULL))
         return CALL_FAILED;
@@ -124,7 +124,7 @@ static inline int back_to_event(Coupling *self) {
     if (how != DONE) return how;
     const System *system = self->system;
     const int recorded =
-        system->rows > 0 && same_time(system->times[system->rows - 1], self->now.t);
+        system->rows > 0 && same_time(system, system->times[system->rows - 1], self->now.t);
     return recorded ? record_all(self, system->rows - 1) : DONE;
 }
 
@@ -144,7 +144,7 @@ static inline int arrive(Coupling *self) {
     }
     int how = pass_events(self);
     if (how == DONE && system->rows < system->points &&
-        same_time(system->times[system->rows], self->now.t))
+        same_time(system, system->times[system->rows], self->now.t))
         how = record_next(self);
     if (how != DONE) return how;
     for (long long k = 0; k < system->inputs; ++k)
@@ -158,10 +158,8 @@ static inline int arrive(Coupling *self) {
 /* Whether the next macro step is repeated until its interface agrees: to an event, and where there
  * is too little to extrapolate from, as after one, every step is, if it can be. */
 static inline int iterates(const Coupling *self) {
-    const double before = self->known ? self->now.t - self->past[0].t : 0;
     if (self->system->method != EXTRAPOLATED) return self->system->method == ITERATED;
-    return self->all_roll_back &&
-           (isfinite(self->event) || self->next.t - self->now.t > 1.01 * LONGER * before);
+    return self->all_roll_back && (isfinite(self->event) || !has_near_past(self));
 }
 
 /* Attempts of macro steps, in windows of equal number. */
@@ -196,7 +194,7 @@ static inline double next_end(const Coupling *self, double h) {
         const double taken = (self->now.t - system->start) / system->quantum;
         const double steps = fmax(floor(1.01 * h / system->quantum), 1);
         const double end = system->start + (round(taken) + steps) * system->quantum;
-        return end >= system->stop || same_time(end, system->stop) ? system->stop : end;
+        return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
     }
     const double goal = fmin(system->stop, self->event);
     return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
@@ -206,11 +204,13 @@ static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
     const double least = fmax(SHORTEST * span, 1.01 * system->quantum);
-    double h = FIRST * span;
+    const double first = FIRST * system->refinement * span;
+    const double longest = LONGEST * system->refinement * span;
+    double h = first;
     Attempts window = {0};
     if (save_all(self)) return CALL_FAILED;
     if (is_noisy(self, h, system->tolerance)) return NOISY;
-    while (system->time < system->stop && !same_time(system->time, system->stop)) {
+    while (system->time < system->stop && !same_time(system, system->time, system->stop)) {
         if (halted) return INTERRUPTED;
         double error = 0;
         self->next.t = next_end(self, h);
@@ -244,11 +244,17 @@ static inline int run_adaptive(Coupling *self) {
             return vanished(self, STEP_VANISHED);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
-        h = fmin(fmax(length * fmin(fmax(factor, SHORTER), LONGER), SHORTEST * span),
-                 LONGEST * span);
-        if (self->known == 0) h = FIRST * span; /* after an event */
+        h = length * fmin(fmax(factor, SHORTER), LONGER);
+        h = fmin(fmax(h, SHORTEST * span), longest);
+        if (self->known == 0) h = first; /* after an event */
     }
     return DONE;
+}
+
+/* How far outputs have moved from what was predicted for the end of the last step. */
+static inline double jump_of(const Coupling *self) {
+    const long long m = self->system->inputs;
+    return largest(m, self->found, self->found + 2 * m);
 }
 
 /* Whether an output has jumped in the last step, so that a cubic through both sides misleads: the
@@ -257,15 +263,16 @@ static inline int jumped(Coupling *self) {
     const long long m = self->system->inputs;
     as_vector(self, &self->now, self->change);
     const double change = largest(m, self->found, self->change);
-    return change > 0 && largest(m, self->found, self->found + 2 * m) >= change;
+    return change > 0 && jump_of(self) >= change;
 }
 
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
-    for (long long n = 1; system->time < system->stop && !same_time(system->time, system->stop);) {
+    for (long long n = 1;
+         system->time < system->stop && !same_time(system, system->time, system->stop);) {
         if (halted) return INTERRUPTED;
         double error = 0, end = fmin(system->start + (double)n * system->macro_step, system->stop);
-        if (same_time(end, system->stop)) end = system->stop;
+        if (same_time(system, end, system->stop)) end = system->stop;
         self->next.t = fmin(end, self->event);
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         const int how = macro_step(self, iterates(self), &error);
@@ -279,6 +286,7 @@ static inline int run_fixed(Coupling *self) {
         const double given = largest(system->inputs, self->found, self->w);
         system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));
         const int jumps = jumped(self);
+        if (jumps) system->mismatch = fmax(system->mismatch, jump_of(self));
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         if (jumps) self->known = 0;

@@ -32,6 +32,7 @@ typedef struct {
     double macro_step; /* 0: chosen by the error */
     double tolerance;  /* of the inputs, in their scales */
     double quantum;    /* macro steps are multiples of it; 0: any */
+    double refinement; /* the longest and the first macro steps, of the usual ones */
     long long method;
     long long threads; /* whether parts step at the same time, where their order does not matter */
     long long *called; /* the part that is being called, for who looks on; NULL */
@@ -43,8 +44,8 @@ typedef struct {
 } System;
 
 /* Whether two times are the same but for rounding. */
-static inline int same_time(double a, double b) {
-    return fabs(a - b) <= 1e-12 * fmax(fabs(a), fabs(b));
+static inline int same_time(const System *system, double a, double b) {
+    return at_one_time(a, b, system->start, 1e-12);
 }
 
 /* The interface at a communication point: inputs and their rates. */

@@ -19,12 +19,16 @@ enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
 static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double LONGER = 2.0;   /* of macro steps, times the one before */
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
 /* A cubic by its derivatives at the time `since` after the first of two points. */
 static inline void cubic_at(const Interface *a, const Interface *b, long long k, double since,
                             double derivatives[4]) {
-    const double h = b->t - a->t, chord = (b->u[k] - a->u[k]) / h;
+    const double h = b->t - a->t, difference = b->u[k] - a->u[k];
+    const double rounding = 8 * DBL_EPSILON * fmax(fabs(a->u[k]), fabs(b->u[k]));
+    const double chord = /* the rates tell it where the values are too near to each other */
+        fabs(difference) <= rounding ? (a->r[k] + b->r[k]) / 2 : difference / h;
     const double second = 2 * (3 * chord - 2 * a->r[k] - b->r[k]) / h;
     const double third = 6 * (a->r[k] + b->r[k] - 2 * chord) / (h * h);
     derivatives[0] = a->u[k] + since * (a->r[k] + since * (second / 2 + since * third / 6));
@@ -98,7 +102,8 @@ static inline int compare_with_cubics(Coupling *self, const Part *part, double s
 
 /* Whether a row is that of an output time before a time. */
 static inline int is_before(const System *system, long long row, double t) {
-    return row < system->points && system->times[row] < t && !same_time(system->times[row], t);
+    return row < system->points && system->times[row] < t &&
+           !same_time(system, system->times[row], t);
 }
 
 /* Into how many steps a part divides one: if it holds its inputs, into so many that their error
@@ -142,7 +147,7 @@ static inline int step_through(Coupling *self, Part *part, double from, double t
         if (how != STEPPED) return how;
         if (self->refused) return PART_FAILED;
         t = part->reached;
-        if (t >= to || same_time(t, to)) return STEPPED;
+        if (t >= to || same_time(self->system, t, to)) return STEPPED;
     }
     return PART_FAILED;
 }
@@ -171,7 +176,7 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
         const int last = !(recording && is_before(system, row, end));
         const double to = last ? end : system->times[row];
         const int how = to > t ? advance(self, part, t, to) : STEPPED;
-        if (how == AT_EVENT && last && same_time(part->reached, end)) return STEPPED;
+        if (how == AT_EVENT && last && same_time(system, part->reached, end)) return STEPPED;
         if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
@@ -270,6 +275,12 @@ static inline int step_parts(Coupling *self, int pass, int recording) {
         if (how != STEPPED) return how;
     }
     return STEPPED;
+}
+
+/* Whether the past tells about the next macro step: one much shorter than it tells rounding. */
+static inline int has_near_past(const Coupling *self) {
+    const double before = self->known ? self->now.t - self->past[0].t : 0;
+    return self->next.t - self->now.t <= 1.01 * LONGER * before;
 }
 
 /* The polynomial through values and rates at the newest points, the present one among them, at the
@@ -386,8 +397,12 @@ static inline long long worst_input(const Coupling *self, const double *given) {
 static inline int macro_step(Coupling *self, int iterates, double *error) {
     System *system = self->system;
     const long long m = system->inputs, n = 2 * m;
-    const double share = system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS : AGREED;
+    /* one that ends at an event settles fully, so that no part falls back behind its crossing */
+    const double share = isfinite(self->event)    ? 0
+                         : system->macro_step > 0 ? AGREED_IN_GIVEN_STEPS
+                                                  : AGREED;
     const int records = is_before(system, system->rows, self->next.t);
+    if (!has_near_past(self)) self->known = 0;
     if (system->method >= EXTRAPOLATED)
         predict(self, 2, &self->next);
     else

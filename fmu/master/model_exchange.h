@@ -181,8 +181,8 @@ static inline int handle_event(Exchange *self) {
         failed(self->fmu, second ? "fmi2GetContinuousStates" : "fmi3GetContinuousStates",
                call->get_states(call->instance, self->x, (size_t)run->states)))
         return CALL_FAILED;
-    if (run->rows > 0 && near(run->times[run->rows - 1], self->t)) --run->rows;
-    for (; run->rows < run->points && near(run->times[run->rows], self->t); ++run->rows)
+    if (run->rows > 0 && near(run, run->times[run->rows - 1], self->t)) --run->rows;
+    for (; run->rows < run->points && near(run, run->times[run->rows], self->t); ++run->rows)
         if (record(self->fmu, run->recording, run->rows)) return CALL_FAILED;
     return DONE;
 }
@@ -217,7 +217,7 @@ static inline int until_event(Exchange *self, double goal, bool *event) {
 /* The FMU ends the run: where it is becomes the last row. */
 static inline int ended(Exchange *self) {
     Run *run = self->run;
-    if (run->rows > 0 && near(run->times[run->rows - 1], self->t)) --run->rows;
+    if (run->rows > 0 && near(run, run->times[run->rows - 1], self->t)) --run->rows;
     if (run->rows == run->points) --run->rows;
     return record(self->fmu, run->recording, run->rows++) ? CALL_FAILED : ENDED_BY_FMU;
 }

@@ -156,7 +156,8 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
         return NOT_STEPPED;
     }
     if (failed(fmu, function, status)) return PART_FAILED;
-    self->reached = early || terminate ? last : time + length;
+    const double end = time + length; /* an event just behind it may have been reached already */
+    self->reached = early || terminate ? last : event ? fmax(last, end) : end;
     self->waits = event && self->event_mode;
     return terminate ? PART_ENDED : self->waits ? AT_EVENT : STEPPED;
 }

@@ -2,6 +2,8 @@
 #ifndef RUN_H
 #define RUN_H
 
+#include <float.h>
+
 #include "recording.h"
 
 /* How a run ended. */
@@ -42,9 +44,17 @@ static inline void answer(Run *run, int (*interface)(Run *, Fmu *)) {
     run->status = fmu.status;
 }
 
-/* As Python's math.isclose. */
-static inline int near(double a, double b) {
-    return a == b || fabs(a - b) <= 1e-9 * fmax(fabs(a), fabs(b));
+/* Whether two times are the same but for rounding, at a relative distance; they count from the
+ * start of the run. At 0 as Python's math.isclose. */
+static inline int at_one_time(double a, double b, double start, double relative) {
+    const double rounding = 4 * DBL_EPSILON * fmax(fabs(a), fabs(b));
+    const double since = fmax(fabs(a - start), fabs(b - start));
+    return a == b ||
+           fabs(a - b) < fmin(fmax(rounding, relative * since), INFINITY); /* not if never */
+}
+
+static inline int near(const Run *run, double a, double b) {
+    return at_one_time(a, b, run->start, 1e-9);
 }
 
 #endif

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import cosim
+from cosim.errors import SolverError
 
 STOP = 3.0
 
@@ -275,3 +276,113 @@ def test_a_reset_by_another_part_that_undoes_its_own_cause_happens_once():
     for settings in ({"macro_step": 0.01}, {}):
         run = system.simulate(stop_time=1.5, **settings)
         assert run.final["a.x"] == pytest.approx(0.5, abs=1e-9)  # measured 2e-16
+
+
+def test_a_relay_in_another_part_switches_once_per_instant():
+    """A plant T' = 2 q - T/2, R' = 4 (T - R) and a relay on R; times from matrix exponentials."""
+    plant, switch = cosim.Model("plant", stop_time=6.0), cosim.Model("relay", stop_time=6.0)
+    t, r = (plant.state(name, "1", 0.0, name) for name in ("T", "R"))
+    q = plant.input("q", "1", 1.0, "power")
+    plant.derivative(t, 2 * q - t / 2)
+    plant.derivative(r, 4 * (t - r))
+    m, on = switch.input("m", "1", 0.0, "measured"), switch.discrete("on", "1", 1.0, "state")
+    switch.when(m > 1.2, {on: 0}, name="off")
+    switch.when(m < 0.8, {on: 1}, name="on")
+    parts = {"p": plant.freeze(), "r": switch.freeze()}
+    system = cosim.couple(parts, {"p.q": "r.on", "r.m": "p.R"})
+    times = [0.97207071, 2.54609546, 3.09667761, 4.61107678, 5.16157214]
+    for accuracy in (1e-3, 1e-6):
+        run = system.simulate(stop_time=6.0, output_interval=0.05, accuracy=accuracy)
+        found = [event.time for event in run.events]
+        assert found == pytest.approx(times, abs=accuracy)  # 12 to 20 times each before
+        exact = cosim.simulate(system.dae, output_interval=0.05, solver="dop853")
+        error = max(np.abs(run[name] - exact[name]).max() for name in ("p.T", "p.R"))
+        assert error < run.stats["error_estimate"] < accuracy
+        assert run.stats["all_macro_steps"] < 600  # measured 178, 502
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
+def test_a_one_sided_spring_across_parts_is_as_accurate_as_asked(accuracy):
+    """x'' = -4 x - 0.3 x' - F; y'' = F - 30 y - y', F = 50 max(x - y - 0.2, 0) in the other."""
+    mass, stop = cosim.Model("mass", stop_time=6.0), cosim.Model("stop", stop_time=6.0)
+    x, v = mass.state("x", "m", 1.0, "place"), mass.state("v", "m/s", 0.0, "speed")
+    f = mass.input("F", "N", 0.0, "force")
+    mass.derivative(x, v)
+    mass.derivative(v, -4 * x - 0.3 * v - f)
+    y, w = stop.state("y", "m", 0.0, "place"), stop.state("w", "m/s", 0.0, "speed")
+    force = 50 * ca.fmax(stop.input("u", "m", 0.0, "of the mass") - y - 0.2, 0)
+    stop.derivative(y, w)
+    stop.derivative(w, force - 30 * y - w)
+    stop.output("F", "N", force, "force")
+    parts = {"a": mass.freeze(), "b": stop.freeze()}
+    system = cosim.couple(parts, {"a.F": "b.F", "b.u": "a.x"})
+    tight = {"solver": "dop853", "relative_tolerance": 1e-11}
+    exact = cosim.simulate(system.dae, output_interval=0.05, **tight)
+    run = system.simulate(stop_time=6.0, output_interval=0.05, accuracy=accuracy)
+    error = max(np.abs(run[name] - exact[name]).max() for name in run.names)
+    assert error < run.stats["error_estimate"] < accuracy  # measured 3.0e-6, 3.3e-8
+    assert len(run.events) == 7
+
+
+@pytest.mark.parametrize("settings", [{}, {"method": "extrapolated"}, {"macro_step": 0.01}])
+def test_a_start_exactly_at_a_threshold_switches_once(settings):
+    """T' = 4 q - T from the upper threshold 2, heated: off at 0, on at ln 2, off at ln 3."""
+    room, thermostat = cosim.Model("room", stop_time=1.5), cosim.Model("th", stop_time=1.5)
+    t, q = room.state("T", "1", 2.0, "T"), room.input("q", "1", 1.0, "power")
+    room.derivative(t, 4 * q - t)
+    u, on = thermostat.input("T", "1", 2.0, "T"), thermostat.discrete("q", "1", 1.0, "power")
+    thermostat.when(u > 2, {on: 0}, name="off")
+    thermostat.when(u < 1, {on: 1}, name="on")
+    parts = {"room": room.freeze(), "th": thermostat.freeze()}
+    system = cosim.couple(parts, {"room.q": "th.q", "th.T": "room.T"})
+    run = system.simulate(stop_time=1.5, output_interval=0.01, **settings)
+    assert [event.time for event in run.events] == pytest.approx(
+        [0, np.log(2), np.log(3)], abs=1e-9
+    )
+    assert run.final["room.T"] == pytest.approx(6 * np.exp(-1.5), abs=1e-6)
+
+
+@pytest.mark.parametrize("settings", [{}, {"macro_step": 0.01}])
+def test_request_and_acknowledgement_at_one_instant_count_once(settings):
+    """The request is 0, 1, 0 and the acknowledgement too; both sides count."""
+    client, server = cosim.Model("client", stop_time=1.5), cosim.Model("server", stop_time=1.5)
+    clock, request = client.state("c", "1", 0.0, "clock"), client.discrete("q", "1", 0.0, "request")
+    done, answer = client.discrete("n", "1", 0.0, "count"), client.input("a", "1", 0.0, "answer")
+    client.derivative(clock, 1.0)
+    client.when(clock > 0.7, {request: 1}, name="ask")
+    client.when(answer > 0.5, {request: 0, done: done + 1}, name="done")
+    asked, served = server.input("q", "1", 0.0, "request"), server.discrete("k", "1", 0.0, "count")
+    server.when(asked > 0.5, {served: served + 1}, name="serve")
+    server.output("a", "1", ca.if_else(asked > 0.5, 1, 0), "answer")
+    parts = {"c": client.freeze(), "s": server.freeze()}
+    system = cosim.couple(parts, {"c.a": "s.a", "s.q": "c.q"})
+    for run in (system.simulate(stop_time=1.5, **settings), cosim.simulate(system.dae)):
+        final = [run.final[name] for name in ("c.q", "s.a", "c.n", "s.k")]
+        assert final == [0, 0, 1, 1]
+
+
+def test_friction_across_parts_names_the_one_model_as_the_remedy():
+    """w1' = (5 - T)/0.2, w2' = T/0.5, T = 30 sign(w1 - w2) in another part: together at 20/37 s."""
+    wheels, clutch = cosim.Model("wheels", stop_time=1.0), cosim.Model("clutch", stop_time=1.0)
+    fast, slow = (wheels.state(n, "1", start, n) for n, start in (("w1", 100.0), ("w2", 0.0)))
+    torque = wheels.input("T", "1", 0.0, "torque")
+    wheels.derivative(fast, (5 - torque) / 0.2)
+    wheels.derivative(slow, torque / 0.5)
+    u, w = (clutch.input(name, "1", start, name) for name, start in (("u", 100.0), ("w", 0.0)))
+    clutch.output("T", "1", 30 * ca.sign(u - w), "torque")
+    parts = {"a": wheels.freeze(), "b": clutch.freeze()}
+    system = cosim.couple(parts, {"a.T": "b.T", "b.u": "a.w1", "b.w": "a.w2"})
+    with pytest.raises(SolverError, match=r"slide on each other, .* as one model, system\.dae"):
+        system.simulate(stop_time=1.0)
+    one = cosim.simulate(system.dae, stop_time=1.0)
+    together = 60 * 20 / 37 + 5 / 0.7 * (1 - 20 / 37)  # 32.43, then 7.142857 rad/s2
+    assert [one.final["a.w1"], one.final["a.w2"]] == pytest.approx([together] * 2, abs=1e-6)
+
+
+def test_the_interface_error_of_given_steps_tells_of_jumps_of_held_inputs(tmp_path):
+    parts, wires = sampled()
+    files = {n: str(cosim.export_fmu(p, tmp_path / f"{n}.fmu")) for n, p in parts.items()}  # FMI 2
+    run = cosim.couple(files, wires).simulate(stop_time=STOP, macro_step=0.01, method="iterated")
+    jump = np.abs(np.diff(run["c.u"])).max()
+    size = 2 * np.abs(run["c.u"]).max() + 1
+    assert run.stats["interface_error"] > jump / size  # 1e-13 before

@@ -216,3 +216,50 @@ def test_one_library_serves_every_start(solver):
         compiled.append(run.stats.compile_time is not None)
         np.testing.assert_allclose(run["z"], 3 * size * np.exp(-run.time), rtol=0, atol=1e-4 * size)
     assert compiled[1:] == [False, False]
+
+
+def charge(nominal: float = 1.0, capacity: float = 1e-9):
+    """Return an RC circuit on a sine of 5 V, 1 kHz, and its charge at 5 ms by the closed form."""
+    t, q = SX.sym("t"), SX.sym("q")
+    w, resistance = 2 * np.pi * 1000, 1e-5 / capacity
+    problem = {"t": t, "x": q, "ode": (5 * ca.sin(w * t) - q / capacity) / resistance}
+    times = {"stop_time": 0.005, "output_interval": 1e-5}
+    dae = cosim.from_casadi(problem, {"q": 0.0}, {}, nominals={"q": nominal}, name="rc", **times)
+    turn = w * 1e-5
+    return dae, capacity * 5 / (1 + turn**2) * (np.sin(w * 0.005) - turn * np.cos(w * 0.005))
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "dop853"])
+def test_the_note_names_the_states_whose_digits_are_not_controlled(solver):
+    dae, exact = charge()
+    run = simulate(dae, solver=solver)
+    assert "most digits of q (at most" in run.stats.note
+    for dae, exact in (charge(nominal=1e-9), charge(capacity=0.1)):
+        run = simulate(dae, solver=solver)
+        assert run.stats.note is None
+        assert run.final["q"] == pytest.approx(exact, rel=1e-4)
+    assert simulate(charge()[0], solver=solver, absolute_tolerance=1e-18).stats.note is None
+
+
+def hunters(start: float):
+    """Return prey and predators, x' = x (1 - y), y' = y (x - 1), with equal starts."""
+    model = Model("hunters", stop_time=60.0, output_interval=0.1)
+    x, y = (model.state(name, "1", start, name) for name in "xy")
+    model.derivative(x, x * (1 - y))
+    model.derivative(y, y * (x - 1))
+    return model.freeze()
+
+
+def test_the_note_names_states_that_grow_from_a_trough():
+    note = simulate(hunters(12.0)).stats.note
+    assert "x (down to" in note
+    assert simulate(hunters(2.0)).stats.note is None
+
+
+@pytest.mark.parametrize("start", [0.0, 1e-17, 1.0])
+def test_no_note_for_what_rests_decays_or_is_rounding(start):
+    model = Model("decay", stop_time=40.0, output_interval=0.1)
+    x, y = (model.state(name, "1", value, name) for name, value in (("x", start), ("y", 1.0)))
+    model.derivative(x, -x)
+    model.derivative(y, 0 * y)
+    assert simulate(model.freeze()).stats.note is None

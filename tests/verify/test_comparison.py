@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Column, Event, Trajectory
 from cosim.verify.comparison import compare
 
 
@@ -190,3 +190,36 @@ def test_picture_has_points_a_line_and_the_residuals_in_one_unit(tmp_path):
     assert (line.get_marker(), points.get_linestyle()) == ("None", "None")
     with pytest.raises(UnknownName, match="no variable 'y'"):
         result.plot(names="y")
+
+
+@pytest.mark.parametrize("bound", [1e-9, 1e-3, 0.3, 10.0])
+def test_the_difference_does_not_depend_on_the_bound(bound):
+    time = np.linspace(0, 2, 201)
+    columns = (Column("h", "m"),)
+    jump = Event(1.0, "impact", {"h": 0.0}, {"h": 0.0})
+    ball = Trajectory("ball", time, columns, np.abs(np.cos(np.pi * time))[:, None], events=(jump,))
+    flat = Trajectory("flat", time, columns, np.zeros((201, 1)))
+    found = compare(ball, flat, bound=bound)
+    assert (found.worst.scaled, found.agrees) == (1.0, bound >= 1)
+
+
+@pytest.mark.parametrize("size", [5e-9, 1e-3, 1.0, 7.0])
+def test_a_small_state_without_nominal_value_is_compared_with_its_own_largest_value(size):
+    x = np.array([[0.0], [0.5], [1.0]]) * size
+    runs = [
+        Trajectory("m", np.arange(3.0), (Column("q", "C", is_state=True),), x * factor)
+        for factor in (1.0, 0.94)
+    ]
+    found = compare(*runs)
+    assert found.worst.scaled == pytest.approx(0.06 * max(size, 1) if size > 1 else 0.06)
+    assert not found
+    assert ("of its nominal value" in str(found)) == (size >= 1)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-17, 1e-11])
+def test_states_that_are_0_for_their_error_control_agree(size):
+    columns = (Column("q", "C", is_state=True),)
+    runs = [
+        Trajectory("m", np.arange(3.0), columns, np.full((3, 1), sign * size)) for sign in (1, -1)
+    ]
+    assert compare(*runs)

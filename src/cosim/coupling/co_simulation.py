@@ -118,6 +118,7 @@ class _System(ctypes.Structure):
         ("times", _POINTER),
         ("points", _LONG),
         *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance", "quantum")),
+        ("refinement", _DOUBLE),
         *((name, _LONG) for name in ("method", "threads")),
         ("called", _POINTER),
         *((name, _LONG) for name in ("how", "rows", "macro_steps", "rejected", "iterations")),
@@ -135,6 +136,7 @@ class CoSimulation:
         files: FMUs by part.
         wires: What drives what.
         unused: Abilities of parts that are not used, by part.
+        is_model: Whether the system exists as one model, too.
 
     Raises:
         FmuError: A file cannot be loaded.
@@ -146,6 +148,8 @@ class CoSimulation:
         files: Mapping[str, Path],
         wires: Sequence[Connection],
         unused: Mapping[str, Sequence[Ability]],
+        *,
+        is_model: bool = False,
     ) -> None:
         self.name = name
         self._open, self._turns = ExitStack(), list(files)
@@ -161,7 +165,8 @@ class CoSimulation:
             self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback, without)
             self._open.callback(opened.close)
         self._inputs = [wire.input for wire in wires]
-        self._wiring = Wiring(self.parts, self._inputs, [wire.output for wire in wires])
+        sources_of_inputs = [wire.output for wire in wires]
+        self._wiring = Wiring(self.parts, self._inputs, sources_of_inputs, is_model)
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
         self._factor = np.array([wire.factor for wire in wires])
         self._offset = np.array([wire.offset for wire in wires])
@@ -206,11 +211,11 @@ class CoSimulation:
         last, steps, ratio = None, 0, 1.0
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
-        tolerance = max((_SMOOTH if smooth else _OTHERS) * accuracy, 2 * _TIGHTEST)
+        tolerance = first = max((_SMOOTH if smooth else _OTHERS) * accuracy, 2 * _TIGHTEST)
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run = self._once(task, tolerance, of_parts)
+                run = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
             except SolverError as error:
                 if last is None:
                     raise
@@ -228,8 +233,8 @@ class CoSimulation:
                 n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
                 change = np.abs(run.values[:n] - last.values[:n]).max(axis=0) / sizes
                 # the error falls like the tolerance; less than that is on the safe side
-                falls = min(ratio, 0.8) ** _FALLS
-                estimate = float(change.max()) * falls / (1 - falls)
+                falls = min(ratio, 0.8) ** _FALLS if smooth and not run.events else 0.5
+                estimate = float(change.max()) * falls / (1 - falls) + of_parts
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
@@ -273,7 +278,16 @@ class CoSimulation:
             with explained(self.name, part):
                 yield name, part
 
-    def _once(self, task: _Task, tolerance: float, of_parts: float) -> Trajectory:
+    def _once(
+        self, task: _Task, tolerance: float, of_parts: float, refinement: float = 1.0
+    ) -> Trajectory:
+        """Simulate once.
+
+        Args:
+            task: What to simulate.
+            tolerance, of_parts: Of the coupling, and of the solvers of the parts.
+            refinement: First and longest macro steps, of the usual ones.
+        """
         settings, columns = task.settings, task.columns
         experiment = {"startTime": settings.start, "stopTime": settings.stop}
         experiment["tolerance"] = of_parts
@@ -305,6 +319,7 @@ class CoSimulation:
             macro_step=settings.macro_step or 0.0,
             tolerance=tolerance,
             quantum=steps.quantum,
+            refinement=refinement,
             method=list(Method).index(settings.method),
             threads=settings.threads,
             called=ctypes.addressof(task.called),

@@ -12,6 +12,7 @@ from cosim.coupling.opened_part import OpenedPart
 from cosim.errors import FmuError
 from cosim.fmi.run.c_structures import Ending
 
+_ZENO = "(Zeno)"  # in messages of FMUs made here
 _STATUSES = {2: "discard", 3: "error", 4: "fatal"}
 
 
@@ -31,11 +32,13 @@ class Wiring:
         parts: By name.
         inputs: Part and variable of each input.
         sources: Part and variable of the output that drives each of them.
+        is_model: Whether the system exists as one model, too.
     """
 
     parts: Mapping[str, OpenedPart]
     inputs: Sequence[tuple[str, str]]
     sources: Sequence[tuple[str, str]]
+    is_model: bool = False
 
 
 def failure(
@@ -81,7 +84,8 @@ def failure(
             "out of the outputs if it has no value"
         )
     if how == Ending.STUCK:
-        return f"events of the parts at {time} cause each other without end"
+        reason = f"events of the parts at {time} cause each other without end"
+        return f"{reason}{_as_one_model(wiring)}"
     if how == Ending.STEP_VANISHED:
         reason = f": the input {entry} does not settle" if has_input else ""
         return f"the macro steps become too short at {time}{reason}"
@@ -89,5 +93,14 @@ def failure(
         name = list(wiring.parts)[system.part]
         status = _STATUSES.get(system.status, "no status of the FMI")
         call = f"{system.function.decode()} returned {system.status} ({status})"
-        return f"part '{name}' failed after {time}: {wiring.parts[name].explained(FmuError(call))}"
+        why = str(wiring.parts[name].explained(FmuError(call)))
+        remedy = _as_one_model(wiring) if _ZENO in why else ""
+        return f"part '{name}' failed after {time}: {why}{remedy}"
     return f"it failed at {time}"
+
+
+def _as_one_model(wiring: Wiring) -> str:
+    """Return the remedy where parts slide on each other, each of which sees one side only."""
+    if not wiring.is_model:
+        return ""
+    return "; if the parts slide on each other, simulate them as one model, system.dae"

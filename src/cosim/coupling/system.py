@@ -330,7 +330,10 @@ class System:
             n: 3 if isinstance(p.subject, Dae) and hybrid(p.subject) else 2
             for n, p in self.parts.items()
         }
-        found = CoSimulation(self.name, self._exported(versions), self.connections, self.unused)
+        files = self._exported(versions)
+        found = CoSimulation(
+            self.name, files, self.connections, self.unused, is_model=self.is_model
+        )
         self.holds(closing(found))
         return found
 

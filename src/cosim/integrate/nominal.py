@@ -21,9 +21,9 @@ from cosim.integrate.solvers import engine_of
 from cosim.memo import cached_per_thread
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
+from cosim.series.samples import NOT_GIVEN
 
 _ROUNDING = 1e-14  # relative, of numbers that large unknowns make
-NOT_GIVEN = 1.0  # nominal value of a variable for which the model sets none
 
 
 @dataclass(frozen=True)

@@ -174,9 +174,10 @@ def _in_lanes(
 @cached_per_thread(64)
 def all_columns(dae: Dae) -> tuple[Column, ...]:
     """Return the columns of all variables: states, algebraic unknowns, outputs."""
+    n = len(dae.states)
     return tuple(
-        Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
-        for v in (*dae.states, *dae.algebraics, *dae.output_variables)
+        Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning, is_state=i < n)
+        for i, v in enumerate((*dae.states, *dae.algebraics, *dae.output_variables))
     )
 
 

@@ -38,8 +38,10 @@ from cosim.integrate.validity import (
 )
 from cosim.memo import cached_per_thread
 from cosim.model.request import OnInvalid, RunRequest
+from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import Times
-from cosim.model.values import Values, numbers_of
+from cosim.model.values import Values, numbers_of, own_sizes
+from cosim.series.samples import uncontrolled
 from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
@@ -258,7 +260,7 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
         wall_time=perf_counter() - began,
         compile_time=time_compiling() - compiling or None,
         invalid=tuple(breach.text for breach in invalid),
-        note=_note(prepared),
+        note=_note(prepared, motion),
         invalid_from=invalid[0].time if invalid else None,
         stop=f"{stop} from {time[-1]:.12g} s on" if stop else None,
         stop_time=float(time[-1]) if stop else None,
@@ -285,13 +287,26 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     return found
 
 
-def _note(prepared: Prepared) -> str | None:
+def _note(prepared: Prepared, motion: Motion) -> str | None:
     """Return what differs from the request, for the report; None if nothing does."""
     inner, problem = prepared.inner, prepared.problem
     tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
     gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""
-    notes = tight if inner != prepared.solver else "", gaps, prepared.note
+    small = _small_states(problem.dae, inner, motion.states)
+    notes = tight if inner != prepared.solver else "", gaps, prepared.note, small
     return "; ".join(filter(None, notes)) or None
+
+
+def _small_states(dae: Dae, solver: Solver, states: Vector) -> str:
+    """Return which states, (nx, n), are too small for a default absolute tolerance."""
+    if not isinstance(solver, AdaptiveSolver) or solver.absolute_tolerance is not None:
+        return ""
+    if not states.size:
+        return ""
+    relative, absolute = solver.tolerance.pair
+    sizes = own_sizes(dae, states[:, 0])
+    columns = all_columns(dae)[: len(dae.states)]
+    return uncontrolled(columns, states.T, relative, absolute * sizes)
 
 
 def _failure(prepared: Prepared, reason: str, found: Trajectory) -> SolverError:

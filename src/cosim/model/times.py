@@ -1,6 +1,7 @@
 """`Times`: the output times of a run."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,7 @@ from cosim.errors import ParameterError, UsageError
 from cosim.model.values import number
 
 LARGEST_TABLE = 8e9  # of a table of results
+_NEAR = 1e-9  # relative distance of times that masters take as one
 
 
 def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -> Vector:
@@ -44,6 +46,23 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
     grid = start + interval * np.arange(whole + 1)
     grid[-1] = stop
     return checked_grid(grid)
+
+
+def one_time(a: ArrayLike, b: ArrayLike, start: float) -> Any:
+    """Return whether times are the same but for rounding; they count from the start of the run.
+
+    As `near` in fmu/master/run.h.
+
+    Args:
+        a, b: Times, s, of shapes that fit.
+        start: Start of the run, s.
+    """
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):  # a time that never comes
+        return a == b
+    rounding = 4 * np.finfo(float).eps * np.maximum(np.abs(a), np.abs(b))
+    since = np.maximum(np.abs(a - start), np.abs(b - start))
+    return np.abs(a - b) <= np.maximum(rounding, _NEAR * since)
 
 
 def reject_backward(start: float, stop: float, owner: str = "") -> None:

@@ -15,6 +15,7 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import cached_per_thread
 from cosim.model.start_outputs import reject_twice, solved_starts
+from cosim.series.samples import NOT_GIVEN
 from cosim.text import shortened
 
 _SMALL = 1e-3  # smaller initial values are their own nominal values
@@ -255,7 +256,7 @@ def own_sizes(dae: Dae, x0: Vector) -> Vector:
     They are those of the model; a small initial value is its own one where the model sets none,
     unless it is so small that it may be a rounding error of another one.
     """
-    exact = (v.nominal == 1 and v.start_kind is Start.EXACT for v in dae.states)
+    exact = (v.nominal == NOT_GIVEN and v.start_kind is Start.EXACT for v in dae.states)
     free = np.fromiter(exact, dtype=bool)
     size = np.abs(x0)
     rounding = _ROUNDING * size.max(axis=-1, keepdims=True, initial=0.0)

@@ -15,6 +15,9 @@ from cosim.text import MOST_LINES, Table, text_table
 
 OF_ROWS = "min and max of the rows"
 
+NOT_GIVEN = 1.0  # nominal value of a variable for which the model sets none
+_ROUNDING_OF_OTHERS = 1e-14  # relative size of a state that is a rounding error of another
+
 
 @dataclass(frozen=True)
 class Column:
@@ -24,6 +27,7 @@ class Column:
         name, unit, display_unit, nominal, meaning: As in a model.
         display_factor, display_offset: Shown value = factor * value + offset, where a file defines
             its own display unit; None for the definition that the name of the display unit has.
+        is_state: Whether it is a state of the equations, which a solver controls.
 
     Example:
         >>> Column("phi", "rad", "deg").shown(np.array([np.pi]))
@@ -37,6 +41,7 @@ class Column:
     meaning: str = ""
     display_factor: float | None = None
     display_offset: float = 0.0
+    is_state: bool = False
 
     @property
     def shown_unit(self) -> str:
@@ -150,7 +155,7 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
     if not len(span):
         raise ParameterError(f"{owner}: the run has no output times to interpolate")
     begin, end = float(span[0]), float(span[-1])
-    slack = 1e-9 * max(1.0, abs(begin), abs(end))
+    slack = 1e-9 * max(1.0, end - begin) + 4 * np.spacing(max(abs(begin), abs(end)))
     inside = (requested >= begin - slack) & (requested <= end + slack)
     if requested.ndim > 1 or not inside.all():
         first = (
@@ -201,3 +206,52 @@ def _neville(t: Vector, y: Vector, at: Vector) -> Vector:
             share = ((at - left) / (right - left))[:, None]
             table[:, i] += share * (table[:, i + 1] - table[:, i])
     return table[:, 0]
+
+
+def uncontrolled(
+    columns: Sequence[Column], values: Vector, relative: float, absolute: ArrayLike
+) -> str:
+    """Return which states became too small for the error control of their run; "" if none.
+
+    Of a number well below its absolute tolerance divided by the relative one, a solver controls
+    fewer digits than it was asked for: fewer than half of them below their geometric mean. That
+    matters if the state stays there, or grows again from there.
+
+    Args:
+        columns: Of the states.
+        values: At output times, SI, (n, states).
+        relative: Relative tolerance (1).
+        absolute: Absolute tolerances, SI, of shape () or (states,).
+    """
+    size = np.abs(values)
+    peaks = size.max(axis=0, initial=0.0)
+    rounding = _ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
+    limits = np.broadcast_to(np.asarray(absolute) / np.sqrt(relative), peaks.shape)
+    found = []
+    for column, own, peak, limit in zip(columns, values.T, peaks, limits, strict=True):
+        if column.nominal != NOT_GIVEN or peak <= rounding:
+            continue
+        if peak < limit:
+            found.append(f"{column.name} (at most {peak:.1g})")
+        elif (least := _least_of_troughs(own, limit)) is not None:
+            found.append(f"{column.name} (down to {least:.1g})")
+    if not found:
+        return ""
+    many = len(found) > 1
+    return (
+        f"the error control leaves most digits of {', '.join(found)} open, since the nominal value "
+        f"of {'each' if many else 'it'} is 1; give nominal values, or a smaller absolute_tolerance"
+    )
+
+
+def _least_of_troughs(values: Vector, limit: float) -> float | None:
+    """Return the least size of a state that falls below a limit and grows again in its sign."""
+    low = np.abs(values) < limit
+    begins, ends = (np.flatnonzero(np.diff(low.astype(int)) == step) for step in (1, -1))
+    least = [
+        float(np.abs(values[begin : end + 2]).min())
+        for begin in begins
+        for end in ends[ends > begin][:1]
+        if values[begin : end + 2].min() > 0 or values[begin : end + 2].max() < 0
+    ]
+    return min(least, default=None)

@@ -11,20 +11,28 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.backend import Backend
 from cosim.errors import UsageError
+from cosim.model.solver import Tolerance
 from cosim.model.values import number
 from cosim.presenters import presenter
+from cosim.series.samples import NOT_GIVEN
 from cosim.series.samples import resample as interpolated
 from cosim.text import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 
+_ONE_INSTANT = 1e-6  # distance of a row from an event at its time, of the span
+
 
 @dataclass(frozen=True)
 class Difference:
-    """The largest difference of one variable, divided by its nominal value, and its time [s]."""
+    """The largest difference of one variable, divided by `size`, and its time [s].
+
+    `size` is the nominal value, or the largest value of a small state without one, SI.
+    """
 
     name: str
     scaled: float
     time: float
+    size: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -101,15 +109,20 @@ class Comparison:
             save([figure], str(target))
         return figure
 
+    def __bool__(self) -> bool:
+        return self.agrees
+
     def __iter__(self) -> Iterator[Difference]:
         return iter(self.differences)
 
     def __str__(self) -> str:
         worst = self.worst
         verdict = "agree" if self.agrees else "DIFFER"
+        is_nominal = worst.size == self.runs[0].column(worst.name).nominal
+        size = "nominal value" if is_nominal else f"largest value {worst.size:.1g}"
         text = (
             f"{self.first} and {self.second} {verdict}: {worst.name} by {worst.scaled:.2e} of its "
-            f"nominal value at {worst.time:g} s (bound {self.bound:g})"
+            f"{size} at {worst.time:g} s (bound {self.bound:g})"
         )
         return f"{text}; {self.note}" if self.note else text
 
@@ -133,8 +146,11 @@ def compare(
     If the runs have different output times, the second run is evaluated at the times of the first
     one that lie within both; but if only the second one was read from a file (a measurement), the
     first run is evaluated at its times. `note` says how: computed again, or interpolated with an
-    estimated error. Gaps of a measurement (NaN) are left out. A row at the time of an event, within
-    the bound, may hold the values before or after it.
+    estimated error. Gaps of a measurement (NaN) are left out. A row at the time of an event, up to
+    a millionth of the span, may hold the values before or after it.
+
+    Differences are divided by nominal values. A state without one that stays below 1 SI unit is
+    compared with its own largest value, unless its error control cannot tell that from 0.
 
     Args:
         first, second: Two runs; the nominal values are those of the first.
@@ -178,19 +194,20 @@ def compare(
             first, second, note = _on_common_times(first, second)
     reject_other_times(first, second)
     with np.errstate(invalid="ignore"):  # infinity minus infinity
-        values = _difference(first, second, bound)
+        values = _difference(first, second)
     gaps = np.zeros(values.shape, dtype=bool)
     for run in (first, second):
         gaps |= np.isnan(run.values) & ("file" in run.stats)
     if gaps.all(axis=0).any():
         name = names[int(np.argmax(gaps.all(axis=0)))]
         raise UsageError(f"{name} has no measured value there; leave it out: without=['{name}']")
-    scaled = np.abs(values) / [column.nominal for column in runs[0].columns]
+    sizes = _sizes(first, second)
+    scaled = np.abs(values) / sizes
     scaled = np.where(gaps, 0.0, np.where(np.isnan(scaled), np.inf, scaled))  # NaN never agrees
     differences = []
-    for name, own in zip(names, scaled.T, strict=True):
+    for name, own, size in zip(names, scaled.T, sizes.tolist(), strict=True):
         at = int(np.argmax(own))
-        differences.append(Difference(name, float(own[at]), float(first.time[at])))
+        differences.append(Difference(name, float(own[at]), float(first.time[at]), size))
     differences.sort(key=lambda difference: -difference.scaled)
     if gaps.any():
         note = f"{note}{'; ' * bool(note)}gaps left out: {gaps.sum()}"
@@ -199,17 +216,28 @@ def compare(
     return Comparison(*labels, tuple(differences), residuals, runs, bound, note)
 
 
-def _difference(first: Trajectory, second: Trajectory, bound: float) -> Vector:
+def _difference(first: Trajectory, second: Trajectory) -> Vector:
     """Return second minus first; rounding decides which side of an event a row at its time has."""
     values = second.values - first.values
     for run, other, sign in ((first, second, 1), (second, first, -1)):
-        reach = bound * (run.time[-1] - run.time[0])
+        reach = _ONE_INSTANT * (run.time[-1] - run.time[0])
         for event in (event for event in run.events if event.before):
             for row in np.flatnonzero(np.abs(run.time - event.time) <= reach).tolist():
                 for side in (event.before, event.after):
                     left = sign * (other.values[row] - [side[name] for name in run.names])
                     values[row] = np.where(np.abs(left) < np.abs(values[row]), left, values[row])
     return values
+
+
+def _sizes(first: Trajectory, second: Trajectory) -> Vector:
+    """Return what differences are divided by: nominal values, or how large small states become."""
+    sizes = np.array([column.nominal for column in first.columns])
+    own = np.array([c.is_state and c.nominal == NOT_GIVEN for c in first.columns])
+    for run in (first, second):
+        own &= np.array([column.nominal == NOT_GIVEN for column in run.columns])
+    largest = np.maximum(*(np.nan_to_num(np.abs(r.values)).max(axis=0) for r in (first, second)))
+    zero = Tolerance(first.stats.get("relative_tolerance") or Tolerance.relative).pair[1]
+    return np.where(own & (largest > zero), np.minimum(largest, sizes), sizes)
 
 
 def _on_common_times(
@@ -253,7 +281,8 @@ def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, 
 def apart(first: Trajectory, second: Trajectory) -> int | None:
     """Return the index from which on two runs have different output times; None if the same."""
     times = [run.time[: min(len(first), len(second))] for run in (first, second)]
-    apart = np.abs(times[0] - times[1]) > 1e-9 * np.abs(first.time).max(initial=1.0)
+    since = np.abs(first.time - first.time[:1]).max(initial=1.0)
+    apart = np.abs(times[0] - times[1]) > np.maximum(1e-9 * since, 4 * np.spacing(times[0]))
     if apart.any():
         return int(np.argmax(apart))
     return None if len(first) == len(second) else len(apart)
@@ -340,14 +369,15 @@ class Check:
     def row(self) -> dict[str, Any]:
         """Return the check as a row of a table, for JSON too."""
         compared = self.comparison
-        worst = compared and compared.worst
-        ours, others = compared.event_times if compared else (np.empty(0), np.empty(0))
+        worst = None if compared is None else compared.worst
+        none = np.empty(0), np.empty(0)
+        ours, others = none if compared is None else compared.event_times
         same = len(ours) == len(others)
         return {
             "model": self.model,
             "backend": self.backend,
             "against": self.against,
-            "variables": compared and len(compared.differences),
+            "variables": None if compared is None else len(compared.differences),
             "worst": worst and worst.name,
             "difference": worst and worst.scaled,
             "at": worst and worst.time,
@@ -355,7 +385,7 @@ class Check:
             if len(ours) or len(others)
             else None,
             "event_shift": float(np.abs(ours - others).max()) if same and len(ours) else None,
-            "bound": compared and compared.bound,
+            "bound": None if compared is None else compared.bound,
             "verdict": str(self.verdict),
             "wall_time": self.wall_time,
             "rhs_calls": self.stats.get("rhs_calls"),

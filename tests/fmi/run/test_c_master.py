@@ -214,3 +214,13 @@ def test_the_command_line_offers_it(fmus, tmp_path):
     assert main(["simulate", str(fmus[2]), *options]) == 0
     assert table.read_bytes() == in_c
     assert main(["simulate", "crank_shaft", "--master", "c"]) == 2
+
+
+@INTERFACES
+@pytest.mark.parametrize("master", ["c", "fmpy"])
+def test_run_that_begins_at_a_time_stamp_ends_where_asked(interface, master, fmus):
+    times = {"start_time": 1.7e9, "stop_time": 1.7e9 + 1, "output_interval": 0.01}
+    run = cosim.simulate_fmu(fmus[2], interface=interface, master=master, **times)
+    assert (len(run), run.time[0], run.time[-1]) == (101, 1.7e9, 1.7e9 + 1)
+    exact = np.exp(-0.5 * (run.time - 1.7e9))
+    np.testing.assert_allclose(run["x"], exact, rtol=1e-5)  # double precision tells 2e-7 s apart

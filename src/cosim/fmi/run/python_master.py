@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
-from math import inf, isclose
+from math import inf
 from threading import current_thread, main_thread
 from types import FrameType
 from typing import Any
@@ -30,6 +30,7 @@ from cosim.fmi.run.instance import (
 from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
 from cosim.host.progress import doing
 from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
+from cosim.model.times import one_time
 
 _STEPS_OF_A_RUN = 50  # the least number of steps of a run by CVODE, as in fmpy
 
@@ -116,7 +117,8 @@ def _model_exchange(
     instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
 ) -> dict[str, Any]:
     """Integrate with CVODE from event to event and from output time to output time."""
-    description, (time, *targets) = request.description, request.points.tolist()
+    description, start = request.description, request.start
+    time, *targets = request.points.tolist()
     next_event = enter_continuous_time(instance, description)
     clock = _Clock(instance, request)
     solver = _solver(instance, request, clock, interrupts)
@@ -127,23 +129,23 @@ def _model_exchange(
         while not stats:
             input_event = clock.next_event(time)
             goal = min(target, input_event)
-            if goal > next_event and not isclose(goal, next_event):
+            if goal > next_event and not one_time(goal, next_event, start):
                 goal = next_event
             happens, _, reached = solver.step(time, goal)
             if not reached > time:
                 raise _stopped_early(time, request)
             time = reached
             clock.set(time)
-            happens |= goal == input_event or isclose(goal, next_event)
+            happens |= goal == input_event or one_time(goal, next_event, start)
             ends = False
             if needs_completed_step:
                 step_event, ends = instance.completedIntegratorStep()
                 happens |= step_event
             if happens and not ends:
                 ends, next_event = _pass_event(instance, request, clock, solver, time)
-            if ends and not isclose(time, request.stop):
+            if ends and not one_time(time, request.stop, start):
                 stats = _ended(time, recorder)
-            elif goal == target and isclose(time, target):
+            elif goal == target and one_time(time, target, start):
                 recorder.record(time)
                 break
         if stats:
@@ -262,7 +264,7 @@ def _co_simulation(
         if reached < end:
             raise _stopped_early(reached, request)
         recorder.record(end)
-    if points[-1] < request.stop and not isclose(points[-1], request.stop):
+    if points[-1] < request.stop and not one_time(points[-1], request.stop, request.start):
         raise _stopped_early(points[-1], request)
     return {}
 

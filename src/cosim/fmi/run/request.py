@@ -15,7 +15,7 @@ from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
-from cosim.model.times import reject_backward, time_grid
+from cosim.model.times import one_time, reject_backward, time_grid
 from cosim.model.values import listed, number
 from cosim.trajectory import Column
 
@@ -144,9 +144,9 @@ class FmuRequest:
 
 @lru_cache(8)
 def communication_points(start: float, stop: float, interval: float, *, any_step: bool) -> Vector:
-    """Return the times at which fmpy records, s, (n,), bit for bit."""
+    """Return the times at which fmpy records, s, (n,), bit for bit from a start at 0."""
     times: Vector = start + interval * np.arange(int((stop - start) / interval) + 3, dtype=float)
-    near = np.abs(times - stop) <= 1e-9 * np.maximum(np.abs(times), abs(stop))
+    near = one_time(times, stop, start)
     last = int(np.argmax((times > stop) | near))
     times = times[: last + 1]
     if times[-1] > stop and not near[last]:
@@ -278,7 +278,15 @@ def column_of(variable: Any, description: Any) -> Column:
         variable.description or "",
         factor,
         offset,
+        variable.name in _states(description),
     )
+
+
+@lru_cache(8)
+def _states(description: Any) -> frozenset[str]:
+    """Return the names of the states that the equations of an FMU have."""
+    rates = (variable.derivative for variable in description.modelVariables)
+    return frozenset(state.name for state in rates if state is not None)
 
 
 @lru_cache(8)

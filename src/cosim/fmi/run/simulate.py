@@ -8,8 +8,11 @@ from time import perf_counter
 from typing import Any
 
 from cosim.errors import UsageError
+from cosim.fmi.run.instance import Interface
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
+from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest
 from cosim.model.request import choice
+from cosim.series.samples import uncontrolled
 from cosim.trajectory import Trajectory
 
 
@@ -86,6 +89,16 @@ def simulate_fmu(
         )
         run = fmu.run(request, master)
     gaps = request.inputs.gaps(request.start, request.stop) if request.inputs else ""
-    note = "; ".join(filter(None, (run.stats.get("note"), gaps)))
+    note = "; ".join(filter(None, (run.stats.get("note"), gaps, _small_states(request, run))))
     stats = {**run.stats, "wall_time": perf_counter() - began}
     return replace(run, stats=stats | {"note": note} if note else stats)
+
+
+def _small_states(request: FmuRequest, run: Trajectory) -> str:
+    """Return which states are too small for the tolerance of a run in model exchange."""
+    if request.interface is not Interface.MODEL_EXCHANGE or not len(run):
+        return ""
+    names = [column.name for column in run.columns if column.is_state]
+    states = run.select(names)
+    relative = DEFAULT_TOLERANCE if request.tolerance is None else request.tolerance
+    return uncontrolled(states.columns, states.values, relative, relative)

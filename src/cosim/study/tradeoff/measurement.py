@@ -188,7 +188,8 @@ def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
     """Return the reference at the output times of a run with longer intervals."""
     if len(reference) == len(run):
         return reference
-    rows = np.searchsorted(reference.time, run.time - 1e-9 * max(1.0, reference.time[-1]))
+    since = np.abs(reference.time - reference.time[0]).max(initial=1.0)
+    rows = np.searchsorted(reference.time, run.time - 1e-9 * since)
     rows = np.minimum(rows, len(reference) - 1)
     return Trajectory(
         reference.model, reference.time[rows], reference.columns, reference.values[rows]
