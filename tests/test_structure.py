@@ -26,6 +26,7 @@ CROSSING = {
     "mechanics": "casadi_models.mechanics",
     "physics": "the systems of casadi_models",
     "runtime": "cosim._fmu",
+    "strangers": "public files of other tools",
 }
 
 

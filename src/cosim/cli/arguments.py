@@ -1,6 +1,7 @@
 """Arguments of a command line as values; a wrong one raises a `CosimError` that names it."""
 
 import argparse
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -24,6 +25,8 @@ from cosim.scene.variants import with_solver
 TIMES = ("start_time", "stop_time", "output_interval")
 _NUMBERS = ("step_size", *LIMITS)
 _POLICY = ("on_invalid", "drift_control", "stop_when", "record_events")
+_WHOLE = re.compile(r"[+-]?[0-9]{1,400}")
+_NUMBER_FIRST = re.compile(r"[+-]?(\.?[0-9]|(inf|nan)\b)", re.IGNORECASE)
 
 
 def scene_from(args: argparse.Namespace) -> Scene:
@@ -142,17 +145,37 @@ def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:
 
 def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
     """Return the values of `-p` and `--start-values` by name; they need a model to have units."""
-    numbers: dict[str, float] = {}
-    for name, text in start_texts(args):
-        if name in numbers:
+    return {name: value_of(dae, name, text) for name, text in _each_once(start_texts(args))}
+
+
+def start_values_of_fmu(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the values of `-p` and `--start-values` by name, for variables of any type."""
+    return {name: value_of_fmu(name, text) for name, text in _each_once(start_texts(args))}
+
+
+def _each_once(pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    names = set[str]()
+    for name, text in pairs:
+        if name in names:
             raise UsageError(f"{name} is given twice; give it once")
-        numbers[name] = value_of(dae, name, text)
-    return numbers
+        names.add(name)
+        yield name, text
 
 
 def value_of(dae: Dae | None, name: str, text: str) -> float:
     """Return the number of a variable in SI units; without a model, in its own unit."""
     return value_in(name, text, None if dae is None else settable_variable(dae, name).unit)
+
+
+def value_of_fmu(name: str, text: str) -> float | str:
+    """Return a number of all its digits, or a word, of which the type of the variable decides.
+
+    Raises:
+        ParameterError: It begins as a number, and goes on as a unit.
+    """
+    if _WHOLE.fullmatch(text):
+        return int(text)
+    return text if not _NUMBER_FIRST.match(text) else value_in(name, text, None)
 
 
 def value_in(name: str, text: str, unit: str | None) -> float:

@@ -18,8 +18,8 @@ from cosim.cli.arguments import (
     names_in,
     options_in,
     scene_from,
-    start_numbers,
     start_texts,
+    start_values_of_fmu,
 )
 from cosim.cli.tables import note
 from cosim.coupling.files import coupling_report, is_system, read_system, simulate_file
@@ -112,7 +112,7 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
     settings = options_in(args, "timeout", *TIMES, "relative_tolerance")
     if getattr(args, "master", None) is not None:
         settings["master"] = args.master
-    settings["start_values"] = start_numbers(args, None)
+    settings["start_values"] = start_values_of_fmu(args)
     require_trust(args.model, trusted=args.trust)
     return simulate_apart(
         args.model,

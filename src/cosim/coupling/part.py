@@ -24,6 +24,7 @@ class Variable:
         name, unit: Name and unit.
         units: Definitions of units by name, with that of its own unit if there is one.
         is_input, is_source, is_start: Whether it can be driven, can drive, has a start value.
+        other_type: Its type if it is no real number of double precision, which cannot be connected.
     """
 
     name: str
@@ -32,11 +33,20 @@ class Variable:
     is_source: bool
     is_start: bool
     units: Mapping[str, Unit] = field(default_factory=dict)
+    other_type: str = ""
 
     @property
     def definition(self) -> Unit | None:
         """What the unit means; None if there is no unit, or nothing defines it."""
         return None if self.unit is None else self.units.get(self.unit) or parse_unit(self.unit)
+
+    def reject_other_type(self, shown: str) -> None:
+        """Raise UsageError if no connection can carry its type; `shown` names it in the system."""
+        if self.other_type:
+            raise UsageError(
+                f"{shown} is of type {self.other_type}, and connections carry real numbers; "
+                "connect a variable of type Real or Float64"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +117,21 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     with unpacked(path) as folder:
         description = read_description(folder, path)
     if description.coSimulation is None:
+        exchange = description.modelExchange is not None
+        only = "model exchange" if exchange else "scheduled execution"
         raise UsageError(
-            f"{path} is for model exchange only, and a part of a system needs a solver of its own; "
-            "export it for co-simulation, or simulate it alone"
+            f"{path} is for {only} only, and a part of a system needs a solver of its own; "
+            f"export it for co-simulation{', or simulate it alone' if exchange else ''}"
         )
     found = {}
     for name, variable in by_name(description).items():
-        continuous = variable.type in ("Real", "Float64") and is_number(variable)
+        other = "array" if variable.dimensions else variable.type
+        other = "" if other in ("Real", "Float64") else other
+        continuous = not other
         is_input = continuous and variable.causality == "input"
         source = continuous and variable.causality in ("output", "local")
         start = is_number(variable) and may_be_set(variable)
         units = units_for(variable, description)
-        found[name] = Variable(variable.name, unit_of(variable), is_input, source, start, units)
+        unit = unit_of(variable)
+        found[name] = Variable(variable.name, unit, is_input, source, start, units, other)
     return found

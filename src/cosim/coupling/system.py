@@ -388,6 +388,8 @@ def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connecti
     """
     ends = split_name(parts, sink), split_name(parts, source)
     driven, driving = (parts[part].variable(name) for part, name in ends)
+    for name, variable in ((sink, driven), (source, driving)):
+        variable.reject_other_type(name)
     if not driven.is_input:
         inputs = [v.name for v in parts[ends[0][0]].variables.values() if v.is_input]
         raise UsageError(

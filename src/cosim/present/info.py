@@ -194,6 +194,7 @@ def _fmu_info(path: Path) -> Info:
 def _fmu_row(variable: Described, meaning: str) -> dict[str, Any]:
     texts, unit = variable.texts, variable.texts.get("unit", "1")
     start, *sizes = (_number_or_text(texts.get(key)) for key in ("start", "min", "max", "nominal"))
+    sizes = [size if isinstance(size, float) else None for size in sizes]
     facts = (variable.name, unit, texts.get("displayUnit", unit), start, variable.initial or "")
     return dict(zip(_KEYS, (*facts, *sizes, meaning), strict=True))
 
@@ -215,7 +216,7 @@ def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
     if "minimum" not in row:
         return dict(row)
     start, kind = row["start"], row["start kind"]
-    if isinstance(start, float) and abs(start) < _ROUNDING * row["nominal"]:
+    if isinstance(start, float) and abs(start) < _ROUNDING * (row["nominal"] or 1.0):
         start = 0.0
     text = "" if start is None else f"{start:.10g}" if isinstance(start, float) else str(start)
     note = f"{text} (calculated)" if text else "calculated"

@@ -58,3 +58,9 @@ def test_value_that_the_type_has_is_kept(kind, value, expected):
 def test_value_that_the_type_does_not_have_is_rejected_with_the_type(kind, value, reason):
     with pytest.raises(ParameterError, match=f"m: u = .*{reason}"):
         value_of(kind, value)
+
+
+@pytest.mark.parametrize("kind", ["Real", "Float32", "Integer", "UInt64"])
+def test_word_for_a_number_is_rejected_with_the_remedy(kind):
+    with pytest.raises(ParameterError, match="u = fast: give a number in the FMU's own unit"):
+        value_of(kind, "fast")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.cli.arguments import names_in, numbers_in, scene_from, start_numbers, value_of
+from cosim.cli.arguments import names_in, numbers_in, scene_from, start_values_of_fmu, value_of
 from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.trust import require_trust
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     model: Any = args.model
     if args.model.endswith(".fmu"):
         require_trust(args.model, trusted=args.trust)
-        start = start_numbers(args, None)
+        start = start_values_of_fmu(args)
         outputs = names_in(args.outputs) if args.outputs else None
     else:
         request = scene_from(args).request

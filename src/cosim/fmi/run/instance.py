@@ -198,7 +198,12 @@ def choose_interface(
     default = Interface.CO_SIMULATION if description.coSimulation else Interface.MODEL_EXCHANGE
     kind = Interface(requested) if requested else default
     if not has[kind]:
-        other = next((offered for offered in INTERFACES if has[offered]), "neither")
+        other = next((offered for offered in INTERFACES if has[offered]), None)
+        if other is None:
+            raise FmuError(
+                f"{name} offers scheduled execution only; export it for model exchange or "
+                "co-simulation"
+            )
         raise FmuError(f"{name} has no {kind} interface; it has {other}")
     _find_library(folder, description, has[kind].modelIdentifier, name)
     if loads_no_library(folder):

@@ -214,8 +214,14 @@ def checked_values(
                 f"{name}: {variable} is a structural parameter, which changes the sizes of arrays; "
                 "it cannot be set here, leave it at its start value"
             )
+        if not is_number(variables[variable]):
+            kind = "an array" if variables[variable].dimensions else f"a {variables[variable].type}"
+            raise UsageError(
+                f"{name}: {variable} is {kind}; only single numbers, Booleans and items of "
+                "enumerations can be set"
+            )
         if not _is_settable(variables[variable]):
-            raise UsageError(f"{name}: {variable} cannot be set; it is calculated, or not a number")
+            raise UsageError(f"{name}: {variable} cannot be set; it is calculated")
     return {
         variables[key].name: typed_value(str(name), variables[key], value)
         for key, value in values.items()
@@ -261,7 +267,11 @@ def _check_series(
         if variable not in known:
             raise UnknownName.among(str(name), "input", variable, known)
         if known[variable].type not in _CONTINUOUS or known[variable].dimensions:
-            raise UsageError(f"{name}: {variable} is no real number; give it a constant value")
+            kind = "array" if known[variable].dimensions else known[variable].type
+            raise UsageError(
+                f"{name}: {variable} is of type {kind}, and only real inputs follow time series; "
+                "give it a constant value"
+            )
         if variable in values:
             raise UsageError(f"{name}: {variable} is given a value and a series; give one of them")
 

@@ -39,6 +39,10 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
             return int(value)
         allowed = ", ".join(f"{item} ({n})" for item, n in items.items())
         raise ParameterError(f"{owner}: {name} = {value} is no item of it; give one of {allowed}")
+    if isinstance(value, str):
+        raise ParameterError(
+            f"{owner}: {name} = {value}: give a number in the FMU's own unit, and no unit"
+        )
     if kind in _RANGES:
         low, high = _RANGES[kind]
         plain = number(owner, name, value)

@@ -1,0 +1,77 @@
+"""FMUs that others publish: each gives its reference values, or is rejected in one sentence."""
+
+import os
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import cosim
+
+HERE = Path(__file__).parent
+FOLDER = Path(os.environ.get("COSIM_STRANGERS", HERE / "files"))
+LISTED = tomllib.loads((HERE / "files.toml").read_text())["file"]
+READABLE = {path for row in LISTED for path in row["files"] if row.get("opens", True)}
+METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
+
+
+def rows(key):
+    found = [(path, row) for row in LISTED if key in row for path in row["files"]]
+    return pytest.mark.parametrize(
+        ("path", "row"), found, ids=[f"{path}-{i}" for i, (path, _) in enumerate(found)]
+    )
+
+
+@pytest.fixture
+def present():
+    """Return a function that returns where a public file is; skips where it is not."""
+
+    def find(path):
+        if not (FOLDER / path).exists():
+            pytest.skip(f"{path} is not in {FOLDER}; files.toml says where it is from")
+        return FOLDER / path
+
+    return find
+
+
+@rows("expected")
+def test_public_file_gives_its_reference_values(path, row, present):
+    run = cosim.simulate_fmu(
+        present(path),
+        interface=row["interface"],
+        stop_time=row["stop_time"],
+        relative_tolerance=1e-8,
+        start_values=row.get("start"),
+    )
+    for name, value in row["expected"].items():
+        assert run.final[name] == pytest.approx(value, rel=row["tolerance"], abs=row["tolerance"])
+
+
+@rows("refused")
+def test_public_file_that_cannot_run_is_rejected_in_one_sentence(path, row, present):
+    with pytest.raises(cosim.CosimError, match=row["refused"]) as caught:
+        cosim.simulate_fmu(present(path), start_values=row.get("start"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@rows("drives")
+def test_public_file_is_a_part_with_every_method(path, row, method, present):
+    follower = Path(path).with_name("Feedthrough.fmu")
+    parts = {"first": present(path), "second": present(follower)}
+    name, given = f"first.{row['drives']}", "second.Float64_continuous_input"
+    coupled = cosim.couple(parts, {given: name}).simulate(
+        stop_time=1.0, macro_step=0.01, method=method
+    )
+    alone = cosim.simulate_fmu(
+        present(path), interface="CoSimulation", stop_time=1.0, output_interval=0.01
+    )
+    assert coupled.status == "complete"
+    assert coupled.final[name] == pytest.approx(alone.final[row["drives"]], rel=1e-12)
+    assert coupled.final[given] == coupled.final[name]
+
+
+@pytest.mark.parametrize("path", sorted(READABLE))
+def test_public_file_is_described(path, present):
+    text = str(cosim.info(present(path)))
+    assert f"fmi          {Path(path).parent.name}" in text
