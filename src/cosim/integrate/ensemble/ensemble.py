@@ -181,13 +181,13 @@ class Ensemble:
         return invalidity(self.reasons.get(i, self.invalid.get(i, "")))
 
     def summary(self) -> Table:
-        """Return the smallest and largest value of each varied quantity and variable, all runs."""
+        """Return the smallest and largest value of each quantity, of the rows of all runs."""
         rows = varied_rows(self.start_values)
         for column, own in zip(self.columns, np.moveaxis(self.values, 2, 0), strict=True):
             rows.append(range_row(column.name, column.shown_unit, column.shown(own)))
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
         facts = f"{len(self)} runs, {len(self.time)} times{span}"
-        return Table(tuple(rows), f"{self.model}: {facts}, {self.status}; min and max of the rows")
+        return Table(tuple(rows), f"{self.model}: {facts}, {self.status}")
 
     def __repr__(self) -> str:
         table = self.summary()
