@@ -65,7 +65,7 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
         rate = ca.jtimes(value, dae.t, 1)
         column = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
         try:
-            spans = _spans(ca.Function("f", dae.arguments, [column], {"cse": True}), dae, length)
+            spans = _spans(column, dae.arguments, length)
         except _UnknownError:
             continue
         known.append(i)
@@ -75,9 +75,27 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     return TimeBounds(length, tuple(known), low, high)
 
 
-def _spans(function: ca.Function, dae: Dae, length: SX) -> list[_Span]:
-    """Return the spans of the results of a function of the equations' symbols."""
-    symbols = [ca.vertsplit(column) for column in dae.arguments]
+def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tuple[SX, SX] | None:
+    """Return bounds of the second derivative of an expression; None where no rule tells them.
+
+    Args:
+        value: An expression, (1, 1).
+        moving: The symbol that goes from its value on over a length.
+        others: Columns of symbols that stay.
+        length: Symbol of the length.
+    """
+    second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
+    try:
+        (span,) = _spans(ca.densify(second), [moving, *others], length)
+    except _UnknownError:
+        return None
+    return span.low, span.high
+
+
+def _spans(rows: SX, arguments: Sequence[SX], length: SX) -> list[_Span]:
+    """Return the spans of a column while the first argument goes from its value over a length."""
+    function = ca.Function("rows", list(arguments), [rows], {"cse": True})
+    symbols = [ca.vertsplit(column) for column in arguments]
 
     def symbol(argument: int, row: int) -> _Span:
         known = symbols[argument][row]

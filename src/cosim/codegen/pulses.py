@@ -79,7 +79,7 @@ def _pulse_times(dae: Dae, p: bytes, begin: float, end: float, longest: float) -
             continue
         for first, last in _places(column, _LARGE * size, count):
             near, fine = _sampled(dae, p, float(t[first]), float(t[last]), _CLOSER)
-            found.append(_parted(near, fine[:, i], size))
+            found.append(parted(near, fine[:, i], size))
     times = np.unique(np.concatenate([np.empty(0), *found]))
     if len(times) > _MOST_ENDS:
         times = np.empty(0)
@@ -87,7 +87,7 @@ def _pulse_times(dae: Dae, p: bytes, begin: float, end: float, longest: float) -
     return times
 
 
-def _parted(t: Vector, values: Vector, size: float) -> Vector:
+def parted(t: Vector, values: Vector, size: float) -> Vector:
     """Return times that divide a pulse into parts of little change and equal parts of time.
 
     The values are those of the term at the times, and the size is its range in the run.

@@ -135,3 +135,21 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         unit = unit_of(variable)
         found[name] = Variable(variable.name, unit, is_input, source, start, units, other)
     return found
+
+
+def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
+    """Return part and variable of "part.variable".
+
+    Raises:
+        UnknownName: There is no such part or variable.
+    """
+    part, dot, variable = str(name).partition(".")
+    if not dot or part not in parts:
+        raise UnknownName.among("the system", "part", part, parts)
+    return part, parts[part].variable(variable).name
+
+
+def split_key(name: str) -> tuple[str, str]:
+    """Return part and variable of "part.variable"; names of parts have no dot."""
+    part, _, variable = name.partition(".")
+    return part, variable

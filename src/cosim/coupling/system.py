@@ -16,13 +16,12 @@ from casadi_models.units import Unit, conversion, parse_unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.coupling.opened_part import Ability
-from cosim.coupling.part import Part
+from cosim.coupling.part import Part, split_key, split_name
 from cosim.coupling.pickling import pickled, with_files
 from cosim.errors import (
     Interrupted,
     ParameterError,
     SolverError,
-    UnknownName,
     UsageError,
     naming_keywords,
 )
@@ -368,18 +367,6 @@ class System:
         return start, stop, number(self.name, "output_interval", interval, positive=True)
 
 
-def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
-    """Return part and variable of "part.variable".
-
-    Raises:
-        UnknownName: There is no such part or variable.
-    """
-    part, dot, variable = str(name).partition(".")
-    if not dot or part not in parts:
-        raise UnknownName.among("the system", "part", part, parts)
-    return part, parts[part].variable(variable).name
-
-
 def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connection:
     """Return the connection of an input and what drives it, with the conversion of their units.
 
@@ -489,12 +476,6 @@ def _plain(
     if isinstance(value, str):
         value = quantity(".".join(key), value, unit or "1", definitions=units)
     return number(*key, value)
-
-
-def split_key(name: str) -> tuple[str, str]:
-    """Return part and variable of "part.variable"; names of parts have no dot."""
-    part, _, variable = name.partition(".")
-    return part, variable
 
 
 def _positive(owner: str, name: str, value: float | None) -> float | None:

@@ -23,6 +23,7 @@ from cosim.integrate.location import Piece, located, with_input_rates, with_slop
 from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
+from cosim.integrate.passed_over import attentive
 from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
@@ -52,16 +53,22 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     if isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
         longest = min(longest, solver.max_step)
     pulses = pulse_times(smooth, start.values.p, *span, longest)
-    if system is not None or breaks or len(pulses):
-        no_events = Hybrid(problem.dae, (), (), ())
-        return _Course(problem, system or no_events, solver, start, pulses).run()
-    found = scaled_call(problem, solver, start)
-    u = input_values(problem.dae, problem.grid, start.values, problem.inputs)
-    n = found.states.shape[1]
-    columns = found.states, found.algebraics, u[:, :n]
-    return Motion(
-        problem.dae, problem.grid[:n], *columns, found.counts, found.reason, found.solve_time
-    )
+
+    def attempt(grid: Vector, ends: Vector) -> Motion:
+        own = replace(problem, times=grid.tobytes())
+        if system is not None or breaks or len(pulses) or len(ends):
+            no_events = Hybrid(problem.dae, (), (), ())
+            every = np.union1d(pulses, ends)
+            return _Course(own, system or no_events, solver, start, every).run()
+        found = scaled_call(own, solver, start)
+        u = input_values(problem.dae, grid, start.values, problem.inputs)
+        n = found.states.shape[1]
+        columns = found.states, found.algebraics, u[:, :n]
+        return Motion(problem.dae, grid[:n], *columns, found.counts, found.reason, found.solve_time)
+
+    if not isinstance(solver, AdaptiveSolver):
+        return attempt(problem.grid, np.empty(0))
+    return attentive(attempt, problem.grid, start.values.p, solver.tolerance.pair[0])
 
 
 class _Course:

@@ -40,6 +40,7 @@ class Motion:
         events: Events in their order.
         stop: Message of the event that ended the run.
         instants: What was just before and after each instant with an event.
+        note: What the steps may have passed over; empty if nothing.
     """
 
     dae: Dae
@@ -53,3 +54,4 @@ class Motion:
     events: list[EventRecord] = field(default_factory=list)
     stop: str = ""
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
+    note: str = ""

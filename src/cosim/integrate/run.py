@@ -293,7 +293,7 @@ def _note(prepared: Prepared, motion: Motion) -> str | None:
     tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
     gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""
     small = _small_states(problem.dae, inner, motion.states)
-    notes = tight if inner != prepared.solver else "", gaps, prepared.note, small
+    notes = tight if inner != prepared.solver else "", gaps, prepared.note, small, motion.note
     return "; ".join(filter(None, notes)) or None
 
 

@@ -1,0 +1,266 @@
+"""`attentive`: a motion whose steps pass over no term that time or one state determines.
+
+A solver meets the equations at the stages of its steps only: a bump of the ground between two of
+them has no effect, and no error estimate shows it. Where such a term bends within a part of a step
+is known from its bounds. There the motion must obey the equations: the change of the states is the
+integral of their rates. Where it does not, it is computed again with steps that end there.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from casadi_models.dae import Dae
+from casadi_models.dae.single_terms import single_terms
+from casadi_models.dae.time_bounds import bounds_along
+from cosim.arrays import Vector
+from cosim.codegen.functions import equations
+from cosim.codegen.pulses import parted
+from cosim.integrate.motion import Motion
+from cosim.memo import cached_per_thread
+from cosim.model.values import own_sizes
+
+Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of steps
+
+_EFFECT = 100.0  # least defect of a state that matters, in relative tolerances
+_PARTS = 4  # of the way in an average step, within which a term that every step sees is a line
+_STRAIGHT = 0.05  # distance of a term from a line, as a share of its range
+_FLAT = 1e-3  # change of a resting term in a part, as a share of its range
+_BEYOND = 0.05  # of a way, by which rows may miss its ends
+_MOST_CELLS, _DEEPEST = 4_000, 50  # parts of a way; halvings of them
+_SAMPLES = 64  # of a cell, of a term without bounds
+_ROWS = 8  # per average step, of a motion whose places are sought
+_INNER = 64  # intervals of a place over which rates are integrated
+_CERTAIN = 4  # times the error of that integral
+_MOST_ROUNDS, _MOST_PLACES = 20, 1_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Terms of time or one state, which moves.
+
+    Attributes:
+        moving: The position of the state; that of time is after all states.
+        values: `(moving, p) -> terms`, (n,).
+        bends: `(moving, length, p) -> bounds of the second derivatives`, both ends, (n,) each.
+        bounded: Whether these are known, (n,).
+    """
+
+    moving: int
+    values: ca.Function
+    bends: ca.Function
+    bounded: tuple[bool, ...]
+
+    def path(self, motion: Motion) -> Vector:
+        """Return the values of what moves at the times of a motion, (n,)."""
+        return np.asarray(np.vstack((motion.states, motion.time))[self.moving])
+
+
+class Place(NamedTuple):
+    """Where a term bends: times, s, the terms of what moves, and its position among them."""
+
+    begin: float
+    end: float
+    terms: _Terms
+    term: int
+
+    @property
+    def times(self) -> Vector:
+        """Times in it, and as far before and after it as it is long, s."""
+        length = self.end - self.begin
+        return np.linspace(self.begin - length, self.end + length, _INNER + 1)
+
+
+@cached_per_thread(32)
+def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
+    found, length = list[_Terms](), SX.sym("length")
+    for moving, terms in single_terms(dae).items():
+        s = ca.vertcat(dae.x, dae.t)[moving]
+        known = [bounds_along(term, s, [dae.p], length) for term in ca.vertsplit(terms)]
+        rows = [bounds or (SX(0), SX(0)) for bounds in known]
+        ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
+        values = ca.Function("values", [s, dae.p], [terms], {"cse": True})
+        bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
+        found.append(_Terms(moving, values, bends, tuple(b is not None for b in known)))
+    return tuple(found)
+
+
+def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Motion:
+    """Return the motion over output times whose steps pass over no term of time or one state.
+
+    Args:
+        attempt: Integrates over output times, with steps that end at further times.
+        grid: Output times, s.
+        p: Parameters.
+        tolerance: Relative tolerance of the solver.
+    """
+    plain = attempt(grid, np.empty(0))
+    every = [] if plain.reason or len(plain.time) < 2 else _terms_of(plain.dae)
+    steps = max(plain.counts.steps or 0, 1)
+    if not any(_bends(terms, plain, p, steps) for terms in every):
+        return plain
+    rows, ends, places = _dense(grid, steps), np.empty(0), list[Place]()
+    for _ in range(_MOST_ROUNDS):
+        motion = attempt(np.union1d(grid, rows), ends)
+        passed = [place for place in places if _is_passed(motion, place, p, tolerance)]
+        new = [
+            place
+            for terms in every
+            for term, low, high in _bends(terms, motion, p, steps)
+            for place in _places(motion, terms, term, low, high)
+            if not any(place.begin < old.end and old.begin < place.end for old in places)
+        ]
+        if motion.reason or not (passed or new):
+            break
+        places += new
+        if len(places) > _MOST_PLACES:
+            passed = passed or new
+            break
+        rows = _inside(grid, [rows, *(place.times for place in new)])
+        ends = _inside(grid, [ends, *(_divided(motion, place, ends, p) for place in passed)])
+    found = attempt(grid, ends) if len(ends) else plain
+    if not passed:
+        return found
+    text = f"steps may pass over a change of {_name(plain.dae, passed[0])}; set max_step"
+    return replace(found, note=text)
+
+
+def _name(dae: Dae, place: Place) -> str:
+    names = [*(state.name for state in dae.states), "time"]
+    return f"a term of {names[place.terms.moving]} near {place.begin:.9g} s"
+
+
+def _inside(grid: Vector, times: list[Vector]) -> Vector:
+    """Return the times within a grid, each once."""
+    every = np.unique(np.concatenate(times))
+    return np.asarray(every[(grid[0] < every) & (every < grid[-1])])
+
+
+def _dense(grid: Vector, steps: int) -> Vector:
+    """Return times between those of a grid, so that every average step has several."""
+    count = np.ceil(_ROWS * steps * np.diff(grid) / (grid[-1] - grid[0])).astype(int)
+    gaps = [np.linspace(a, b, n + 1) for a, b, n in zip(grid, grid[1:], count, strict=False)]
+    return np.concatenate(gaps)
+
+
+def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[int, float, float]]:
+    """Return where on the way of what moves its terms bend within a part of an average step.
+
+    Returns:
+        The position of a term, and two values of what moves between which it changes.
+    """
+    x = terms.path(motion)
+    way = float(np.abs(np.diff(x)).sum())
+    if not (np.isfinite(way) and way > 0):
+        return []
+    low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
+    count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
+    edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
+    for term in range(len(terms.bounded)):
+        first = len(found)
+        for a, b in _moving(terms, term, edges, p):
+            if len(found) > first and a - found[-1][2] <= edges[1] - edges[0]:
+                found[-1] = (term, found[-1][1], b)
+            else:
+                found.append((term, a, b))
+    return found
+
+
+def _moving(terms: _Terms, term: int, edges: Vector, p: Vector) -> list[tuple[float, float]]:
+    """Return parts of cells in which a term is no line, and changes there."""
+
+    def values(at: Vector) -> Vector:
+        return np.asarray(np.array(terms.values(at[None], p))[term])
+
+    ends = values(edges)
+    low, high = np.nanmin(ends), np.nanmax(ends)
+    begins, widths, leaves = edges[:-1], np.diff(edges), list[tuple[Vector, Vector]]()
+    if not terms.bounded[term]:
+        at = begins[:, None] + widths[:, None] * np.arange(_SAMPLES + 1) / _SAMPLES
+        seen = values(at.ravel()).reshape(at.shape)
+        line = seen[:, :1] + (seen[:, -1:] - seen[:, :1]) * np.arange(_SAMPLES + 1) / _SAMPLES
+        sharp = np.abs(seen - line).max(axis=1) > _STRAIGHT * np.ptp(seen)
+        begins, widths = at[sharp][:, :-1].ravel(), np.repeat(widths[sharp] / _SAMPLES, _SAMPLES)
+        leaves.append((begins, widths))
+        low, high, begins = seen.min(), seen.max(), begins[:0]
+    for level in range(_DEEPEST):
+        if not len(begins) or len(begins) > _MOST_CELLS:
+            break
+        bounds = terms.bends(begins[None], widths[None], p)
+        bend = np.abs([np.array(end)[term] for end in bounds]).max(axis=0)
+        sharp = ~(bend * widths**2 / 8 <= _STRAIGHT * (high - low))
+        if level:
+            leaves.append((begins[~sharp], widths[~sharp]))
+        halves = np.repeat(widths[sharp] / 2, 2)
+        begins = np.repeat(begins[sharp], 2)
+        begins[1::2] += halves[1::2]
+        widths = halves
+        inner = values(begins[1::2])
+        low, high = np.nanmin([low, *inner]), np.nanmax([high, *inner])
+    if not leaves:
+        return []
+    begins, widths = (np.concatenate(parts) for parts in zip(*leaves, strict=True))
+    order = np.argsort(begins)
+    begins, finish = begins[order], (begins + widths)[order]
+    changes = np.abs(values(finish) - values(begins)) > _FLAT * (high - low)
+    return list(zip(begins[changes].tolist(), finish[changes].tolist(), strict=True))
+
+
+def _places(motion: Motion, terms: _Terms, term: int, low: float, high: float) -> list[Place]:
+    """Return when what moves is between two values, on lines between rows."""
+    t, x = motion.time, terms.path(motion)
+    found = list[Place]()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (np.array([[low], [high]]) - x[:-1]) / np.diff(x)
+    first = np.clip(shares.min(axis=0), 0, 1)
+    last = np.clip(shares.max(axis=0), 0, 1)
+    for k in np.flatnonzero(first < last):
+        begin, end = (float(t[k] + share * (t[k + 1] - t[k])) for share in (first[k], last[k]))
+        if found and begin <= found[-1].end:
+            found[-1] = found[-1]._replace(end=end)
+        else:
+            found.append(Place(begin, end, terms, term))
+    return [place for place in found if place.begin < place.end]
+
+
+def _is_passed(motion: Motion, place: Place, p: Vector, tolerance: float) -> bool:
+    """Return whether the states in a place do not change as the integral of their rates tells."""
+    times = place.times
+    bounds = [-np.inf, *(before.t for before, _ in motion.instants), np.inf]
+    x0 = motion.states[:, 0]
+    size = np.maximum(own_sizes(motion.dae, x0), np.abs(motion.states).max(axis=1))
+    for after, until in pairwise(bounds):
+        at = np.flatnonzero(np.isin(motion.time, times[(after < times) & (times < until)]))
+        at = at[: (len(at) - 1) // 4 * 4 + 1]
+        if len(at) < 5:
+            continue
+        t, x, z = motion.time[at], motion.states[:, at], motion.algebraics[:, at]
+        u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, at]
+        rates = np.array(equations(motion.dae)(t[None], x, z, u, p)[0])
+        h = (t[-1] - t[0]) / (len(t) - 1)
+        fine, coarse = _simpson(rates, h), _simpson(rates[:, ::2], 2 * h)
+        off = np.abs(x[:, -1] - x[:, 0] - fine)
+        if (off > np.maximum(_EFFECT * tolerance * size, _CERTAIN * np.abs(fine - coarse))).any():
+            return True
+    return False
+
+
+def _simpson(rows: Vector, h: float) -> Vector:
+    ends, odd, even = rows[:, 0] + rows[:, -1], rows[:, 1::2], rows[:, 2:-1:2]
+    return np.asarray(h / 3 * (ends + 4 * odd.sum(axis=1) + 2 * even.sum(axis=1)))
+
+
+def _divided(motion: Motion, place: Place, ends: Vector, p: Vector) -> Vector:
+    """Return times at which steps must end for a solver to see a term in a place, s."""
+    t = place.times
+    known = ends[(t[0] <= ends) & (ends <= t[-1])]
+    if len(known) > 1:
+        return np.asarray((known[:-1] + known[1:]) / 2)
+    x = np.interp(t, motion.time, place.terms.path(motion))
+    values = np.array(place.terms.values(x[None], p))[place.term]
+    return parted(t, values, float(np.ptp(values)))

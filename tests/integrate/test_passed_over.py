@@ -1,0 +1,98 @@
+"""A step passes over no localized term: bumps of a road, tables, pulses of time."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from casadi import SX
+
+import cosim
+
+PLACE, SPEED, HEIGHT = 50.3, 10.0, 0.05  # m, m/s, m
+SHAPES = {  # of a variable of width 1, with its area
+    "gauss": (lambda s: ca.exp(-(s**2)), np.sqrt(np.pi)),
+    "lorentz": (lambda s: 1 / (1 + s**2) ** 4, 5 * np.pi / 16),
+    "tanh": (lambda s: (ca.tanh(s + 1.5) - ca.tanh(s - 1.5)) / 2, 3.0),
+}
+
+
+def on_road(road, kind=SX, **more):
+    """Return a mass on a spring and a damper over a road, at constant speed."""
+    t, x = kind.sym("t"), kind.sym("x", 3)
+    ode = ca.vertcat(SPEED, x[2], -25 * (x[1] - road(x[0])) - x[2])
+    return cosim.from_casadi({"t": t, "x": x, "ode": ode}, name="road", stop_time=7, **more)
+
+
+def after_an_impulse(area, place=PLACE):
+    """Return the height at 7 s after a narrow bump, from the response to an impulse."""
+    t, w = 7 - place / SPEED, np.sqrt(25 - 0.25)
+    return 25 * area / SPEED * np.exp(-t / 2) * np.sin(w * t) / w
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_bump_between_two_steps_is_not_passed_over(shape, solver):
+    form, area = SHAPES[shape]
+    width = 1e-3
+    dae = on_road(lambda s: HEIGHT * form((s - PLACE) / width), output_interval=0.5)
+    run = cosim.simulate(dae, solver=solver)
+    right = after_an_impulse(HEIGHT * width * area)
+    assert abs(run["x_2"][-1] / right - 1) < 1e-3  # measured 1e-6 to 1.5e-4; before: 1
+
+
+@pytest.mark.parametrize("kind", ["linear", "bspline"])
+def test_a_bump_of_a_table_is_not_passed_over(kind):
+    knots = np.linspace(0, 200, 2001)
+    heights = np.where((knots > 50.25) & (knots < 50.35), HEIGHT, 0.0)  # one knot: a hat
+    table = ca.interpolant("road", kind, [knots], heights)
+    run = cosim.simulate(on_road(table, ca.MX, output_interval=0.5), solver="dop853")
+    right = after_an_impulse(HEIGHT * 0.1)
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2  # its width of 0.1 m; measured below
+
+
+@pytest.mark.parametrize(("width", "bound"), [(1e-5, 1e-5), (1e-8, 2e-4)])  # times round to 1e-13 s
+def test_a_pulse_of_time_that_samples_miss_is_integrated(width, bound):
+    t, x = SX.sym("t"), SX.sym("x")
+    ode = ca.exp(-(((t - 500.3) / width) ** 2)) / width
+    dae = cosim.from_casadi({"t": t, "x": x, "ode": ode}, stop_time=1000, output_interval=20)
+    run = cosim.simulate(dae, solver="dop853")
+    assert abs(run["x"][-1] - np.sqrt(np.pi)) < bound
+
+
+def test_two_bumps_in_one_step_are_both_seen():
+    places = (50.3, 50.5)
+
+    def road(s):
+        return sum(HEIGHT * ca.exp(-(((s - place) / 1e-3) ** 2)) for place in places)
+
+    run = cosim.simulate(on_road(road, output_interval=0.5), solver="dop853")
+    right = sum(after_an_impulse(HEIGHT * 1e-3 * np.sqrt(np.pi), place) for place in places)
+    assert abs(run["x_2"][-1] / right - 1) < 1e-4
+
+
+@pytest.mark.parametrize(("place", "share"), [(0.0, 0.5), (69.9, 1.0)])
+def test_bumps_at_the_start_and_near_the_end_are_seen(place, share):
+    dae = on_road(lambda s: HEIGHT * ca.exp(-(((s - place) / 1e-2) ** 2)), output_interval=0.5)
+    run = cosim.simulate(dae, solver="dop853")
+    right = share * after_an_impulse(HEIGHT * 1e-2 * np.sqrt(np.pi), place)
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2
+
+
+def test_a_bump_within_a_mode_that_begins_at_an_event_is_seen():
+    model = cosim.Model("gate", stop_time=7.0, output_interval=0.5)
+    s, v = model.state("s", "m", 0.0, "way"), model.state("v", "1", 0.0, "effect")
+    model.derivative(s, SPEED)
+    bump = ca.exp(-(((s - PLACE) / 1e-3) ** 2))
+    model.derivative(v, ca.if_else(s > 30, 1e3 * bump, 0))
+    run = cosim.simulate(model.freeze(), solver="dop853")
+    assert abs(run["v"][-1] / (np.sqrt(np.pi) / SPEED) - 1) < 1e-5
+
+
+def test_a_term_that_every_step_sees_changes_no_bit():
+    x, v = SX.sym("x"), SX.sym("v")
+    ode = ca.vertcat(v, -9 * x - 0.3 * ca.tanh(v / 0.1))
+    dae = cosim.from_casadi({"x": ca.vertcat(x, v), "ode": ode}, stop_time=2, output_interval=0.1)
+    start = {"x": 0.4}
+    plain = cosim.simulate(dae, solver="dop853", start_values=start)
+    closer = cosim.simulate(dae, solver="dop853", start_values=start, output_interval=0.01)
+    assert plain.stats["steps"] == closer.stats["steps"]
+    assert not plain.stats.get("note")
