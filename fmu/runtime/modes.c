@@ -185,10 +185,8 @@ Status look_now(Instance *self, Seen *seen) {
 Status complete_step(Instance *self, Status severity) {
     Switching *s = &self->state.switching;
     const Laws laws = laws_of(self);
-    const Point at = present(self);
     const bool any = any_leaves(s) || is_sliding(s);
     Seen seen;
-    note_slack(&laws, s, &at);
     const Status status = any ? look_now(self, &seen) : OK;
     if (!any || status != OK) return status;
     note_inside(&laws, s, self->state.values + FIRST_MODE, seen.arguments);
