@@ -77,6 +77,17 @@ def test_bumps_at_the_start_and_near_the_end_are_seen(place, share):
     assert abs(run["x_2"][-1] / right - 1) < 1e-2
 
 
+def test_a_bump_on_the_way_there_and_back_is_seen_without_output_times():
+    x, v, y = SX.sym("x"), SX.sym("v"), SX.sym("y")
+    bump = ca.exp(-(((x - 0.5) / 1e-4) ** 2)) / 1e-4
+    ode = ca.vertcat(v, -x, bump)
+    states = {"x": ca.vertcat(x, v, y), "ode": ode}
+    dae = cosim.from_casadi(states, {"v": 1.0}, stop_time=2 * np.pi)
+    run = cosim.simulate(dae, solver="dop853", output_interval=2 * np.pi)
+    right = 2 * np.sqrt(np.pi) / np.sqrt(1 - 0.5**2)  # twice, at a speed of cos(asin(1/2))
+    assert abs(run["y"][-1] / right - 1) < 1e-5
+
+
 def test_a_bump_within_a_mode_that_begins_at_an_event_is_seen():
     model = cosim.Model("gate", stop_time=7.0, output_interval=0.5)
     s, v = model.state("s", "m", 0.0, "way"), model.state("v", "1", 0.0, "effect")

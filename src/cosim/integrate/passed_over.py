@@ -34,7 +34,7 @@ _FLAT = 1e-3  # change of a resting term in a part, as a share of its range
 _BEYOND = 0.05  # of a way, by which rows may miss its ends
 _MOST_CELLS, _DEEPEST = 4_000, 50  # parts of a way; halvings of them
 _SAMPLES = 64  # of a cell, of a term without bounds
-_ROWS = 8  # per average step, of a motion whose places are sought
+_ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
 _INNER = 64  # intervals of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 1_000
@@ -101,10 +101,13 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
     """
     plain = attempt(grid, np.empty(0))
     every = [] if plain.reason or len(plain.time) < 2 else _terms_of(plain.dae)
-    steps = max(plain.counts.steps or 0, 1)
-    if not any(_bends(terms, plain, p, steps) for terms in every):
-        return plain
+    steps = min(max(plain.counts.steps or 0, 1), _MOST_STEPS)
     rows, ends, places = _dense(grid, steps), np.empty(0), list[Place]()
+    motion = plain
+    if every and len(plain.time) < 2 * steps:
+        motion = attempt(np.union1d(grid, rows), ends)  # rows show too little of the motion
+    if not any(_bends(terms, motion, p, steps) for terms in every):
+        return plain
     for _ in range(_MOST_ROUNDS):
         motion = attempt(np.union1d(grid, rows), ends)
         passed = [place for place in places if _is_passed(motion, place, p, tolerance)]
