@@ -62,6 +62,7 @@ def ends_well(request, tmp_path, monkeypatch, capfd, counts):
         temporary.mkdir()
         monkeypatch.chdir(place)
         monkeypatch.setenv("TMPDIR", str(temporary))
+        monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # else Python writes beside own.py
         monkeypatch.setattr(tempfile, "tempdir", str(temporary))
         if row.prepare:
             row.prepare(place)

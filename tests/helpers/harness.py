@@ -75,7 +75,7 @@ def compile_objects(model: Path, version: int, flags: Sequence[str], folder: Pat
     objects = []
     for source in [model / "model.c", *(folder / f"{name}.c" for name in parts)]:
         target = folder / f"{source.stem}.o"
-        strict = STRICT if source.parent == folder else ["-std=c11"]
+        strict = ["-std=c11"] if source.name == "model.c" else STRICT
         if not target.exists():
             run([compiler(), *strict, *flags, *include, "-c", source, "-o", target])
         objects.append(target)

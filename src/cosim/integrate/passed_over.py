@@ -178,7 +178,7 @@ def _moving(terms: _Terms, term: int, edges: Vector, p: Vector) -> list[tuple[fl
     """Return parts of cells in which a term is no line, and changes there."""
 
     def values(at: Vector) -> Vector:
-        return np.asarray(np.array(terms.values(at[None], p))[term])
+        return np.asarray(np.array(terms.values(at[None], p))[term, : len(at)])  # of none: one
 
     ends = values(edges)
     low, high = np.nanmin(ends), np.nanmax(ends)

@@ -62,5 +62,5 @@ def test_value_that_the_type_does_not_have_is_rejected_with_the_type(kind, value
 
 @pytest.mark.parametrize("kind", ["Real", "Float32", "Integer", "UInt64"])
 def test_word_for_a_number_is_rejected_with_the_remedy(kind):
-    with pytest.raises(ParameterError, match="u = fast: give a number in the FMU's own unit"):
+    with pytest.raises(ParameterError, match="u = 'fast' is not a real number; give a number"):
         value_of(kind, "fast")

@@ -41,7 +41,8 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
         raise ParameterError(f"{owner}: {name} = {value} is no item of it; give one of {allowed}")
     if isinstance(value, str):
         raise ParameterError(
-            f"{owner}: {name} = {value}: give a number in the FMU's own unit, and no unit"
+            f"{owner}: {name} = {value!r} is not a real number; give a number in the FMU's own "
+            "unit, and no unit"
         )
     if kind in _RANGES:
         low, high = _RANGES[kind]
