@@ -37,7 +37,7 @@ _SAMPLES = 64  # of a cell, of a term without bounds
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
 _INNER = 64  # intervals of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
-_MOST_ROUNDS, _MOST_PLACES = 20, 1_000
+_MOST_ROUNDS, _MOST_PLACES = 20, 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +110,15 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         return plain
     for _ in range(_MOST_ROUNDS):
         motion = attempt(np.union1d(grid, rows), ends)
-        passed = [place for place in places if _is_passed(motion, place, p, tolerance)]
-        new = [
+        least = _EFFECT * tolerance * _sizes(motion)
+        passed = [place for place in places if _is_passed(motion, place, p, least)]
+        found = [
             place
             for terms in every
             for term, low, high in _bends(terms, motion, p, steps)
             for place in _places(motion, terms, term, low, high)
-            if not any(place.begin < old.end and old.begin < place.end for old in places)
         ]
+        new = _apart(found, places)
         if motion.reason or not (passed or new):
             break
         places += new
@@ -126,11 +127,22 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
             break
         rows = _inside(grid, [rows, *(place.times for place in new)])
         ends = _inside(grid, [ends, *(_divided(motion, place, ends, p) for place in passed)])
-    found = attempt(grid, ends) if len(ends) else plain
+    motion = attempt(grid, ends) if len(ends) else plain
     if not passed:
-        return found
+        return motion
     text = f"steps may pass over a change of {_name(plain.dae, passed[0])}; set max_step"
-    return replace(found, note=text)
+    return replace(motion, note=text)
+
+
+def _sizes(motion: Motion) -> Vector:
+    own = own_sizes(motion.dae, motion.states[:, 0])
+    return np.asarray(np.maximum(own, np.abs(motion.states).max(axis=1)))
+
+
+def _apart(found: list[Place], known: list[Place]) -> list[Place]:
+    """Return the places that overlap none of those that are known."""
+    begins, ends = (np.array([place[i] for place in known]) for i in (0, 1))
+    return [p for p in found if not ((begins < p.end) & (p.begin < ends)).any()]
 
 
 def _name(dae: Dae, place: Place) -> str:
@@ -231,14 +243,21 @@ def _places(motion: Motion, terms: _Terms, term: int, low: float, high: float) -
     return [place for place in found if place.begin < place.end]
 
 
-def _is_passed(motion: Motion, place: Place, p: Vector, tolerance: float) -> bool:
-    """Return whether the states in a place do not change as the integral of their rates tells."""
+def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
+    """Return whether the states in a place do not change as the integral of their rates tells.
+
+    Args:
+        motion: With rows at the times of the place.
+        place: The place.
+        p: Parameters.
+        least: Differences of the states that matter, (nx,).
+    """
     times = place.times
+    first, last = np.searchsorted(motion.time, times[[0, -1]])
+    rows = first + np.flatnonzero(np.isin(motion.time[first : last + 1], times))
     bounds = [-np.inf, *(before.t for before, _ in motion.instants), np.inf]
-    x0 = motion.states[:, 0]
-    size = np.maximum(own_sizes(motion.dae, x0), np.abs(motion.states).max(axis=1))
     for after, until in pairwise(bounds):
-        at = np.flatnonzero(np.isin(motion.time, times[(after < times) & (times < until)]))
+        at = rows[(after < motion.time[rows]) & (motion.time[rows] < until)]
         at = at[: (len(at) - 1) // 4 * 4 + 1]
         if len(at) < 5:
             continue
@@ -248,7 +267,7 @@ def _is_passed(motion: Motion, place: Place, p: Vector, tolerance: float) -> boo
         h = (t[-1] - t[0]) / (len(t) - 1)
         fine, coarse = _simpson(rates, h), _simpson(rates[:, ::2], 2 * h)
         off = np.abs(x[:, -1] - x[:, 0] - fine)
-        if (off > np.maximum(_EFFECT * tolerance * size, _CERTAIN * np.abs(fine - coarse))).any():
+        if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
 
