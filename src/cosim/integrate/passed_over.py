@@ -193,6 +193,8 @@ def _moving(terms: _Terms, term: int, edges: Vector, p: Vector) -> list[tuple[fl
         return np.asarray(np.array(terms.values(at[None], p))[term, : len(at)])  # of none: one
 
     ends = values(edges)
+    if not np.isfinite(ends).any():
+        return []
     low, high = np.nanmin(ends), np.nanmax(ends)
     begins, widths, leaves = edges[:-1], np.diff(edges), list[tuple[Vector, Vector]]()
     if not terms.bounded[term]:

@@ -236,7 +236,10 @@ def _sizes(first: Trajectory, second: Trajectory) -> Vector:
     for run in (first, second):
         own &= np.array([column.nominal == NOT_GIVEN for column in run.columns])
     largest = np.maximum(*(np.nan_to_num(np.abs(r.values)).max(axis=0) for r in (first, second)))
-    zero = Tolerance(first.stats.get("relative_tolerance") or Tolerance.relative).pair[1]
+    relative, zero = Tolerance(first.stats.get("relative_tolerance") or Tolerance.relative).pair
+    # what the other states make of a state that is 0 by symmetry is no smaller than their errors
+    states = np.array([column.is_state for column in first.columns])
+    zero = max(zero, relative * largest[states].max(initial=0.0))
     return np.where(own & (largest > zero), np.minimum(largest, sizes), sizes)
 
 
