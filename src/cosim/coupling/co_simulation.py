@@ -208,7 +208,7 @@ class CoSimulation:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
         settings = task.settings
         accuracy = settings.accuracy or _ACCURACY
-        last, steps, ratio = None, 0, 1.0
+        last, steps, ratio, before = None, 0, 1.0, 0.0
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         tolerance = first = max((_SMOOTH if smooth else _OTHERS) * accuracy, 2 * _TIGHTEST)
@@ -232,9 +232,12 @@ class CoSimulation:
                 sizes = np.array([column.nominal for column in run.columns])
                 n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
                 change = np.abs(run.values[:n] - last.values[:n]).max(axis=0) / sizes
+                most = float(change.max())
                 # the error falls like the tolerance; less than that is on the safe side
                 falls = min(ratio, 0.8) ** _FALLS if smooth and not run.events else 0.5
-                estimate = float(change.max()) * falls / (1 - falls) + of_parts
+                if most > accuracy:  # the order counts if it has been observed
+                    falls = max(falls, min(most / before, 0.5) if before else 0.5)
+                estimate, before = most * falls / (1 - falls) + of_parts, most
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
