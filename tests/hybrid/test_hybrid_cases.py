@@ -13,15 +13,19 @@ CHEAP = ("cvodes", "idas")  # whose models compile within 1 s
 
 
 def rows():
-    """Return all cases on all engines; quick is every other case on a cheap one or one in turn."""
+    """Return all cases on all engines: every other case on a cheap one or one in turn is quick.
+
+    Of the other rows, every third engine in turn is slow, and the rest nightly.
+    """
     found = []
     for i, (name, case) in enumerate(CASES.items()):
         engines = engines_of(case, ENGINES)
         cheap = [engine for engine in engines if engine in CHEAP]
         of = engines if i % 8 == 1 else cheap
         quick = of[i // 8 % len(of)] if i % 2 else None
-        for engine in engines:
-            marks = [] if engine == quick else [pytest.mark.slow]
+        for k, engine in enumerate(engines):
+            rest = pytest.mark.slow if (i + k) % 3 == 0 else pytest.mark.nightly
+            marks = [] if engine == quick else [rest]
             found.append(pytest.param(name, engine, marks=marks))
     return found
 
