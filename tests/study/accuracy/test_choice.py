@@ -87,8 +87,9 @@ def test_estimate_is_the_error_of_the_configuration_that_was_chosen(dae, accurac
     run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
     again = simulate(dae, start_values=OTHER, outputs=["x"], **chosen(run))
     assert error(again) <= accuracy
+    size = min(1.0, np.abs(again["x"]).max())  # of a small state without a nominal value
     # as far as the run that checks it is right: measured 0.003
-    assert run.stats["error_estimate"] == pytest.approx(error(again), abs=0.03 * accuracy)
+    assert run.stats["error_estimate"] == pytest.approx(error(again) / size, abs=0.03 * accuracy)
     assert run.stats["error_estimate_of"] == "x"
 
 
@@ -293,6 +294,7 @@ def pushed(t, length):
 def no_pulse_is_looked_for(monkeypatch):
     """Let solvers step over thin pulses of time: the check must notice by itself."""
     monkeypatch.setattr(events, "pulse_times", lambda *_: np.empty(0))
+    monkeypatch.setattr(events, "attentive", lambda attempt, grid, *_: attempt(grid, np.empty(0)))
 
 
 @pytest.mark.parametrize("length", [0.004, 0.0005])
@@ -316,10 +318,10 @@ def assert_swings(run, length):
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
 @pytest.mark.parametrize("goal", [{"accuracy": 1e-4}, {"budget": 1.0}])
 def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
+    """Which runs are compared depends on measured times: one of them may have met the push."""
     inputs = {"force": lambda t: pushed(t, 0.001)}
-    with pytest.raises(
-        SolverError, match=r"agree exactly, but may have missed .* from 50.000\d+ s on"
-    ):
+    missed = r"agree exactly, but may have missed .* from 50.000\d+ s on"
+    with pytest.raises(SolverError, match=rf"{missed}|is not reached: .* are 1.0e\+00 nominal"):
         simulate(resting_spring(), inputs=inputs, **goal)
 
 
