@@ -165,8 +165,7 @@ class CoSimulation:
             self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback, without)
             self._open.callback(opened.close)
         self._inputs = [wire.input for wire in wires]
-        sources_of_inputs = [wire.output for wire in wires]
-        self._wiring = Wiring(self.parts, self._inputs, sources_of_inputs, is_model)
+        self._wiring = Wiring(self.parts, self._inputs, [w.output for w in wires], is_model)
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
         self._factor = np.array([wire.factor for wire in wires])
         self._offset = np.array([wire.offset for wire in wires])
