@@ -140,6 +140,7 @@ def compare(
     bound: float = 1e-6,
     without: Collection[str] = (),
     resample: bool = True,
+    by_nominal: bool = False,
 ) -> Comparison:
     """Compare the variables that two runs have in common.
 
@@ -150,13 +151,15 @@ def compare(
     a millionth of the span, may hold the values before or after it.
 
     Differences are divided by nominal values. A state without one that stays below 1 SI unit is
-    compared with its own largest value, unless its error control cannot tell that from 0.
+    compared with its own largest value, unless its error control cannot tell that from 0, or
+    `by_nominal` is true.
 
     Args:
         first, second: Two runs; the nominal values are those of the first.
         bound: Largest scaled difference that counts as agreement (1).
         without: Names to leave out.
         resample: Whether runs with different output times are compared; else they are rejected.
+        by_nominal: Whether all differences are divided by nominal values, as accuracies are given.
 
     Raises:
         ParameterError: The bound is not a positive number.
@@ -201,7 +204,7 @@ def compare(
     if gaps.all(axis=0).any():
         name = names[int(np.argmax(gaps.all(axis=0)))]
         raise UsageError(f"{name} has no measured value there; leave it out: without=['{name}']")
-    sizes = _sizes(first, second)
+    sizes = _nominals(first) if by_nominal else _sizes(first, second)
     scaled = np.abs(values) / sizes
     scaled = np.where(gaps, 0.0, np.where(np.isnan(scaled), np.inf, scaled))  # NaN never agrees
     differences = []
@@ -229,16 +232,20 @@ def _difference(first: Trajectory, second: Trajectory) -> Vector:
     return values
 
 
+def _nominals(run: Trajectory) -> Vector:
+    return np.array([column.nominal for column in run.columns])
+
+
 def _sizes(first: Trajectory, second: Trajectory) -> Vector:
     """Return what differences are divided by: nominal values, or how large small states become."""
-    sizes = np.array([column.nominal for column in first.columns])
-    own = np.array([c.is_state and c.nominal == NOT_GIVEN for c in first.columns])
+    sizes = _nominals(first)
+    states = np.array([column.is_state for column in first.columns])
+    own = states.copy()
     for run in (first, second):
-        own &= np.array([column.nominal == NOT_GIVEN for column in run.columns])
+        own &= _nominals(run) == NOT_GIVEN
     largest = np.maximum(*(np.nan_to_num(np.abs(r.values)).max(axis=0) for r in (first, second)))
     relative, zero = Tolerance(first.stats.get("relative_tolerance") or Tolerance.relative).pair
     # what the other states make of a state that is 0 by symmetry is no smaller than their errors
-    states = np.array([column.is_state for column in first.columns])
     zero = max(zero, relative * largest[states].max(initial=0.0))
     return np.where(own & (largest > zero), np.minimum(largest, sizes), sizes)
 

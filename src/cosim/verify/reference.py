@@ -181,7 +181,8 @@ def _best_pair(runs: Sequence[tuple[Solver, str, Trajectory]], key: str) -> Refe
         if solver.name == other.name:
             continue
         least = rounding_errors(run)
-        apart = {d.name: max(d.scaled, least[d.name]) for d in compare(run, again).differences}
+        differences = compare(run, again, by_nominal=True).differences
+        apart = {d.name: max(d.scaled, least[d.name]) for d in differences}
         found = Reference(run, label, other_label, apart, key)
         if best is None or found.error() < best.error():
             best = found

@@ -87,9 +87,8 @@ def test_estimate_is_the_error_of_the_configuration_that_was_chosen(dae, accurac
     run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
     again = simulate(dae, start_values=OTHER, outputs=["x"], **chosen(run))
     assert error(again) <= accuracy
-    size = min(1.0, np.abs(again["x"]).max())  # of a small state without a nominal value
     # as far as the run that checks it is right: measured 0.003
-    assert run.stats["error_estimate"] == pytest.approx(error(again) / size, abs=0.03 * accuracy)
+    assert run.stats["error_estimate"] == pytest.approx(error(again), abs=0.03 * accuracy)
     assert run.stats["error_estimate_of"] == "x"
 
 
@@ -318,10 +317,10 @@ def assert_swings(run, length):
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
 @pytest.mark.parametrize("goal", [{"accuracy": 1e-4}, {"budget": 1.0}])
 def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
-    """Which runs are compared depends on measured times: one of them may have met the push."""
     inputs = {"force": lambda t: pushed(t, 0.001)}
-    missed = r"agree exactly, but may have missed .* from 50.000\d+ s on"
-    with pytest.raises(SolverError, match=rf"{missed}|is not reached: .* are 1.0e\+00 nominal"):
+    with pytest.raises(
+        SolverError, match=r"agree exactly, but may have missed .* from 50.000\d+ s on"
+    ):
         simulate(resting_spring(), inputs=inputs, **goal)
 
 

@@ -142,7 +142,8 @@ def _run(request: RunRequest, solver: str, tolerance: float, best: Reference) ->
         found = run(request)
     except CosimError:
         return None
-    differences = compare(best.run.select(request.outputs or ()), found).differences
+    outputs = best.run.select(request.outputs or ())
+    differences = compare(outputs, found, by_nominal=True).differences
     errors = {d.name: max(d.scaled, best.errors[d.name]) for d in differences}
     calls = int(found.stats.get("rhs_calls", 0))
     share, more = _TYPICAL.get(solver, _OTHERS)

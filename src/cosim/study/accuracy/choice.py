@@ -64,7 +64,7 @@ class Pair:
     @property
     def worst(self) -> Difference:
         """The largest difference of the two runs."""
-        return compare(self.first.run, self.second.run).worst
+        return compare(self.first.run, self.second.run, by_nominal=True).worst
 
     @property
     def better(self) -> CandidateRun:

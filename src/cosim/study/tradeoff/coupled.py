@@ -62,7 +62,7 @@ def coupled_tradeoff(
             rows.append(row | {"status": f"it ends at {ends}"})
             continue
         shared = [name for name in runs[-1].names if name in truth.names]
-        worst = compare(truth.select(shared), runs[-1]).worst
+        worst = compare(truth.select(shared), runs[-1], by_nominal=True).worst
         row |= {key: stats[key] for key in ("macro_steps", "iterations")}
         row |= {"error": worst.scaled, "worst": worst.name, "status": "complete"}
         row["part_steps"] = max(stats["part_steps"].values())

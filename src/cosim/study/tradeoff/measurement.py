@@ -139,7 +139,7 @@ def measurement_of(
 ) -> Measurement:
     """Compare a run with the reference at the output times that both have."""
     truth = at_times(reference.run, run)
-    differences = compare(truth.select(outputs), run).differences
+    differences = compare(truth.select(outputs), run, by_nominal=True).differences
     drifts = {
         name: float(np.ptp(run[name])) / truth.column(name).nominal
         for name in invariants
