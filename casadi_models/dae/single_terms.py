@@ -1,6 +1,7 @@
-"""`single_terms`: parts of equations that time or one state, and parameters, alone determine."""
+"""`single_terms`, `time_terms`: parts of equations that one moving quantity alone determines."""
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import casadi as ca
 from casadi import SX
@@ -16,6 +17,22 @@ _LOCAL = {  # what may change within a small part of its argument's way, and res
 _NONE, _MANY = -1, -2  # in place of the position of what a node depends on
 
 
+class _Node(NamedTuple):
+    """A node of an expression.
+
+    Attributes:
+        value: The expression.
+        moving: The position of the only quantity that moves it, `_NONE` or `_MANY`.
+        terms: The terms of which it is the sum, if one quantity moves it.
+        is_local: Whether it may change within a small part of the quantity's way.
+    """
+
+    value: SX
+    moving: int
+    terms: tuple["_Node", ...]
+    is_local: bool
+
+
 def single_terms(dae: Dae) -> dict[int, SX]:
     """Return the terms that depend on time or a single state, and may rest and change on its way.
 
@@ -26,57 +43,96 @@ def single_terms(dae: Dae) -> dict[int, SX]:
         Expressions of a state and `dae.p` by the position of the state, (n, 1) each; those of
         time by the position after all states.
     """
-    known = {symbol.element_hash(): i for i, symbol in enumerate(_elements(dae.x))}
-    known[dae.t.element_hash()] = dae.x.numel()
-    known |= {symbol.element_hash(): _NONE for symbol in _elements(dae.p)}
-    of = dict[int, int]()  # by hash of a node: a position, none, or many
-    terms = dict[int, list[SX]]()
-    local = dict[int, bool]()
-    found = dict[int, dict[int, SX]]()
+    found = dict[int, list[SX]]()
+    for term in _terms(dae, through_calls=True):
+        if term.is_local:
+            found.setdefault(term.moving, []).append(term.value)
+    return {i: ca.densify(ca.vertcat(*group)) for i, group in sorted(found.items())}
 
-    def note(node: SX) -> None:
-        for term in terms[node.element_hash()]:
-            if local[term.element_hash()]:
-                found.setdefault(of[term.element_hash()], {})[term.element_hash()] = term
 
+def time_terms(dae: Dae) -> SX:
+    """Return the terms of dx/dt and of the algebraic equations that depend on time alone.
+
+    These are the largest such subexpressions, except that a sum is split into its terms. Terms that
+    are linear in time, and functions that are called, are left out.
+
+    Returns:
+        Expressions of `dae.t` and `dae.p`, (n, 1).
+    """
+    if not ca.depends_on(ca.vertcat(dae.ode, dae.alg), dae.t):
+        return SX(0, 1)
+    time = dae.x.numel()
+    own = [term.value for term in _terms(dae, through_calls=False) if term.moving == time]
+    bent = [term for term in own if ca.depends_on(ca.jtimes(term, dae.t, 1), dae.t)]
+    return ca.densify(ca.cse(ca.vertcat(SX(0, 1), *bent)))
+
+
+def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
+    """Return the largest terms that one quantity alone moves, each once.
+
+    Args:
+        dae: The equations.
+        through_calls: Whether a function that is called may be in a term.
+    """
+    moving = {symbol.element_hash(): i for i, symbol in enumerate(_elements(dae.x))}
+    moving[dae.t.element_hash()] = dae.x.numel()
+    moving |= {symbol.element_hash(): _NONE for symbol in _elements(dae.p)}
     roots = [*_elements(dae.ode), *_elements(dae.alg)]
-    for node in _nodes(roots):
-        key = node.element_hash()
-        given = [node.dep(i) for i in range(node.n_dep())]
-        keys = [operand.element_hash() for operand in given]
-        movers = {of[k] for k in keys} - {_NONE}
-        if not given:
-            of[key] = _NONE if node.is_constant() else known.get(key, _MANY)
+    nodes, found = dict[int, _Node](), dict[int, _Node]()
+    for key, value, keys in _postorder(roots):
+        operands = [nodes[k] for k in keys]
+        if operands:
+            nodes[key] = _combined(value, operands, through_calls=through_calls)
         else:
-            of[key] = _NONE if not movers else movers.pop() if len(movers) == 1 else _MANY
-        divides = node.op() != ca.OP_DIV or of[keys[-1]] != _NONE
-        local[key] = any(local[k] for k in keys)
-        local[key] |= of[key] >= 0 and bool(given) and node.op() in _LOCAL and divides
-        own = [term for k in keys for term in terms[k]]
-        terms[key] = own if given and node.op() in _SUMS else [node]
-        terms[key] = terms[key] if of[key] >= 0 else []
-        if of[key] == _MANY:
-            for operand in given:
-                note(operand)
-    for root in roots:
-        note(root)
-    return {i: ca.densify(ca.vertcat(*group.values())) for i, group in sorted(found.items())}
+            constant = _NONE if value.is_constant() else _MANY
+            nodes[key] = _leaf(value, moving.get(key, constant))
+        if nodes[key].moving == _MANY:
+            found |= {_key(term): term for operand in operands for term in operand.terms}
+    found |= {_key(term): term for root in roots for term in nodes[root.element_hash()].terms}
+    return list(found.values())
+
+
+def _key(node: _Node) -> int:
+    key: int = node.value.element_hash()
+    return key
+
+
+def _leaf(value: SX, moving: int) -> _Node:
+    node = _Node(value, moving, (), is_local=False)
+    return node._replace(terms=(node,)) if moving >= 0 else node
+
+
+def _combined(value: SX, operands: Sequence[_Node], *, through_calls: bool) -> _Node:
+    """Return the node of an operation."""
+    code, movers = value.op(), {operand.moving for operand in operands} - {_NONE}
+    moving = movers.pop() if len(movers) == 1 else _MANY if movers else _NONE
+    if code == ca.OP_CALL and not through_calls:
+        moving = _MANY
+    if moving < 0:
+        return _Node(value, moving, (), is_local=False)
+    divides = code != ca.OP_DIV or operands[-1].moving == moving
+    is_local = (code in _LOCAL and divides) or any(operand.is_local for operand in operands)
+    node = _Node(value, moving, (), is_local)
+    terms = tuple(term for operand in operands for term in operand.terms)
+    return node._replace(terms=terms if code in _SUMS else (node,))
 
 
 def _elements(column: SX) -> list[SX]:
     return [column[i] for i in range(column.numel())] if column.numel() else []
 
 
-def _nodes(roots: Sequence[SX]) -> Iterator[SX]:
-    """Yield every node of expressions once, operands first."""
+def _postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:
+    """Yield every node of expressions once, after its operands: its hash, itself, their hashes."""
     seen = set[int]()
-    waiting = [(root, False) for root in reversed(roots)]
+    waiting = [(root.element_hash(), root, list[int](), False) for root in reversed(roots)]
     while waiting:
-        node, ready = waiting.pop()
-        key = node.element_hash()
+        key, node, keys, ready = waiting.pop()
         if ready:
-            yield node
+            yield key, node, keys
         elif key not in seen:
             seen.add(key)
-            waiting.append((node, True))
-            waiting += [(node.dep(i), False) for i in range(node.n_dep())]
+            operands = [node.dep(i) for i in range(node.n_dep())]
+            keys = [operand.element_hash() for operand in operands]
+            waiting.append((key, node, keys, True))
+            pairs = zip(keys, operands, strict=True)
+            waiting += [(k, operand, [], False) for k, operand in pairs]

@@ -11,7 +11,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.time_terms import time_terms
+from casadi_models.dae.single_terms import time_terms
 from cosim.arrays import Vector
 from cosim.memo import cached_per_thread
 

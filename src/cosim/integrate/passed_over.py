@@ -102,12 +102,10 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
     plain = attempt(grid, np.empty(0))
     every = [] if plain.reason or len(plain.time) < 2 else _terms_of(plain.dae)
     steps = min(max(plain.counts.steps or 0, 1), _MOST_STEPS)
-    rows, ends, places = _dense(grid, steps), np.empty(0), list[Place]()
-    motion = plain
-    if every and len(plain.time) < 2 * steps:
-        motion = attempt(np.union1d(grid, rows), ends)  # rows show too little of the motion
-    if not any(_bends(terms, motion, p, steps) for terms in every):
+    few = len(plain.time) < 2 * steps  # such rows show too little of the motion
+    if not every or not (few or any(_bends(terms, plain, p, steps) for terms in every)):
         return plain
+    rows, ends, places = _dense(grid, steps), np.empty(0), list[Place]()
     for _ in range(_MOST_ROUNDS):
         motion = attempt(np.union1d(grid, rows), ends)
         least = _EFFECT * tolerance * _sizes(motion)
