@@ -17,6 +17,7 @@ from casadi_models.dae.coupled import Connection
 from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
+from cosim.coupling.estimate import estimated_error
 from cosim.coupling.failures import Wiring, failure
 from cosim.coupling.opened_part import Ability, OpenedPart, explained
 from cosim.coupling.own_steps import own_steps
@@ -34,7 +35,7 @@ _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _SMOOTH, _OTHERS = 1.5, 0.25  # tolerance of the first run, of the accuracy
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
-_FALLS, _TIGHTEST = 0.75, 1e-13
+_TIGHTEST = 1e-13
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
@@ -232,11 +233,9 @@ class CoSimulation:
                 n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
                 change = np.abs(run.values[:n] - last.values[:n]).max(axis=0) / sizes
                 most = float(change.max())
-                # the error falls like the tolerance; less than that is on the safe side
-                falls = min(ratio, 0.8) ** _FALLS if smooth and not run.events else 0.5
-                if most > accuracy:  # the order counts if it has been observed
-                    falls = max(falls, min(most / before, 0.5) if before else 0.5)
-                estimate, before = most * falls / (1 - falls) + of_parts, most
+                ordered = smooth and not run.events
+                estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
+                before = most
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
