@@ -133,9 +133,9 @@ typedef bool FreshStep(void *motion, double t, Place *found);
 
 typedef enum { CROSSES, TOUCHES, FAILS } Located;
 
-/* What rounding makes of a margin at a place. */
-static inline double rounded_off(const Place *place, const double slack[], int i) {
-    return slack[i] + 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
+/* What rounding of the time makes of a margin at a place. */
+static inline double rounding_of_time(const Place *place, int i) {
+    return 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
 }
 
 /* The relation that crosses first, near a place: the one that was found, or one that is beyond. One
@@ -145,8 +145,9 @@ static inline int first_at(const Place *place, const double slack[], int found) 
     int first = found;
     for (int i = 0; i < MODES; ++i) {
         const double rate = place->rates[i], inside = place->inside[i] - slack[i];
-        const bool beyond = inside < 8 * DBL_EPSILON * fabs(place->t) * rate;
-        if (rate >= 0 && place->inside[i] < -rounded_off(place, slack, i)) return i;
+        const double tiny = rounding_of_time(place, i);
+        const bool beyond = inside < -tiny;
+        if (rate >= 0 && place->inside[i] < -(slack[i] + tiny)) return i;
         if (!(rate < 0) || !(i == found || beyond) || !(-inside / rate < least)) continue;
         least = -inside / rate;
         first = i;
@@ -167,7 +168,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const double slack[
         if (!fresh(motion, t, &place)) return FAILS;
         const int i = crossing->relation = first_at(&place, slack, crossing->relation);
         left = place.inside[i] - slack[i];
-        most = rounded_off(&place, slack, i);
+        most = slack[i] + rounding_of_time(&place, i);
         crossing->time = better_time(&bounds, t, left, place.rates[i]);
         if (crossing->time != t) continue;
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;

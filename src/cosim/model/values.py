@@ -15,11 +15,10 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import cached_per_thread
 from cosim.model.start_outputs import reject_twice, solved_starts
-from cosim.series.samples import NOT_GIVEN
+from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
 from cosim.text import shortened
 
 _SMALL = 1e-3  # smaller initial values are their own nominal values
-_ROUNDING = 1e-14  # of the largest initial value, which the smallest ones may be
 A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
 
@@ -259,7 +258,7 @@ def own_sizes(dae: Dae, x0: Vector) -> Vector:
     exact = (v.nominal == NOT_GIVEN and v.start_kind is Start.EXACT for v in dae.states)
     free = np.fromiter(exact, dtype=bool)
     size = np.abs(x0)
-    rounding = _ROUNDING * size.max(axis=-1, keepdims=True, initial=0.0)
+    rounding = ROUNDING_OF_OTHERS * size.max(axis=-1, keepdims=True, initial=0.0)
     declared = np.array([v.nominal for v in dae.states])
     return np.where(free & (rounding < size) & (size < _SMALL), size, declared)
 

@@ -16,7 +16,7 @@ from cosim.text import MOST_LINES, Table, text_table
 OF_ROWS = "min and max of the rows"
 
 NOT_GIVEN = 1.0  # nominal value of a variable for which the model sets none
-_ROUNDING_OF_OTHERS = 1e-14  # relative size of a state that is a rounding error of another
+ROUNDING_OF_OTHERS = 1e-14  # relative size of a state that is a rounding error of another
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def uncontrolled(
     """
     size = np.abs(values)
     peaks = size.max(axis=0, initial=0.0)
-    rounding = _ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
+    rounding = ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
     limits = np.broadcast_to(np.asarray(absolute) / np.sqrt(relative), peaks.shape)
     found = []
     for column, own, peak, limit in zip(columns, values.T, peaks, limits, strict=True):

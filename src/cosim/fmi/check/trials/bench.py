@@ -143,8 +143,9 @@ class Bench:
         with instantiated(self.folder, self.fmpy, kind, self.name) as (instance, _):
             yield Session(self, kind, instance)
 
+    @cached_property
     def has_events(self) -> bool:
-        """Return whether it may have events: what co-simulation alone never denies."""
+        """Whether it may have events: what co-simulation alone never denies."""
         if "ModelExchange" not in self.described.interfaces or self.fmpy.numberOfEventIndicators:
             return True
         with self.session("ModelExchange") as session:

@@ -37,7 +37,7 @@ def initialization(bench: Bench, kind: str) -> Iterator[Finding]:
         raise Skipped("it has no real outputs")
     own = [*bench.reals("output"), *bench.reals("local")]
     held = [v for v in own if v.variability == "discrete" or v.initial == "exact"]
-    held = held if bench.has_events() else []
+    held = held if bench.has_events else []
     with bench.session(kind) as session:
         session.enter()
         try:

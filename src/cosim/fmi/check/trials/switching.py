@@ -142,7 +142,7 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """Co-simulation and model exchange agree over the default experiment, events included."""
     if kind != "CoSimulation" or "ModelExchange" not in bench.described.interfaces:
         raise Skipped("it compares co-simulation with model exchange")
-    if not bench.has_events():
+    if not bench.has_events:
         raise Skipped("it has no events; `motion` compares it")
     every = (v for v in bench.outputs() if v.variability == "continuous")
     runs = _Switching(bench, list(every), monotonic() + _FOR_IT * bench.timeout)
