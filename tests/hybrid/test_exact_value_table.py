@@ -212,16 +212,10 @@ def state_model(group):
     return integrals(model, {"moving": moving, "changed": changed}[group](model))
 
 
-@cache
-def state_run(engine, group):
-    """Return the final values of a group of states."""
-    return attempt(lambda: run_on(engine, state_model(group)).final)
-
-
 @pytest.mark.parametrize("engine", marked(ENGINES))
 @pytest.mark.parametrize("group", GROUPS)
 def test_a_law_of_a_state_switches_where_its_path_does(group, engine):
-    final = state_run(engine, group)
+    final = attempt(lambda: run_on(engine, state_model(group)).final)
     for path in GROUPS[group]:
         judge_laws(f"state/{path}", path, engine, final, STATE_PATHS[path])
 
@@ -310,15 +304,9 @@ def time_model(group):
     return integrals(model, {path: law(model.t) for path, (law, _) in time_paths(group).items()})
 
 
-@cache
-def time_run(engine, group):
-    """Return the final values of a group of arguments of time."""
-    return attempt(lambda: run_on(engine, time_model(group)).final)
-
-
 @pytest.mark.parametrize("engine", marked(ENGINES))
 @pytest.mark.parametrize("group", TIMES)
 def test_a_law_of_time_switches_where_its_path_does(group, engine):
-    final = time_run(engine, group)
+    final = attempt(lambda: run_on(engine, time_model(group)).final)
     for path, (_, right) in time_paths(group).items():
         judge_laws(f"time/{path}", path, engine, final, right)

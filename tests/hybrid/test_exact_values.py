@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
+from helpers.mechanical_cases import opening
 
 import cosim
 from cosim.errors import SolverError
@@ -328,13 +329,7 @@ def test_a_sample_period_that_is_shortened_takes_no_sample_at_once(tmp_path):
 
 def test_a_contact_that_opens_is_not_pulled_back():
     model = cosim.Model("contacts", stop_time=1.0)
-    x = model.state("x", "m", 0.5, "gap")
-    u = [model.state(name, "m/s", start, "speed") for name, start in (("a", -1.0), ("b", 1.0))]
-    model.derivative(x, u[0])
-    for speed in u:
-        model.derivative(speed, 0 * speed)
-    eye = ca.SX.eye(2)
-    cosim.contact.impact(model, x < 0, ca.vertcat(*u), eye, eye, 0.5)
+    opening(model)
     run = cosim.simulate(model.freeze(), solver="dop853")
     assert (run.final["a"], run.final["b"]) == (0.5, 1.0)
 
