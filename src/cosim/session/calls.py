@@ -142,7 +142,7 @@ class StateCalls:
         check: Raises the error of a status.
 
     Attributes:
-        kept: Pointers to the states to free before the instance.
+        saved: Pointers to the states to free before the instance.
         free: The C function for it.
     """
 
@@ -163,7 +163,7 @@ class StateCalls:
         self._state = _POINTER()
         self._size = _SIZE()
         self._length = _SIZE()
-        self.kept = [self._state]
+        self.saved = [self._state]
         self._read_state = _POINTER()
         self._room = ctypes.create_string_buffer(0)
         self._at_state = ctypes.byref(self._state)
@@ -198,28 +198,28 @@ class StateCalls:
         """Save the state in this process; return its number."""
         state = _POINTER()
         self._call(self._take, self._instance, ctypes.byref(state))
-        self.kept.append(state)
-        return len(self.kept) - 1
+        self.saved.append(state)
+        return len(self.saved) - 1
 
     def go_back(self, number: int) -> bool:
         """Set the state of a number; return whether there is one."""
-        if number >= len(self.kept):
+        if number >= len(self.saved):
             return False
-        self._call(self._put, self._instance, self.kept[number])
+        self._call(self._put, self._instance, self.saved[number])
         return True
 
 
-def free_states(instance: Any, free: Callable[..., int], kept: Sequence[Any]) -> None:
+def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:
     """Free saved states, unless nothing of the FMU may be called any more.
 
     Args:
         instance: Of fmpy.
         free: The C function.
-        kept: Pointers to the states.
+        saved: Pointers to the states.
     """
     if getattr(instance, "is_fatal", False):
         return
-    for state in kept:
+    for state in saved:
         if state.value:
             free(_POINTER(instance.component), ctypes.byref(state))
 

@@ -30,7 +30,7 @@ from cosim.session.restart import Experiment, Restart
 from cosim.session.values import Values, inputs_of, plain_value
 from cosim.trajectory import Event
 
-_HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, kept
+_HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, place
 _LARGEST = 64  # resets that are prepared
 _SUM = struct.Struct("<I")
 _MAGIC = b"session1"
@@ -318,7 +318,7 @@ class Session:
         if not self._description.coSimulation.canGetAndSetFMUstate:
             raise FmuError(f"{self.name} cannot save its state; begin again with reset")
         found = StateCalls(self._calls, self._check)
-        self._stack.callback(free_states, self._instance, found.free, found.kept)
+        self._stack.callback(free_states, self._instance, found.free, found.saved)
         return found
 
     def save(self) -> bytes:
@@ -335,14 +335,14 @@ class Session:
             self._require()
         states = self._states
         content = b""
-        kept = 0
+        place = 0
         if self._serializes:
             owner = self._identity
             content = states.save()
         else:
             owner = self._own
-            kept = states.keep()
-        facts = (self._time, self._first, self._length, self._count, kept)
+            place = states.keep()
+        facts = (self._time, self._first, self._length, self._count, place)
         whole = _HEAD.pack(_MAGIC, owner, *facts) + content
         return _SUM.pack(zlib.crc32(whole)) + whole
 
@@ -359,7 +359,7 @@ class Session:
         whole = saved[_SUM.size :]
         if len(whole) < _HEAD.size or _SUM.unpack_from(saved)[0] != zlib.crc32(whole):
             raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
-        magic, owner, *clock, kept = _HEAD.unpack_from(whole)
+        magic, owner, *clock, place = _HEAD.unpack_from(whole)
         expected = self._identity if self._serializes else self._own
         if magic != _MAGIC or owner != expected:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
@@ -367,7 +367,7 @@ class Session:
         if self._serializes:
             self._states.restore(whole[_HEAD.size :])
         else:
-            if not self._states.go_back(kept):
+            if not self._states.go_back(place):
                 raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
         self._time, self._first, self._length, self._count = clock
         self._events.clear()

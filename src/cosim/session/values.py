@@ -16,7 +16,7 @@ from cosim.model.quantities import quantity
 from cosim.model.values import listed
 from cosim.session.calls import WARNING, Group, PreparedCalls
 
-_LARGEST = 64  # lists of variables whose calls are kept
+_LARGEST = 64  # lists of variables whose calls are prepared
 
 
 class Values:
