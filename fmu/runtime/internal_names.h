@@ -140,6 +140,7 @@
 #define time_derivatives INSIDE_NAME(MODEL_PREFIX, time_derivatives)
 #define typical_step INSIDE_NAME(MODEL_PREFIX, typical_step)
 #define variables INSIDE_NAME(MODEL_PREFIX, variables)
+#define violations INSIDE_NAME(MODEL_PREFIX, violations)
 #define watch_rank INSIDE_NAME(MODEL_PREFIX, watch_rank)
 
 #endif

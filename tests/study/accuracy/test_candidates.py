@@ -8,7 +8,6 @@ from helpers.small_models import decay
 
 import cosim
 from cosim.api import simulate
-from cosim.codegen.c_sources import cache_folder
 from cosim.study.accuracy.candidates import TOLERANCES, measured_candidates
 from cosim.study.accuracy.choice import report
 
@@ -25,20 +24,25 @@ def test_predicted_errors_hold_for_the_candidates(dae):
         assert m.error == pytest.approx(error(run, own), rel=0.01, abs=2 * floor)
 
 
-def test_other_values_of_a_scene_need_no_new_candidates():
+@pytest.fixture
+def stored(monkeypatch, tmp_path):
+    """Return the folder of candidates in a cache that no other test writes to."""
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
+    return tmp_path / "candidates"
+
+
+def test_other_values_of_a_scene_need_no_new_candidates(stored):
     small = cosim.requested(decay("candidates_of_decay"), accuracy=1e-6)
-    before = set((cache_folder() / "candidates").glob("*"))
     for rate in (0.5, 0.7, 3.0):
         run = simulate(small, start_values={"rate": rate})
         assert np.abs(run["x"] - np.exp(-rate * run.time)).max() <= 1e-6
-    assert len(set((cache_folder() / "candidates").glob("*")) - before) == 1
+    assert len([*stored.iterdir()]) == 1
 
 
-def test_candidates_are_measured_once_and_again_if_their_file_is_damaged(monkeypatch):
+def test_candidates_are_measured_once_and_again_if_their_file_is_damaged(stored):
     dae = decay("damaged_front")
-    before = set((cache_folder() / "candidates").glob("*"))
     first = measured_candidates(dae, compiled=True)
-    (place,) = set((cache_folder() / "candidates").glob("*")) - before
+    (place,) = stored.iterdir()
     assert measured_candidates(dae, compiled=True) == first
     whole = place.read_bytes()
     place.write_bytes(whole[:-40])
