@@ -2,7 +2,8 @@
 
 Prints medians for the bicycle: 10 ms with one input and two outputs from Python through a session,
 through FMPy's objects, and the time of the C function alone; save and restore; a step of the filter
-of `examples/filter_roll.py` and of the same filter over FMPy's objects.
+of `examples/filter_roll.py` and of the same filter over FMPy's objects; copies in lanes, against
+`simulate_many`.
 """
 
 import statistics
@@ -88,7 +89,34 @@ class OverFmpy:
         return np.array(found)
 
 
+def copies(count: int, rounds: int) -> None:
+    """Print what one call costs for many copies, against the same span of `simulate_many`."""
+    start = {"phi": np.linspace(-0.05, 0.05, count), "speed": 5.0}
+    torque = np.resize([0.3, -0.3], count)
+    many, one, steps = [], [], []
+    with cosim.open("bicycle", copies=count, start_values=start) as bikes:
+        for _ in range(rounds):  # side by side: machines change their speed
+            began = perf_counter()
+            cosim.simulate_many("bicycle", start, output_times=[0.0, 1.0])
+            many.append(perf_counter() - began)
+            bikes.reset()
+            began = perf_counter()
+            bikes.advance(1.0)
+            one.append(perf_counter() - began)
+            bikes.reset()
+            began = perf_counter()
+            for k in range(100):
+                bikes.set(steer_torque=torque * (-1) ** k)
+                bikes.advance(STEP)
+                bikes.get(OUTPUTS)
+            steps.append(perf_counter() - began)
+    best = {"simulate_many, 1 s": many, "one call, 1 s": one, "100 calls with inputs": steps}
+    for name, times in best.items():
+        print(f"{count} copies: {name:24}{1e3 * statistics.median(times):8.2f} ms")
+
+
 def main(samples: int) -> None:
+    copies(1000 if samples > 1000 else 50, 9 if samples > 1000 else 2)
     with cosim.open("bicycle") as bike:
 
         def step() -> None:

@@ -52,10 +52,12 @@ typedef struct {
     long long *next;                           /* run to begin next */
     const volatile int *stop;
     long long stop_outside; /* whether a run ends where it leaves the limits */
+    double *steps;          /* step sizes that runs begin with, 0 for none, and end with; or NULL */
 } Batch;
 
 typedef struct {
     V t, h, c[NC + 1], u[NU + 1], p[NP + 1], nominal[NX], x[NX], end[NX], sum[NX], k[EXTENDED][NX];
+    V planned;        /* steps that the end does not cut off */
     V row[8][NN + 1]; /* of the interpolants, in Hairer's nested form */
     long long run[LANES], next[LANES], trials[LANES], steps[LANES], calls[LANES];
     int rejected[LANES], final[LANES];
@@ -158,6 +160,7 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     report[5] = self->spent[lane];
     report[6] = (double)outside;
     report[7] = limit;
+    if (batch->steps) batch->steps[run] = self->planned[lane];
     self->run[lane] = -1;
     self->h[lane] = 0;
 }
@@ -184,6 +187,7 @@ static int refill(Lanes *self, const Batch *batch) {
             for (int i = 0; i < NU; ++i) self->u[i][l] = batch->u[run * NU + i];
             for (int i = 0; i < NP; ++i) self->p[i][l] = batch->p[run * NP + i];
             self->t[l] = batch->grid[0];
+            self->planned[l] = batch->steps ? batch->steps[run] : 0;
             self->run[l] = run;
             self->next[l] = self->trials[l] = self->steps[l] = 0;
             self->calls[l] = 2;
@@ -203,7 +207,7 @@ static int refill(Lanes *self, const Batch *batch) {
         for (int i = 0; i < NX; ++i) self->k[0][i] = pick(fresh, self->sum[i], self->k[0][i]);
         const double span = batch->grid[batch->points - 1] - batch->grid[0];
         const V first = smaller(first_steps(self, batch, span), every(batch->largest));
-        self->h = pick(fresh, first, self->h);
+        self->h = pick(fresh, pick(self->planned > 0, self->planned, first), self->h);
         int again = 0;
         FOR_LANES if (fresh[l] && (!good[l] || self->next[l] >= batch->points)) {
             if (!good[l]) self->next[l] = 0;
@@ -297,6 +301,7 @@ static void step(Lanes *self, const Batch *batch) {
         else if (!(0.1 * h > fabs(t) * DBL_EPSILON && h >= 1e-18 * span))
             finish(self, batch, l, STEP_TOO_SMALL);
         self->final[l] = t + 1.01 * h >= stop;
+        self->planned[l] = h;
         if (self->final[l] && self->run[l] >= 0) self->h[l] = stop - t;
     }
     stages(self);
@@ -337,6 +342,7 @@ static void step(Lanes *self, const Batch *batch) {
     }
     self->t = pick(good, after, self->t);
     self->h = smaller(self->h * growth, every(batch->largest));
+    self->planned = pick(good, larger(self->planned, self->h), self->h);
     FOR_LANES if (self->run[l] >= 0 && self->next[l] >= batch->points)
         finish(self, batch, l, ENDED);
 }

@@ -43,6 +43,7 @@ from cosim.scene.scene import FigureSpec as FigureSpec
 from cosim.scene.scene import Scene as Scene
 from cosim.scene.scene_file import read_scene as read_scene
 from cosim.series.samples import Column as Column
+from cosim.session.copies import Copies as Copies
 from cosim.session.open import open as open
 from cosim.session.session import Session as Session
 from cosim.study.extremes.campaign import extremes as extremes

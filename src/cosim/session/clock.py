@@ -1,7 +1,42 @@
-"""`target_of`: the time that a call of `advance` reaches."""
+"""`Clock`: the time of a session, and the times that calls of `advance` reach."""
+
+from dataclasses import dataclass
+from math import nan
 
 from cosim.errors import ParameterError, UsageError
 from cosim.model.values import number
+
+
+@dataclass(slots=True)
+class Clock:
+    """The present time, s; equal steps in succession end at first time + n * length.
+
+    Attributes:
+        now: The present time, s.
+        first: Where equal steps have begun, s.
+        length: Of the last step, s; NaN where it was none.
+        count: Number of equal steps.
+    """
+
+    now: float
+    first: float
+    length: float = nan
+    count: int = 0
+
+    def target(self, owner: str, step: float | None, to: float | None) -> float:
+        """Return the time that a call of `advance` is to reach, s; see `target_of`."""
+        if to is None and step == self.length:
+            return self.first + (self.count + 1) * self.length
+        return target_of(owner, self.now, step, to)
+
+    def reach(self, target: float, step: float | None) -> None:
+        """Set the time that such a call has reached, s."""
+        if step == self.length:
+            self.count += 1
+        else:
+            self.first, self.count = self.now, 1
+            self.length = nan if step is None else float(step)
+        self.now = target
 
 
 def target_of(owner: str, now: float, step: float | None, to: float | None) -> float:

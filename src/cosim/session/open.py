@@ -2,29 +2,59 @@
 
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, overload
+
+from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.coupling.system import System
 from cosim.errors import UsageError
 from cosim.fmi.run.instance import Interface
 from cosim.fmi.run.request import FmuRequest
+from cosim.integrate.ensemble.simulate_many import lane_solver
 from cosim.integrate.keywords import requested
+from cosim.integrate.solvers import with_largest_step
 from cosim.model.values import number
+from cosim.session.copies import Copies
+from cosim.session.lane_copies import LaneCopies
 from cosim.session.opened_file import OpenedFile, exported
 from cosim.session.restart import Experiment
 from cosim.session.session import Session
+from cosim.session.single_copies import SingleCopies
 
 
+@overload
 def open(
     model: Dae | System | str | os.PathLike[str],
     *,
+    copies: None = None,
     start_values: Mapping[str, float | str] | None = None,
     start_time: float | None = None,
     stop_time: float | None = None,
     relative_tolerance: float | None = None,
     solver: str | None = None,
-) -> Session:
+) -> Session: ...
+@overload
+def open(
+    model: Dae | System | str | os.PathLike[str],
+    *,
+    copies: int,
+    start_values: Mapping[str, ArrayLike | str] | None = None,
+    start_time: float | None = None,
+    stop_time: float | None = None,
+    relative_tolerance: float | None = None,
+    solver: str | None = None,
+) -> Copies: ...
+def open(
+    model: Dae | System | str | os.PathLike[str],
+    *,
+    copies: int | None = None,
+    start_values: Mapping[str, Any] | None = None,
+    start_time: float | None = None,
+    stop_time: float | None = None,
+    relative_tolerance: float | None = None,
+    solver: str | None = None,
+) -> Session | Copies:
     """Begin a session: a model that stays alive, is advanced step by step, saved and restored.
 
     A model runs as compiled code of its FMU for co-simulation, in this process; the first session
@@ -34,14 +64,17 @@ def open(
     Args:
         model: A `Dae`, the name of a model, "PATH.py:FUNCTION", the file of an FMU for
             co-simulation, or a `System` of models, whose variables are called `part.variable`.
-        start_values: Start values, parameters and constant inputs by name, as in `simulate`.
+        copies: Number of copies that are advanced together, explicit models without events in
+            SIMD lanes and threads; one session when None.
+        start_values: Start values, parameters and constant inputs by name, as in `simulate`; of
+            copies also arrays, (copies,).
         start_time: s; 0, or that of the FMU, when None.
         stop_time: End that the FMU learns, s, and rejects steps beyond it; none when None.
         relative_tolerance: Of the solver in the FMU; that of its default experiment when None.
         solver: Of a model, as in `export_fmu`.
 
     Returns:
-        The session, at the start time; a context manager that closes itself.
+        The session or the copies, at the start time; a context manager that closes itself.
 
     Raises:
         UnknownName, UsageError, ParameterError, InitialConditionError: A name or a value does not
@@ -69,19 +102,29 @@ def open(
                 "or use System.simulate"
             )
         model = model.dae
+    if copies is not None and (type(copies) is not int or copies < 1):
+        raise UsageError.of_type("open: copies", copies, "a positive whole number")
+    times = {"start_time": start_time, "stop_time": stop_time}
+    facts: dict[str, Any] = {**times, "relative_tolerance": relative_tolerance}
+    if stop_time is None and start_time is not None:  # any span that follows
+        facts["stop_time"] = number("open", "start_time", start_time) + 1.0
     if isinstance(model, os.PathLike) or (isinstance(model, str) and model.endswith(".fmu")):
         if solver is not None:
             raise UsageError(f"{model}: an FMU has its own solver; leave solver out")
         file = OpenedFile(model)
         dae = None
     else:
-        dae = requested(model).dae
+        asked = requested(model, **facts)
+        dae = asked.dae
+        lanes = lane_solver(with_largest_step(asked))
+        if copies is not None and lanes is not None and solver in (None, lanes.name):
+            engine = LaneCopies(dae, copies, lanes.tolerance)
+            return Copies(engine, copies, start_values or {}, asked.times.span(dae)[0])
         file = exported(dae, solver)
-    facts: dict[str, Any] = {"start_time": start_time, "stop_time": stop_time}
-    if stop_time is None and start_time is not None:  # any span that follows
-        facts["stop_time"] = number(file.name, "start_time", start_time) + 1.0
-    facts["relative_tolerance"] = relative_tolerance
     request = FmuRequest.of(file.description, Interface.CO_SIMULATION, file.name, **facts)
     stop = None if stop_time is None else request.stop
     experiment = Experiment(request.start, stop, request.tolerance)
-    return Session(file, start_values or {}, experiment, dae)
+    if copies is None:
+        return Session(file, start_values or {}, experiment, dae)
+    sessions = [Session(file, {}, experiment, dae) for _ in range(copies)]
+    return Copies(SingleCopies(sessions), copies, start_values or {}, experiment.startTime)

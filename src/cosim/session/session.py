@@ -6,9 +6,9 @@ import uuid
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import astuple
 from enum import StrEnum
 from functools import cached_property
-from math import nan
 from types import TracebackType
 from typing import Any, NoReturn, Self
 from weakref import finalize
@@ -23,7 +23,7 @@ from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import number, plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
-from cosim.session.clock import target_of
+from cosim.session.clock import Clock
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
@@ -97,7 +97,7 @@ class Session:
         self.close()
 
     def __repr__(self) -> str:
-        return f"session of {self.name} at {self._time:.12g} s, {self._phase}"
+        return f"session of {self.name} at {self._clock.now:.12g} s, {self._phase}"
 
     def close(self) -> None:
         """Free the model; nothing but `close` may be called afterwards."""
@@ -128,8 +128,7 @@ class Session:
             raise self._explained(error) from error
         finally:
             self._used = True
-        self._time = self._first = experiment.startTime
-        self._length, self._count = nan, 0  # of equal steps in succession
+        self._clock = Clock(experiment.startTime, experiment.startTime)
         self._phase = _Phase.RUNNING
 
     def _renew(self) -> None:
@@ -207,7 +206,7 @@ class Session:
     @property
     def time(self) -> float:
         """The present time, s."""
-        return self._time
+        return self._clock.now
 
     @property
     def stop(self) -> str | None:
@@ -235,19 +234,14 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING:
             self._require()
-        time = self._time
+        clock = self._clock
+        time = clock.now
         log = self._instance.log_texts
         if log:
             log.clear()
-        if to is None and step == self._length:
-            first = self._first
-            count = self._count + 1
-            target = first + count * self._length
-        else:
-            first, count = time, 1
-            target = target_of(self.name, time, step, to)
-            if target == time:
-                return ()
+        target = clock.target(self.name, step, to)
+        if target == time:
+            return ()
         try:
             status, reached, ends = self._calls.step(time, target - time)
         except FmuError as error:
@@ -255,11 +249,10 @@ class Session:
         if status > WARNING:
             self._fail(self._failure(status, "DoStep"))
         if ends:
-            self._phase, self._time = _Phase.ENDED, reached
+            self._phase, clock.now = _Phase.ENDED, reached
             self._reason = why_it_ended(log)
         else:
-            self._time, self._first, self._count = target, first, count
-            self._length = nan if step is None else float(step)
+            clock.reach(target, step)
         if not self._events:
             return ()
         found = tuple(Event(at, name, {}, {}) for at, name in self._events)
@@ -342,7 +335,7 @@ class Session:
         else:
             owner = self._own
             place = states.keep()
-        facts = (self._time, self._first, self._length, self._count, place)
+        facts = (*astuple(self._clock), place)
         whole = _HEAD.pack(_MAGIC, owner, *facts) + content
         return _SUM.pack(zlib.crc32(whole)) + whole
 
@@ -369,7 +362,7 @@ class Session:
         else:
             if not self._states.go_back(place):
                 raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
-        self._time, self._first, self._length, self._count = clock
+        self._clock = Clock(*clock)
         self._events.clear()
         self._phase = _Phase.RUNNING
 
@@ -462,7 +455,7 @@ class Session:
             raise FmuError(f"{self.name}: the session has failed; go on with restore or reset")
         if self._phase is _Phase.ENDED:
             raise FmuError(
-                f"{self.name}: the run has ended at {self._time:.12g} s ({self._reason}); go on "
+                f"{self.name}: the run has ended at {self.time:.12g} s ({self._reason}); go on "
                 "with restore or reset"
             )
 

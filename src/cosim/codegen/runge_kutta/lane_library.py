@@ -36,6 +36,7 @@ class Batch(ctypes.Structure):
         ("largest", ctypes.c_double),
         *((name, _ARRAY) for name in ("out", "report", "next", "stop")),
         ("stop_outside", _LONG),
+        ("steps", _ARRAY),
     )
 
 

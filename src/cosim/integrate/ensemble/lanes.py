@@ -75,6 +75,7 @@ def run_lanes(
     *,
     threads: int,
     stop_outside: bool,
+    steps: Vector | None = None,
 ) -> tuple[Vector, NDArray[np.void], float]:
     """Integrate every run over a grid of output times.
 
@@ -88,6 +89,8 @@ def run_lanes(
         limits: Relative and absolute tolerance (1), and the largest step, s.
         threads: Largest number of threads; results do not depend on it.
         stop_outside: Whether a run ends when a validity condition is violated.
+        steps: Step sizes that runs begin with, s, (runs,), 0 where they are to be found; replaced
+            by those that they would go on with.
 
     Returns:
         The outputs, SI, (runs, times, outputs), NaN after the last valid output time; how each run
@@ -104,6 +107,7 @@ def run_lanes(
         *limits,
         *(array.ctypes.data for array in (values, report, following, stop)),
         int(stop_outside),
+        None if steps is None else steps.ctypes.data,
     )
     failed: list[bool] = []
     begun: list[bool] = []
@@ -167,12 +171,9 @@ def in_lanes(
     possible = lane_starts(library, dae, float(grid[0]), x, *known)
     for i in np.flatnonzero(~possible):
         if int(i) not in reasons:
-            reasons[int(i)] = _why_no_start(dae, float(grid[0]), values, int(i))
+            reasons[int(i)] = why_no_start(dae, float(grid[0]), values, int(i))
     going = np.array([i for i in range(runs) if i not in reasons], dtype=np.int64)
-    declared = tolerance.absolute is not None  # a requested one is of the declared values
-    sizes = own_sizes(dae, np.zeros_like(x) if declared else x)
-    nominal = np.array(2.0 ** np.round(np.log2(sizes)), dtype=float)
-    table = (x, nominal, values.u, values.p)
+    table = (x, nominal_sizes(dae, x, tolerance), values.u, values.p)
     found, ended, solve_time = run_lanes(
         library,
         lanes,
@@ -186,7 +187,7 @@ def in_lanes(
     states = [RunState.REFUSED] * runs
     invalid: dict[int, str] = {}
     for position, number in enumerate(going.tolist()):
-        states[number], reason, outside = _outcome(dae, ended[position], grid)
+        states[number], reason, outside = batch_outcome(dae, ended[position], grid)
         if reason:
             reasons[number] = reason
         if outside and on_invalid is not OnInvalid.IGNORE:
@@ -217,13 +218,26 @@ def in_lanes(
     )
 
 
+def nominal_sizes(dae: Dae, x: Vector, tolerance: Tolerance) -> Vector:
+    """Return what errors of the states are measured by, powers of two, (runs, nx).
+
+    Args:
+        dae: The model.
+        x: Initial values, SI, (runs, nx).
+        tolerance: A requested absolute tolerance is of the declared nominal values.
+    """
+    declared = tolerance.absolute is not None
+    sizes = own_sizes(dae, np.zeros_like(x) if declared else x)
+    return np.array(2.0 ** np.round(np.log2(sizes)), dtype=float)
+
+
 @cached_per_thread(16)
 def _unlimited(dae: Dae) -> Dae:
     """Return the DAE without validity conditions, which are then not computed."""
     return replace(dae, limits=())
 
 
-def _outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, str]:
+def batch_outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, str]:
     """Return how a run in lanes ended, why, and the violated validity condition with its time."""
     code, good, at = (int(report[name]) for name in ("code", "good", "outside"))
     outside = ""
@@ -240,7 +254,8 @@ def _outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, st
     return state, f"stopped after {last}: {CAUSES[code]}{at_time}", outside
 
 
-def _why_no_start(dae: Dae, t: float, values: ManyValues, run: int) -> str:
+def why_no_start(dae: Dae, t: float, values: ManyValues, run: int) -> str:
+    """Return why a run has no initial values that are consistent and within their bounds."""
     try:
         start_values(dae, t, Values(values.x[run], values.p[run], values.u[run]))
     except InitialConditionError as error:

@@ -80,7 +80,7 @@ def simulate_many(
         raise UsageError(f"{request.dae.full_name}: stop_when is for single runs; leave it out")
     columns = {**request.values, **(start_values or {})} if request.values else start_values
     values = assign_many(request.dae, columns)
-    solver = _lane_solver(request)
+    solver = lane_solver(request)
     if solver is not None:
         chosen: Solver = solver
         found = in_lanes(request, values, solver.tolerance, threads or processors(), lanes)
@@ -138,11 +138,11 @@ def values_at(
 
 def runs_in_lanes(request: RunRequest) -> bool:
     """Return whether `simulate_many` runs variants of a request in lanes."""
-    return _lane_solver(request) is not None
+    return lane_solver(request) is not None
 
 
-def _lane_solver(request: RunRequest) -> Dop853 | None:
-    """Return the solver for lanes; None if variants run one by one."""
+def lane_solver(request: RunRequest) -> Dop853 | None:
+    """Return the solver for lanes, with its tolerance; None if variants run one by one."""
     dae, solver, policy = request.dae, request.solver, request.policy
     begin, end = request.times.span(dae)
     explicit = not dae.algebraics and bool(dae.states) and fits_lanes(dae) and hybrid(dae) is None

@@ -1,0 +1,94 @@
+"""`SingleCopies`: copies of a model that are sessions of their own."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Integers, Vector
+from cosim.errors import CosimError, FmuError
+from cosim.session.session import Session
+from cosim.trajectory import Event
+
+
+class SingleCopies:
+    """Copies that are advanced one after the other; see `Engine`.
+
+    Args:
+        sessions: Of the same model.
+    """
+
+    def __init__(self, sessions: Sequence[Session]) -> None:
+        first = sessions[0]
+        self._sessions = sessions
+        self.name, self.inputs, self.outputs = first.name, first.inputs, first.outputs
+        self.states = first.states
+        self.reasons: dict[int, str] = {}
+        self.invalid: dict[int, str] = {}
+        self._failed: set[int] = set()  # copies without values
+
+    def begin(self, values: Mapping[str, Any], time: float, rows: Integers) -> None:
+        """Begin copies again; see `Engine.begin`."""
+        for place, number in enumerate(rows.tolist()):
+            session = self._sessions[number]
+            own = {name: v if np.ndim(v) == 0 else float(v[place]) for name, v in values.items()}
+            try:
+                session.reset(own, start_time=time)
+            except CosimError as error:
+                raise type(error)(f"copy {number}: {error}") from error
+            self.reasons.pop(number, None)
+            self._failed.discard(number)
+
+    def advance(self, time: float, target: float) -> dict[int, tuple[Event, ...]]:
+        """Integrate; see `Engine.advance`."""
+        events = {}
+        for number, session in enumerate(self._sessions):
+            if number in self.reasons:
+                continue
+            try:
+                found = session.advance(to=target)
+            except FmuError as error:
+                self.reasons[number] = str(error)
+                self._failed.add(number)
+                continue
+            if session.stop is not None:
+                self.reasons[number] = f"{session.stop} from {session.time:.12g} s on"
+            if found:
+                events[number] = found
+        return events
+
+    def set(self, values: Mapping[str, Any]) -> None:
+        """Set inputs and tunable parameters; see `Engine.set`."""
+        for number, session in enumerate(self._sessions):
+            if number not in self.reasons:
+                session.set(
+                    {name: v if np.ndim(v) == 0 else float(v[number]) for name, v in values.items()}
+                )
+
+    def get(self, names: tuple[str, ...], time: float) -> Vector:
+        """Return values; see `Engine.get`."""
+        table = np.full((len(names), len(self._sessions)), np.nan)
+        for number, session in enumerate(self._sessions):
+            if number not in self._failed:
+                table[:, number] = session.get(names)
+        return table
+
+    def save(self) -> dict[str, Vector]:
+        """Return the state as arrays, without that of copies whose runs have ended."""
+        saved = [
+            b"" if number in self.reasons else session.save()
+            for number, session in enumerate(self._sessions)
+        ]
+        lengths = np.array([len(content) for content in saved])
+        return {"lengths": lengths, "content": np.frombuffer(b"".join(saved), dtype=np.uint8)}
+
+    def restore(self, arrays: Mapping[str, Vector]) -> None:
+        """Set a saved state; see `Engine.restore`."""
+        ends = np.cumsum(arrays["lengths"])
+        parts = np.split(arrays["content"], ends[:-1])
+        for number, (session, part) in enumerate(zip(self._sessions, parts, strict=True)):
+            if part.size:
+                session.restore(part.tobytes())
+                self._failed.discard(number)
+            else:
+                self._failed.add(number)

@@ -1,0 +1,192 @@
+"""Copies: closed forms, the runs of single sessions, exact values, and every kind of wrong call."""
+
+import numpy as np
+import pytest
+from helpers.event_models import ball, stopping
+from helpers.small_models import decay
+
+import cosim
+from casadi_models.dae import Model
+from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+
+N = 5
+RATES = np.array([0.0, 0.5, 1.0, 2.0, 100.0])
+
+
+def blow_up():
+    """Return x' = x^2 + u: infinite at 1 / x(0) where u is 0."""
+    model = Model("blow_up_of_copies", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "what grows")
+    u = model.input("u", "1/s", 0.0, "push")
+    model.derivative(x, x**2 + u)
+    model.output("twice", "1", 2 * x + u, "output of state and input")
+    model.limit(0.7 - x, "x stays below 0.7")
+    return model.freeze()
+
+
+def both(build):
+    """Return copies in lanes and copies that are sessions."""
+    return [cosim.open(build(), copies=N), cosim.open(build(), copies=N, solver="erk")]
+
+
+def exact(x, force, rate, t):
+    """Return x(t) of x' = force - rate x."""
+    safe = np.where(rate == 0, 1.0, rate)
+    moved = x * np.exp(-rate * t) + force * -np.expm1(-rate * t) / safe
+    return np.where(rate == 0, x + force * t, moved)
+
+
+@pytest.mark.parametrize("solver", [None, "erk"])
+def test_copies_follow_the_closed_form_with_inputs_and_parameters_of_their_own(solver):
+    start = {"rate": RATES, "x": np.arange(N) - 2.0}
+    with cosim.open(decay(), copies=N, start_values=start, solver=solver) as copies:
+        assert len(copies) == N
+        expected, force = start["x"], np.zeros(N)
+        for step in range(6):
+            assert copies.advance(0.1) == {}
+            expected = exact(expected, force, RATES, 0.1)
+            np.testing.assert_allclose(copies["x"], expected, rtol=1e-7, atol=1e-9)
+            np.testing.assert_array_equal(copies.get(["y", "x"])[0], 2 * copies["x"])
+            force = np.linspace(-1, 1, N) * step
+            copies.set([force])
+            np.testing.assert_array_equal(copies["force"], force)
+        copies.set(rate=0.0, force="0 m/s")
+        before = copies["x"]
+        copies.advance(to=5.0)
+        np.testing.assert_allclose(copies["x"], before, rtol=1e-12)
+        assert copies.running.all()
+
+
+def test_an_output_follows_an_input_that_is_set():
+    for copies in both(blow_up):
+        copies.set(u=np.arange(N))
+        np.testing.assert_array_equal(copies["twice"], 2.0 + np.arange(N))
+        assert copies.time == 0.0
+
+
+def test_a_copy_that_fails_disturbs_no_other():
+    start = {"x": [0.0, 0.1, 2.0, -1.0, 0.5]}
+    with cosim.open(blow_up(), copies=N, start_values=start) as copies:
+        copies.advance(to=0.75)
+        np.testing.assert_array_equal(copies.running, [True, True, False, True, True])
+        x = copies["x"]
+        assert np.isnan(x[2])
+        np.testing.assert_allclose(x[[0, 1, 3, 4]], [0, 0.1 / 0.925, -1 / 1.75, 0.8], rtol=1e-7)
+        assert "step size too small" in copies.reasons[2]
+        assert sorted(copies.invalid) == [2, 4]  # copy 2 from its start on
+        assert "x stays below 0.7" in copies.invalid[4]
+        saved = copies.save()
+        copies.reset({"x": 1.0}, only=[2])
+        assert copies.time == 0.75
+        copies.advance(0.5)
+        np.testing.assert_allclose(copies["x"][2], 2.0, rtol=1e-7)
+        copies.restore(saved)
+        assert copies.time == 0.75
+        np.testing.assert_array_equal(copies["x"], x)
+        assert not copies.running[2]
+        copies.reset()
+        np.testing.assert_array_equal(copies["x"], start["x"])
+        assert copies.running.all()
+
+
+@pytest.mark.parametrize("solver", [None, "erk"])
+def test_a_saved_state_leads_to_the_same_bits(solver):
+    start = {"rate": RATES}
+    with cosim.open(decay(), copies=N, start_values=start, solver=solver) as copies:
+        copies.set(force=RATES)
+        copies.advance(0.3)
+        saved = copies.save()
+        copies.advance(0.3)
+        there = copies.get(["x", "y"])
+        copies.set(force=7.0)
+        copies.advance(1.0)
+        copies.restore(saved)
+        copies.set(force=RATES)
+        copies.advance(0.3)
+        np.testing.assert_array_equal(copies.get(["x", "y"]), there)
+
+
+def test_models_with_events_are_sessions_that_go_on_alone():
+    with cosim.open(ball(), copies=3, start_values={"h": [1.0, 0.5, 2.0]}) as balls:
+        events = balls.advance(to=0.5)
+    assert sorted(events) == [0, 1]
+    np.testing.assert_allclose(
+        [events[i][0].time for i in (0, 1)], np.sqrt([2 / 9.81, 1 / 9.81]), rtol=1e-7
+    )
+
+
+def test_a_copy_whose_model_ends_its_run_keeps_its_last_values():
+    with cosim.open(stopping(), copies=2) as copies:
+        while copies.running.any():
+            copies.advance(0.5)
+        assert sorted(copies.reasons) == [0, 1]
+        assert np.isfinite(copies.get()).all()
+
+
+@pytest.mark.slow
+def test_lanes_and_sessions_agree_on_the_bicycle():
+    start = {"speed": "5 m/s", "phi": np.linspace(-0.1, 0.1, 3)}
+    found = []
+    for solver in (None, "rosenbrock"):
+        with cosim.open("bicycle", copies=3, start_values=start, solver=solver) as copies:
+            copies.set(steer_torque=[0.0, 0.1, -0.1])
+            copies.advance(0.3)
+            found.append(copies.get())
+    np.testing.assert_allclose(*found, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        (lambda c: c.set(nothing=1.0), UnknownName, "nothing"),
+        (lambda c: c.set(x=1.0), UsageError, "x cannot be set during a run"),
+        (lambda c: c.set(force=[1.0, 2.0]), ParameterError, "shape"),
+        (lambda c: c.set(force=["a"] * N), ParameterError, "force"),
+        (lambda c: c.set(force=[0, 0, np.nan, 0, 0]), ParameterError, "copy 2"),
+        (lambda c: c.set(np.zeros((2, N))), UsageError, "1 inputs and 5 copies"),
+        (lambda c: c.get(["nothing"]), UnknownName, "nothing"),
+        (lambda c: c.get("x"), UsageError, "list of names"),
+        (lambda c: c.advance(-0.1), ParameterError, "backwards"),
+        (lambda c: c.advance(), UsageError, "give one"),
+        (lambda c: c.reset({"rate": -1.0}), ParameterError, "copy 0"),
+        (lambda c: c.reset({"rate": [1, 1, 1, 1, -1]}), ParameterError, "copy 4"),
+        (lambda c: c.reset({"rate": [1, 2]}), ParameterError, "shape"),
+        (lambda c: c.reset([1.0]), UsageError, "values by name"),
+        (lambda c: c.reset(only=[5]), UsageError, "numbers from 0 to 4"),
+        (lambda c: c.reset(only="one"), UsageError, "numbers from 0 to 4"),
+        (lambda c: c.restore(b""), UsageError, "no saved copies"),
+        (lambda c: c.restore(c.save()[:-30]), UsageError, "no saved copies"),
+        (lambda c: c.restore(1), UsageError, "what save has returned"),
+    ],
+)
+def test_wrong_call_is_refused_and_changes_nothing(call, error, said):
+    with cosim.open(decay(), copies=N, start_values={"rate": RATES}) as copies:
+        copies.advance(0.1)
+        before = copies.get(["x", "force", "rate"])
+        with pytest.raises(error, match=said):
+            call(copies)
+        np.testing.assert_array_equal(copies.get(["x", "force", "rate"]), before)
+        assert copies.time == 0.1
+
+
+def test_saved_copies_of_another_model_or_number_are_refused():
+    with cosim.open(decay(), copies=N) as five, cosim.open(decay(), copies=2) as two:
+        with pytest.raises(UsageError, match="another number"):
+            two.restore(five.save())
+        with cosim.open(blow_up(), copies=N) as other, pytest.raises(UsageError, match="another"):
+            other.restore(five.save())
+
+
+def test_start_values_that_cannot_be_are_named_with_their_copy():
+    with pytest.raises(ParameterError, match="copy 1: "):
+        cosim.open(decay(), copies=2, start_values={"rate": [1.0, -1.0]})
+    with pytest.raises(UsageError, match="positive whole number"):
+        cosim.open(decay(), copies=0)
+
+
+def test_closed_copies_take_no_calls():
+    with cosim.open(decay(), copies=2) as copies:
+        pass
+    with pytest.raises(FmuError, match="closed"):
+        copies.advance(0.1)
+    copies.close()
