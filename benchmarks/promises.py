@@ -9,6 +9,7 @@ Kinds
     relay           a heated room and its relay as two parts
     sampled         a driven oscillator and its sampled controller as two parts
     spring          an oscillator that meets a one-sided spring of the other part
+    play            the same with a stiff spring on both sides and 5 mm between
     foreign         smooth systems whose parts lack rollback, rates or derivatives
 
 References are SciPy at 1e-11 for what is smooth or has kinks, and matrix exponentials with located
@@ -29,15 +30,14 @@ from random import Random
 from time import perf_counter
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.cli.tables import show_table
 from cosim.errors import SolverError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from helpers.coupled_springs import SpringWithGap
 from helpers.linear_hybrid import Every, LinearHybrid, TooManyEvents, When
 from helpers.random_hybrids import ENOUGH, FAMILIES, draw, model_of
 from helpers.random_systems import SPAN, RandomSystem
@@ -181,36 +181,10 @@ def _sampled(seed: int) -> Case | None:
     return found._replace(run=_simulated(system))
 
 
-def _spring(seed: int) -> Case:
-    """x'' = -k x - d x' - F, y'' = F - 30 y - y', F = K max(x - y - gap, 0)."""
-    random = Random(seed)
-    k, d = random.uniform(1, 20), random.uniform(0.1, 1)
-    stiff, gap = random.uniform(50, 500), random.uniform(-0.1, 0.2)
-    x0 = random.uniform(0.3, 1)
-
-    def rates(_: float, s: np.ndarray) -> list[float]:
-        force = stiff * max(s[0] - s[2] - gap, 0)
-        return [s[1], -k * s[0] - d * s[1] - force, s[3], force - 30 * s[2] - s[3]]
-
+def _spring(seed: int, *, play: bool = False) -> Case:
+    spring = SpringWithGap(seed, play=play)
     time = np.linspace(0, STOP, 201)
-    start = [-x0, 0, 0, 0]
-    run = solve_ivp(rates, (0, STOP), start, "DOP853", time, rtol=1e-12, atol=1e-13, max_step=1e-3)
-    first, second = _part("first"), _part("second")
-    x, v = first.state("x", "m", -x0, "place"), first.state("v", "m/s", 0.0, "speed")
-    f = first.input("f", "N", 0.0, "force")
-    first.derivative(x, v)
-    first.derivative(v, f - k * x - d * v)
-    y, w = second.state("y", "m", 0.0, "place"), second.state("w", "m/s", 0.0, "speed")
-    u = second.input("u", "m", 0.0, "place of the other")
-    force = stiff * ca.fmax(u - y - gap, 0)
-    second.derivative(y, w)
-    second.derivative(w, force - 30 * y - w)
-    second.output("back", "N", -force, "force on the other")
-    parts = {"first": first.freeze(), "second": second.freeze()}
-    system = cosim.couple(parts, {"first.f": "second.back", "second.u": "first.x"})
-    names = ("first.x", "first.v", "second.y", "second.w")
-    exact = dict(zip(names, run.y, strict=True))
-    return Case(_simulated(system), exact, time, np.empty(0))
+    return Case(_simulated(spring.system(STOP)), spring.solution(time), time, np.empty(0))
 
 
 KINDS: dict[str, Callable[[int], Case | None]] = {
@@ -220,6 +194,7 @@ KINDS: dict[str, Callable[[int], Case | None]] = {
     "relay": _relay,
     "sampled": _sampled,
     "spring": _spring,
+    "play": lambda seed: _spring(seed, play=True),
     "foreign": lambda seed: _smooth(seed, "foreign"),
 }
 

@@ -11,6 +11,7 @@
 #include "integration.h"
 #include "logging.h"
 #include "sensitivity.h"
+#include "stepping.h"
 
 #if NO_DERIVATIVES
 Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
@@ -86,13 +87,26 @@ static Status higher_rates(Instance *self, const uint32_t references[], size_t c
     return status;
 }
 
+static Status rates_at(Instance *self, const uint32_t references[], size_t count,
+                       const int32_t orders[], int highest, double values[]) {
+    const Status status = time_derivatives(self, references, count, values);
+    if (status != OK || highest < 2) return status;
+    return higher_rates(self, references, count, orders, values);
+}
+
 Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                  double values[]) {
     int highest = 0;
     if (count == 0) return OK;
     if (check_orders(self, count, orders, &highest) != OK) return ERROR;
-    const Status status = time_derivatives(self, references, count, values);
-    if (status != OK || highest < 2) return status;
-    return higher_rates(self, references, count, orders, values);
+    if (!self->host.ask_inputs) return rates_at(self, references, count, orders, highest, values);
+    /* who is asked for inputs declares none of their rates: those of the last step, which what
+       waits or slides still needs, are not those that come */
+    double motion[MOST_INPUT_ORDER][ROOM(NU)];
+    memcpy(motion, self->state.motion, sizeof motion);
+    forget_motion(self);
+    const Status status = rates_at(self, references, count, orders, highest, values);
+    memcpy(self->state.motion, motion, sizeof motion);
+    return status;
 }
 #endif

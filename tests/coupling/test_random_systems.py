@@ -4,6 +4,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from helpers.coupled_springs import SpringWithGap
 from helpers.fmu_files import with_description
 from helpers.random_systems import SPAN, RandomSystem
 from helpers.samples import sampled
@@ -91,3 +92,15 @@ def test_the_estimate_is_above_the_error_of_a_loop_of_feedthrough(lacking):
             np.abs(run[f"{name}.y"] - y).max() for name, y in zip("ab", right.T, strict=True)
         )
         assert error < run.stats["error_estimate"] < accuracy  # 1e-5 and 0 before at 1e-2
+
+
+@pytest.mark.parametrize("play", [False, True])
+@pytest.mark.parametrize("seed", sampled(range(20), quick=[3], slow=range(6)))
+def test_springs_that_touch_between_parts_are_as_accurate_as_asked(seed, play):
+    spring = SpringWithGap(seed, play=play)
+    exact = None
+    for accuracy in ACCURACIES:
+        run = spring.system(3.0).simulate(accuracy=accuracy)
+        exact = exact or spring.solution(run.time)
+        error = max(np.abs(run[name] - exact[name]).max() for name in exact)
+        assert error <= run.stats["error_estimate"] <= accuracy

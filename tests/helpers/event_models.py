@@ -179,6 +179,17 @@ def everything(*, slides: bool = True) -> Dae:
     return model.freeze()
 
 
+def left() -> Dae:
+    """Return x' = 1 with the force 100 max(0.3 - u - x, 0) of a spring that an input leaves."""
+    model = Model("left", stop_time=1.0)
+    x, u = model.state("x", "m", 0.0, "place"), model.input("u", "m", 0.0, "place of the other")
+    w, force = model.state("w", "N.s", 0.0, "impulse"), 100 * ca.fmax(0.3 - u - x, 0)
+    model.derivative(x, 1.0)
+    model.derivative(w, force)
+    model.output("force", "N", force, "force of the spring")
+    return model.freeze()
+
+
 def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) -> None:
     """Write model.h and model.c of an exported model under the toy's GUID, and its solver's files.
 
