@@ -11,17 +11,14 @@ static inline int communicate(Fmu *fmu, double *time, double length, double next
     const Functions *call = fmu->call;
     if (call->version == 2) {
         const int status = call->do_step_2(call->instance, *time, length, 1);
-        if (!failed(fmu, "fmi2DoStep", status)) {
+        if (!failed(fmu, "do_step_2", status)) {
             *time = next;
             return DONE;
         }
         int terminated = 0;
-        if (status != DISCARD) return CALL_FAILED;
-        if (failed(fmu, "fmi2GetBooleanStatus",
-                   call->get_boolean_status(call->instance, TERMINATED, &terminated)))
-            return CALL_FAILED;
-        if (!terminated) return STUCK;
-        if (failed(fmu, "fmi2GetRealStatus",
+        if (status == DISCARD) call->get_boolean_status(call->instance, TERMINATED, &terminated);
+        if (!terminated ||
+            failed(fmu, "get_real_status",
                    call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, time)))
             return CALL_FAILED;
         return ENDED_BY_FMU;
@@ -30,7 +27,7 @@ static inline int communicate(Fmu *fmu, double *time, double length, double next
     double last = next;
     const int status =
         call->do_step_3(call->instance, *time, length, true, &event, &terminate, &early, &last);
-    if (failed(fmu, "fmi3DoStep", status)) return CALL_FAILED;
+    if (failed(fmu, "do_step_3", status)) return CALL_FAILED;
     if (early && !terminate) return EARLY_RETURN;
     *time = terminate ? last : next;
     return terminate ? ENDED_BY_FMU : DONE;

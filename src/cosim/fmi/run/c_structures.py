@@ -69,6 +69,11 @@ class Functions(ctypes.Structure):
 
     _fields_ = fields("master/fmu.h", "Functions")
 
+    def named(self, field: bytes) -> str:
+        """Return the name in the FMI of the function of a field; another text as it is."""
+        names = _FUNCTIONS.get(field.decode())
+        return f"fmi{self.version}{names[self.version - 2]}" if names else field.decode()
+
 
 class _Group(ctypes.Structure):
     """Variables of one kind."""
@@ -172,7 +177,7 @@ def reject_failure(run: Run, interrupts: Sequence[int], stop: float) -> None:
     if interrupts or run.how == Ending.INTERRUPTED:
         raise KeyboardInterrupt
     if run.how == Ending.CALL_FAILED:
-        name = run.function.decode()
+        name = run.functions.contents.named(run.function)
         if run.status < 0:
             raise FmuError(f"{name} returned {run.status}, which is no status of the FMI")
         raise FMICallException(function=name, status=run.status)
