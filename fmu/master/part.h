@@ -147,9 +147,12 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     const char *function = call->version == 2 ? "do_step_2" : "do_step_3";
     if (status == DISCARD) {
         int terminated = 0;
-        if (call->version == 2 &&
-            (call->get_boolean_status(call->instance, TERMINATED, &terminated), terminated))
+        if (call->version == 2) call->get_boolean_status(call->instance, TERMINATED, &terminated);
+        if (terminated) {
+            self->reached = time;
+            call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &self->reached);
             return PART_ENDED;
+        }
         failed(fmu, function, status);
         return NOT_STEPPED;
     }
