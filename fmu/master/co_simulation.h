@@ -3,41 +3,22 @@
 #define CO_SIMULATION_H
 
 #include "interrupt.h"
+#include "part.h"
 #include "run.h"
 
 /* Takes one step of a length to `next`; `time` is where the FMU is afterwards. Returns how the run
  * goes on: DONE where it does. */
-static inline int communicate(Fmu *fmu, double *time, double length, double next) {
-    const Functions *call = fmu->call;
-    if (call->version == 2) {
-        const int status = call->do_step_2(call->instance, *time, length, 1);
-        if (!failed(fmu, "fmi2DoStep", status)) {
-            *time = next;
-            return DONE;
-        }
-        int terminated = 0;
-        if (status != DISCARD) return CALL_FAILED;
-        if (failed(fmu, "fmi2GetBooleanStatus",
-                   call->get_boolean_status(call->instance, TERMINATED, &terminated)))
-            return CALL_FAILED;
-        if (!terminated) return STUCK;
-        if (failed(fmu, "fmi2GetRealStatus",
-                   call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, time)))
-            return CALL_FAILED;
-        return ENDED_BY_FMU;
-    }
-    bool event = false, terminate = false, early = false;
-    double last = next;
-    const int status =
-        call->do_step_3(call->instance, *time, length, true, &event, &terminate, &early, &last);
-    if (failed(fmu, "fmi3DoStep", status)) return CALL_FAILED;
-    if (early && !terminate) return EARLY_RETURN;
-    *time = terminate ? last : next;
-    return terminate ? ENDED_BY_FMU : DONE;
+static inline int communicate(Fmu *fmu, Part *part, double *time, double length, double next) {
+    const int how = part_step(fmu, part, *time, length);
+    if (how == PART_FAILED || how == NOT_STEPPED) return CALL_FAILED;
+    if (how != PART_ENDED && part->reached < *time + length) return EARLY_RETURN;
+    *time = how == PART_ENDED ? part->reached : next;
+    return how == PART_ENDED ? ENDED_BY_FMU : DONE;
 }
 
 static inline int co_simulation(Run *run, Fmu *fmu) {
     double time = run->start;
+    Part part = {.call = run->functions};
     if (record(fmu, run->recording, 0)) return CALL_FAILED;
     run->rows = 1;
     for (long long n = 0; run->rows < run->points;) {
@@ -50,9 +31,9 @@ static inline int co_simulation(Run *run, Fmu *fmu) {
             next = run->stop;
         }
         const double before = time;
-        const int how = communicate(fmu, &time, next - time, next);
+        const int how = communicate(fmu, &part, &time, next - time, next);
         run->time = time;
-        if (how == CALL_FAILED || how == EARLY_RETURN || how == STUCK) return how;
+        if (how == CALL_FAILED || how == EARLY_RETURN) return how;
         if (how == ENDED_BY_FMU && time <= before) return how; /* its row is there */
         ++run->steps;
         if (record(fmu, run->recording, run->rows)) return CALL_FAILED;

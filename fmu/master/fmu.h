@@ -56,7 +56,7 @@ typedef struct {
 
 typedef struct {
     const Functions *call;
-    const char *function;       /* what failed; NULL where nothing did */
+    const char *function;       /* field of what failed; NULL where nothing did */
     int status;                 /* and how */
     volatile long long *called; /* where a coupled system notes the part that it calls, or NULL */
 } Fmu;
@@ -83,12 +83,12 @@ static inline int update(Fmu *self, Events *events) {
         if (i == MOST_UPDATES) return failed(self, "the iteration of discrete states", FAILED);
         if (call->version == 2) {
             EventInfo info = {0};
-            if (failed(self, "fmi2NewDiscreteStates",
+            if (failed(self, "new_discrete_states",
                        call->new_discrete_states(call->instance, &info)))
                 return 1;
             needed = info.needed;
             *events = (Events){info.terminate, info.next_defined, info.next};
-        } else if (failed(self, "fmi3UpdateDiscreteStates",
+        } else if (failed(self, "update_discrete_states",
                           call->update_discrete_states(call->instance, &needed, &events->terminate,
                                                        &nominals, &values, &events->next_defined,
                                                        &events->next))) {
@@ -106,9 +106,9 @@ static inline int completed_step(Fmu *self, bool *event, bool *terminate) {
         const int status = call->completed_step_2(call->instance, 1, &enter, &end);
         *event = enter;
         *terminate = end;
-        return failed(self, "fmi2CompletedIntegratorStep", status);
+        return failed(self, "completed_step_2", status);
     }
-    return failed(self, "fmi3CompletedIntegratorStep",
+    return failed(self, "completed_step_3",
                   call->completed_step_3(call->instance, true, event, terminate));
 }
 

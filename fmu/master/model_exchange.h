@@ -29,16 +29,12 @@ typedef struct {
     Interpolant piece;
 } Exchange;
 
-/* Brings the FMU to a time and a state. Returns its status. */
+/* Brings the FMU to a time and a state. Returns 0 unless a call fails. */
 static inline int move(Exchange *self, double t, const double *x) {
     const Functions *call = self->fmu->call;
-    int status = call->set_time(call->instance, t);
-    const char *function = call->version == 2 ? "fmi2SetTime" : "fmi3SetTime";
-    if ((status == OK || status == WARNING) && self->run->states) {
-        status = call->set_states(call->instance, x, (size_t)self->run->states);
-        function = call->version == 2 ? "fmi2SetContinuousStates" : "fmi3SetContinuousStates";
-    }
-    return failed(self->fmu, function, status) ? status : OK;
+    const size_t n = (size_t)self->run->states;
+    return failed(self->fmu, "set_time", call->set_time(call->instance, t)) ||
+           (n && failed(self->fmu, "set_states", call->set_states(call->instance, x, n)));
 }
 
 /* dx/dt; where the FMU discards it, it has no value there and a shorter step is taken. */
@@ -51,10 +47,8 @@ static inline int exchange_slope(void *context, double t, const double *x, doubl
     }
     if (move(self, t, x)) return 1;
     ++self->run->calls;
-    const int status = call->get_derivatives(call->instance, dx, (size_t)self->run->states);
-    const char *function =
-        call->version == 2 ? "fmi2GetDerivatives" : "fmi3GetContinuousStateDerivatives";
-    return failed(self->fmu, function, status);
+    return failed(self->fmu, "get_derivatives",
+                  call->get_derivatives(call->instance, dx, (size_t)self->run->states));
 }
 
 static inline double exchange_scale(const void *context, int i, double x) {
@@ -75,8 +69,7 @@ static inline int indicators_at(Exchange *self, double t, const double *x, doubl
     const Functions *call = self->fmu->call;
     if (!self->run->indicators) return 0;
     if (move(self, t, x)) return 1;
-    return failed(self->fmu,
-                  call->version == 2 ? "fmi2GetEventIndicators" : "fmi3GetEventIndicators",
+    return failed(self->fmu, "get_indicators",
                   call->get_indicators(call->instance, z, (size_t)self->run->indicators));
 }
 
@@ -167,19 +160,16 @@ static inline int advance(Exchange *self, double goal, int *rejected, bool *even
 static inline int handle_event(Exchange *self) {
     Run *run = self->run;
     const Functions *call = self->fmu->call;
-    const int second = call->version == 2;
     ++run->events;
-    if (failed(self->fmu, second ? "fmi2EnterEventMode" : "fmi3EnterEventMode",
-               call->enter_event_mode(call->instance)) ||
+    if (failed(self->fmu, "enter_event_mode", call->enter_event_mode(call->instance)) ||
         update(self->fmu, &self->events))
         return CALL_FAILED;
     if (self->events.terminate) return ENDED_BY_FMU;
-    if (failed(self->fmu, second ? "fmi2EnterContinuousTimeMode" : "fmi3EnterContinuousTimeMode",
+    if (failed(self->fmu, "enter_continuous_time_mode",
                call->enter_continuous_time_mode(call->instance)))
         return CALL_FAILED;
-    if (run->states &&
-        failed(self->fmu, second ? "fmi2GetContinuousStates" : "fmi3GetContinuousStates",
-               call->get_states(call->instance, self->x, (size_t)run->states)))
+    if (run->states && failed(self->fmu, "get_states",
+                              call->get_states(call->instance, self->x, (size_t)run->states)))
         return CALL_FAILED;
     if (run->rows > 0 && near(run, run->times[run->rows - 1], self->t)) --run->rows;
     for (; run->rows < run->points && near(run, run->times[run->rows], self->t); ++run->rows)
@@ -228,8 +218,7 @@ static inline int model_exchange(Run *run, Fmu *fmu) {
     self.events = (Events){false, run->next_defined != 0, run->next_event};
     const Functions *call = fmu->call;
     if (run->states &&
-        failed(fmu, call->version == 2 ? "fmi2GetContinuousStates" : "fmi3GetContinuousStates",
-               call->get_states(call->instance, self.x, (size_t)run->states)))
+        failed(fmu, "get_states", call->get_states(call->instance, self.x, (size_t)run->states)))
         return CALL_FAILED;
     if (record(fmu, run->recording, 0)) return CALL_FAILED;
     run->rows = 1;

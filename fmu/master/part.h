@@ -42,9 +42,9 @@ static inline int part_get(Fmu *fmu, const Part *self, double *y) {
     const size_t n = (size_t)self->outputs;
     if (n == 0) return 0;
     if (call->version == 2)
-        return failed(fmu, "fmi2GetReal",
+        return failed(fmu, "get_real",
                       call->get_real(call->instance, self->output_references, n, y));
-    return failed(fmu, "fmi3GetFloat64",
+    return failed(fmu, "get_float64",
                   call->get_float64(call->instance, self->output_references, n, y, n));
 }
 
@@ -53,9 +53,9 @@ static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
     const size_t n = (size_t)self->inputs;
     if (n == 0) return 0;
     if (call->version == 2)
-        return failed(fmu, "fmi2SetReal",
+        return failed(fmu, "set_real",
                       call->set_real(call->instance, self->input_references, n, u));
-    return failed(fmu, "fmi3SetFloat64",
+    return failed(fmu, "set_float64",
                   call->set_float64(call->instance, self->input_references, n, u, n));
 }
 
@@ -67,7 +67,7 @@ static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
     if (call->version == 3) return 0;
     for (int k = 0; k < TOGETHER; ++k) orders[k] = order;
     for (long long i = 0; i < self->inputs; i += TOGETHER)
-        if (failed(fmu, "fmi2SetRealInputDerivatives",
+        if (failed(fmu, "set_input_derivatives",
                    call->set_input_derivatives(call->instance, self->input_references + i,
                                                together(self->inputs - i), orders, values + i)))
             return 1;
@@ -82,10 +82,10 @@ static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
     for (long long i = 0; i < self->outputs; i += TOGETHER) {
         const uint32_t *references = self->output_references + i;
         const size_t n = together(self->outputs - i);
-        if (call->version == 2 ? failed(fmu, "fmi2GetRealOutputDerivatives",
+        if (call->version == 2 ? failed(fmu, "output_derivatives_2",
                                         call->output_derivatives_2(call->instance, references, n,
                                                                    orders, rates + i))
-                               : failed(fmu, "fmi3GetOutputDerivatives",
+                               : failed(fmu, "output_derivatives_3",
                                         call->output_derivatives_3(call->instance, references, n,
                                                                    orders, rates + i, n)))
             return 1;
@@ -100,25 +100,23 @@ static inline int part_column(Fmu *fmu, const Part *self, long long input, doubl
     const size_t n = (size_t)self->outputs;
     const double seed = 1;
     if (call->version == 2)
-        return failed(fmu, "fmi2GetDirectionalDerivative",
+        return failed(fmu, "directional_2",
                       call->directional_2(call->instance, unknown, n, known, 1, &seed, column));
-    return failed(fmu, "fmi3GetDirectionalDerivative",
+    return failed(fmu, "directional_3",
                   call->directional_3(call->instance, unknown, n, known, 1, &seed, 1, column, n));
 }
 
 static inline int part_save(Fmu *fmu, Part *self) {
     if (!self->rolls_back) return 0;
     const Functions *call = calls_of(fmu, self);
-    return failed(fmu, call->version == 2 ? "fmi2GetFMUstate" : "fmi3GetFMUState",
-                  call->get_fmu_state(call->instance, &self->saved));
+    return failed(fmu, "get_fmu_state", call->get_fmu_state(call->instance, &self->saved));
 }
 
 static inline int part_restore(Fmu *fmu, Part *self) {
     ++self->restored;
     self->waits = 0;
     const Functions *call = calls_of(fmu, self);
-    return failed(fmu, call->version == 2 ? "fmi2SetFMUstate" : "fmi3SetFMUState",
-                  call->set_fmu_state(call->instance, self->saved));
+    return failed(fmu, "set_fmu_state", call->set_fmu_state(call->instance, self->saved));
 }
 
 static inline void part_forget(Part *self) {
@@ -146,12 +144,15 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     else
         status = call->do_step_3(call->instance, time, length, !self->rolls_back, &event,
                                  &terminate, &early, &last);
-    const char *function = call->version == 2 ? "fmi2DoStep" : "fmi3DoStep";
+    const char *function = call->version == 2 ? "do_step_2" : "do_step_3";
     if (status == DISCARD) {
         int terminated = 0;
-        if (call->version == 2 &&
-            (call->get_boolean_status(call->instance, TERMINATED, &terminated), terminated))
+        if (call->version == 2) call->get_boolean_status(call->instance, TERMINATED, &terminated);
+        if (terminated) {
+            self->reached = time;
+            call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &self->reached);
             return PART_ENDED;
+        }
         failed(fmu, function, status);
         return NOT_STEPPED;
     }
@@ -164,13 +165,13 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
 
 static inline int part_enter_event_mode(Fmu *fmu, const Part *self) {
     const Functions *call = calls_of(fmu, self);
-    return failed(fmu, "fmi3EnterEventMode", call->enter_event_mode(call->instance));
+    return failed(fmu, "enter_event_mode", call->enter_event_mode(call->instance));
 }
 
 static inline int part_enter_step_mode(Fmu *fmu, Part *self) {
     const Functions *call = calls_of(fmu, self);
     self->waits = 0;
-    return failed(fmu, "fmi3EnterStepMode", call->enter_step_mode(call->instance));
+    return failed(fmu, "enter_step_mode", call->enter_step_mode(call->instance));
 }
 
 /* What happens at an event, in event mode. */

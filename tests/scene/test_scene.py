@@ -15,8 +15,8 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.model.solver import Tolerance
-from cosim.scene import shipped_scenes
-from cosim.scene.scene_file import find_scene, read_scene
+from cosim.scene import find_scene, shipped_scenes
+from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import in_formulation, variant, with_solver
 
 GOOD = """\
@@ -390,3 +390,15 @@ def test_scene_in_the_documentation_is_valid(write, page, begin):
     text = (Path(__file__).parents[2] / "docs" / page).read_text(encoding="utf-8")
     block = text.partition("```toml\n")[2].partition("```")[0]
     assert read_scene(write(begin + block)).figures
+
+
+def test_figures_may_be_those_of_another_scene(write):
+    write(GOOD, "other.toml")
+    head = 'model = "bar_on_frame/reduced"\nfigures = '
+    assert read_scene(write(f'{head}"other.toml"')).figures == read_scene(write(GOOD)).figures
+    shipped = read_scene(write(f'{head}"bar_theta.toml"')).figures
+    assert shipped == read_scene("bar_theta.toml").figures != ()
+    with pytest.raises(UnknownName, match=r"line 2.*no scene 'missing\.toml'"):
+        read_scene(write(f'{head}"missing.toml"'))
+    with pytest.raises(UsageError, match=r"write every figure as a table"):
+        read_scene(write(f'{head}"scene.toml"'))

@@ -101,6 +101,9 @@ TYPES: dict[str, Callable[[str], Any]] = {
 }
 
 
+METAVARS = {"int": "N", "seconds": "S", "time_limit": "S"}  # where an option has no other
+
+
 def _file_name(endings: Sequence[str]) -> Callable[[str], str]:
     """Return the type of an option for the name of a file that has one of the endings, or none."""
 
@@ -125,6 +128,7 @@ def add_options(parser: Parser, verb: Verb) -> None:
         else:
             keywords["dest"] = name
         if "type" in keywords:
+            keywords.setdefault("metavar", METAVARS.get(keywords["type"]))
             keywords["type"] = TYPES[keywords["type"]]
         if "endings" in keywords:
             keywords["type"] = _file_name(keywords.pop("endings"))

@@ -38,9 +38,9 @@ def solver_source(*names: str) -> str:
     return _unfolded(solver_sources(), names)
 
 
-def page_source() -> bytes:
-    """Return the C source of a page that computes."""
-    return (files("cosim._fmu") / "page" / "page.c").read_bytes()
+def source_text(path: str) -> str:
+    """Return a file of C, e.g. "page/page.c"."""
+    return (files("cosim._fmu") / path).read_text(encoding="utf-8")
 
 
 def master_source(*names: str) -> str:

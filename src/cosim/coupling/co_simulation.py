@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Vector
+from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.estimate import estimated_error
@@ -36,7 +37,6 @@ _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _SMOOTH, _OTHERS = 1.5, 0.25  # tolerance of the first run, of the accuracy
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _TIGHTEST = 1e-13
-_LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
 class Method(StrEnum):
@@ -91,42 +91,18 @@ class _Task:
 class _Part(ctypes.Structure):
     """`Part` in fmu/master/part.h."""
 
-    _fields_ = (
-        ("call", ctypes.POINTER(Functions)),
-        ("recording", ctypes.POINTER(Recording)),
-        *((name, _LONG) for name in ("place", "turn", "inputs", "outputs")),
-        *((name, _LONG) for name in ("first_input", "first_output")),
-        ("input_references", _POINTER),
-        ("output_references", _POINTER),
-        *((name, _LONG) for name in ("order", "rates", "rolls_back", "directional", "event_mode")),
-        ("own_step", _DOUBLE),
-        *((name, _LONG) for name in ("steps", "restored", "waits")),
-        ("reached", _DOUBLE),
-        ("saved", _POINTER),
+    _fields_ = fields(
+        "master/part.h",
+        "Part",
+        call=ctypes.POINTER(Functions),
+        recording=ctypes.POINTER(Recording),
     )
 
 
 class _System(ctypes.Structure):
-    """`System` in fmu/master/coupling.h."""
+    """`System` in fmu/master/interface.h."""
 
-    _fields_ = (
-        ("parts", ctypes.POINTER(_Part)),
-        *((name, _LONG) for name in ("n_parts", "inputs", "outputs")),
-        *(
-            (name, _POINTER)
-            for name in ("source", "factor", "offset", "feeds", "u", "scale", "grows")
-        ),
-        ("times", _POINTER),
-        ("points", _LONG),
-        *((name, _DOUBLE) for name in ("start", "stop", "macro_step", "tolerance", "quantum")),
-        ("refinement", _DOUBLE),
-        *((name, _LONG) for name in ("method", "threads")),
-        ("called", _POINTER),
-        *((name, _LONG) for name in ("how", "rows", "macro_steps", "rejected", "iterations")),
-        *((name, _LONG) for name in ("unsettled", "forced", "part", "input", "status")),
-        ("function", ctypes.c_char_p),
-        *((name, _DOUBLE) for name in ("time", "mismatch", "noise")),
-    )
+    _fields_ = fields("master/interface.h", "System", parts=ctypes.POINTER(_Part))
 
 
 class CoSimulation:
@@ -157,7 +133,7 @@ class CoSimulation:
         wires = sorted(wires, key=lambda wire: wire.input)
         self.parts = dict[str, OpenedPart]()
         sources = list[tuple[str, str]]()
-        callback = ctypes.cast(_library().give_inputs, _POINTER).value or 0
+        callback = ctypes.cast(_library().give_inputs, ctypes.c_void_p).value or 0
         for part, path in sorted(files.items()):  # in any order of the parts the same bits
             inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
             outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})

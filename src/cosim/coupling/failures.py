@@ -92,7 +92,8 @@ def failure(
     if how == Ending.CALL_FAILED and system.function and 0 <= system.part < len(wiring.parts):
         name = list(wiring.parts)[system.part]
         status = _STATUSES.get(system.status, "no status of the FMI")
-        call = f"{system.function.decode()} returned {system.status} ({status})"
+        function = wiring.parts[name].calls.functions.named(system.function)
+        call = f"{function} returned {system.status} ({status})"
         why = str(wiring.parts[name].explained(FmuError(call)))
         remedy = _as_one_model(wiring) if _ZENO in why else ""
         return f"part '{name}' failed after {time}: {why}{remedy}"

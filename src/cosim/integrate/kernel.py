@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
+from cosim.codegen.c_fields import fields
 from cosim.codegen.kernel_library import kernel_library
 from cosim.errors import SolverError
 from cosim.integrate.engine import Left
@@ -19,21 +20,13 @@ from cosim.memo import cached_per_thread
 _DOUBLE, _LONG = ctypes.c_double, ctypes.c_longlong
 _PLACE = ctypes.c_void_p
 _NOTE = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(_DOUBLE)] * 4)
-_ARRAYS = ("x", "z", "u", "slopes", "c", "sizes", "switching", "modes", "zero", "order", "later")
 NEVER = float(np.finfo(float).max)  # the time of an event that does not come
 
 
 class _Call(ctypes.Structure):
     """`Call` of fmu/solvers/instants.h."""
 
-    _fields_ = (
-        *((name, _DOUBLE) for name in ("t", "span")),
-        *((name, _PLACE) for name in _ARRAYS),
-        ("note", _NOTE),
-        *((name, _LONG) for name in ("reason", "part", "other", "state")),
-        ("size", _DOUBLE),
-        *((name, _LONG) for name in ("replan", "rounds")),
-    )
+    _fields_ = fields("solvers/instants.h", "Call", note=_NOTE)
 
 
 class Reason(IntEnum):

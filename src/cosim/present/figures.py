@@ -2,12 +2,14 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import product
 from math import ceil
 from textwrap import fill
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -95,14 +97,13 @@ def shared_specs(
 def draw_overlay(
     specs: Sequence[FigureSpec], runs: Sequence[Trajectory], *, differences: bool = False
 ) -> list[Figure]:
-    """Draw the curves of several runs over each other, in display units; see `shared_specs`.
+    """Draw the curves of one or more runs over each other, in display units; see `shared_specs`.
 
     `differences` adds a panel with each further run minus the first one, if all runs have the same
     output times.
     Output times may differ. A variable without a unit, as in a file whose header has none, is in SI
     units and gets those of the other runs.
     """
-    labels = run_labels(runs)
     differences = differences and all(apart(runs[0], other) is None for other in runs[1:])
     known = {c.name: c for run in reversed(runs) for c in run.columns if c.unit != "1"}
 
@@ -111,12 +112,17 @@ def draw_overlay(
         return other if own.unit in ("1", other.unit) else own
 
     runs = [replace(run, columns=tuple(map(shared, run.columns))) for run in runs]
+    if not differences:
+        runs = [run.with_events() for run in runs]
     with matplotlib.rc_context(STYLE):
-        return [_overlaid_figure(spec, runs, labels, differences) for spec in specs]
+        return [_figure(spec, runs, differences) for spec in specs]
 
 
 def run_labels(runs: Sequence[Trajectory]) -> list[str]:
-    """Return a label for each run: those of model, solver and values that differ between runs."""
+    """Return a label for each run: those of model, solver and values that differ between runs.
+
+    A run that stopped early has its status behind that.
+    """
     facts = [
         (r.model, str(r.stats.get("solver", "")), str(r.stats.get("variation", ""))) for r in runs
     ]
@@ -124,64 +130,11 @@ def run_labels(runs: Sequence[Trajectory]) -> list[str]:
     found = [", ".join(filter(None, row)) for row in zip(*columns, strict=True)] or [
         run.model for run in runs
     ]
+    numbers = [f" ({i})" if found.count(label) > 1 else "" for i, label in enumerate(found, 1)]
     return [
-        f"{label} ({i})" if found.count(label) > 1 else label for i, label in enumerate(found, 1)
+        f"{label}{number}{_ended_early(run)}"
+        for label, number, run in zip(found, numbers, runs, strict=True)
     ]
-
-
-def _overlaid_figure(
-    spec: FigureSpec, runs: Sequence[Trajectory], labels: Sequence[str], differences: bool
-) -> Figure:
-    count, sharing = len(spec.panels), spec.x == "time"
-    if not differences:
-        runs = [run.with_events() for run in runs]
-    height = 1.0 + (4.4 if spec.equal else 2.6 if count == 1 else 1.9) * count
-    height += 1.1 * count * differences
-    figure = Picture(figsize=(_WIDTH, height), layout="constrained")
-    ratios = [2.0, 1.0] * count if differences else [1.0] * count
-    grid = figure.subplots(len(ratios), 1, squeeze=False, sharex=sharing, height_ratios=ratios)
-    rows = [*grid.ravel()]
-    figure.suptitle(fill(spec.title, 70), fontsize=11)
-    for axis, panel in zip(rows[:: 1 + differences], spec.panels, strict=True):
-        _overlaid_panel(axis, spec, panel, [*zip(runs, labels, strict=True)])
-    for axis, panel in zip(rows[1::2] if differences else (), spec.panels, strict=False):
-        for k, other in enumerate(runs[1:], start=1):
-            look = CURVES[k % len(CURVES)], LINES[k % len(LINES)]
-            _differences(axis, panel, panel, (runs[0], other), look)
-        _difference_axis(axis, runs[0].column(panel[0]).shown_unit)
-        if sharing:
-            axis.label_outer()
-    _name_invalid(figure, rows if spec.x == "time" else [], runs, labels)
-    handles, names = rows[0].get_legend_handles_labels()
-    if len(spec.panels) > 1 and all(len(panel) == 1 for panel in spec.panels):
-        names = list(labels)
-    letters = max(map(len, names)) + 8  # of a name with its line
-    across = max(1, min(3, len(names), int(_WIDTH * 14) // letters))
-    names = [fill(name, int(_WIDTH * 14)) for name in names]
-    figure.legend(handles, names, loc="outside lower center", ncols=across, fontsize=8)
-    return figure
-
-
-def _overlaid_panel(
-    axis: Axes, spec: FigureSpec, panel: Sequence[str], labelled: Sequence[tuple[Trajectory, str]]
-) -> None:
-    several, runs = len(panel) > 1, [run for run, _ in labelled]
-    first = runs[0].column(panel[0])
-    for i, name in enumerate(panel):
-        for k, (run, label) in enumerate(labelled):
-            axis.plot(
-                _displayed(run, spec.x),
-                _displayed(run, name, first),
-                color=CURVES[(i if several else k) % len(CURVES)],
-                linestyle=LINES[k % len(LINES)],
-                linewidth=1.6 - 0.25 * min(k, 3),
-                label=f"{name}, {label}" if several else label,
-            )
-    axis.set_ylabel(fill(f"{', '.join(panel)} [{first.shown_unit}]", 24))
-    over = "s" if spec.x == "time" else runs[0].column(spec.x).shown_unit
-    axis.set_xlabel(f"{spec.x_label or spec.x} [{over}]")
-    axis.label_outer()
-    _scale(axis, spec, panel, runs)
 
 
 def _scale(axis: Axes, spec: FigureSpec, panel: Sequence[str], runs: Sequence[Trajectory]) -> None:
@@ -195,7 +148,6 @@ def _scale(axis: Axes, spec: FigureSpec, panel: Sequence[str], runs: Sequence[Tr
     keep_constant_flat(axis, drawn, nominal)
 
 
-_SECOND_RUN: Any = {"color": SECOND, "linewidth": 0.9, "linestyle": (0, (4, 4))}
 _POINTS: Any = {"color": SECOND, "linestyle": "none", "marker": ".", "markersize": 4}
 _PAD = 0.07  # inches
 VARIABLES_PER_FIGURE = 3  # in figures that no scene declares
@@ -209,7 +161,7 @@ def draw_figures(
     Args:
         specs: The figures.
         run: A run that has every variable of the figures.
-        other: A second run, drawn dashed; a panel below shows the second minus the first.
+        other: A second run; a panel below shows the second minus the first.
 
     Raises:
         UnknownName: A run lacks a variable.
@@ -226,12 +178,10 @@ def draw_figures(
             raise UsageError.of_type("draw_figures", each, "results of simulate or simulate_fmu")
     if isinstance(specs, FigureSpec | str) or not isinstance(specs, Collection):
         raise UsageError.of_type("draw_figures", specs, "a list of figures, as a scene has")
-    if other is not None:
-        reject_other_times(run, other)
-    else:
-        run = run.with_events()
-    with matplotlib.rc_context(STYLE):
-        return [_figure(spec, run, other) for spec in specs]
+    if other is None:
+        return draw_overlay(specs, [run])
+    reject_other_times(run, other)
+    return draw_overlay(specs, [run, other], differences=True)
 
 
 def draw_residuals(residuals: Trajectory, run: Trajectory, other: Trajectory) -> Figure:
@@ -262,91 +212,94 @@ def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:
     return tuple(FigureSpec(", ".join(g), tuple((name,) for name in g)) for g in groups)
 
 
-def _figure(spec: FigureSpec, run: Trajectory, other: Trajectory | None) -> Figure:
-    count, below = len(spec.panels), other is not None
-    ratios = [2.0, 1.0] * count if below else [1.0] * count
+def _figure(spec: FigureSpec, runs: Sequence[Trajectory], differences: bool) -> Figure:
+    """Draw a figure of one or more runs; every second panel shows differences if requested."""
+    count, several, over_time = len(spec.panels), len(runs) > 1, spec.x == "time"
+    ratios = [2.0, 1.0] * count if differences else [1.0] * count
     height = 0.7 + (5.0 if spec.equal else 3.1 if count == 1 else 1.75) * count
-    height += 1.3 * count * below
+    height += 1.3 * count * differences + 0.3 * several
     figure = Picture(
         figsize=(_WIDTH, height), layout=ConstrainedLayoutEngine(h_pad=_PAD, w_pad=_PAD)
     )
-    sharing = spec.x == "time"
-    grid = figure.subplots(len(ratios), 1, squeeze=False, sharex=sharing, height_ratios=ratios)
+    grid = figure.subplots(len(ratios), 1, squeeze=False, sharex=over_time, height_ratios=ratios)
     rows = [*grid.ravel()]
     figure.suptitle(fill(spec.title, 70), fontsize=11)
-    mains = rows[::2] if below else rows
+    labels = run_labels(runs) if several else [_run_label(runs[0])]
+    mains = rows[:: 1 + differences]
     for index, axis in enumerate(mains):
-        _panel(axis, spec, index, run, other)
-    runs = [each for each in (run, other) if each is not None]
-    labels = [_run_label(each) for each in runs]
-    mains[0].set_title("; dashed: ".join(labels), fontsize=7, color="0.4", loc="right")
-    if other is not None:
-        for index, axis in enumerate(rows[1::2]):
-            names = spec.panels[index]
-            legends = spec.legends[index] if spec.legends else names
-            if spec.x != "time":
-                names, legends = (spec.x, *names), (spec.x, *legends)
-            _difference(axis, names, legends, run, other)
-    if spec.x == "time":
+        _panel(axis, spec, index, runs)
+    for index, axis in enumerate(rows[1::2] if differences else ()):
+        _difference_panel(axis, spec, index, runs)
+    if several:
+        curves = len(spec.panels[0])
+        _name_runs(figure, mains[0].lines[: curves * len(runs) : curves], labels)
+    else:
+        mains[0].set_title(labels[0], fontsize=7, color="0.4", loc="right")
+    if over_time:
         rows[-1].set_xlabel("time [s]")
         for axis in rows:
             axis.margins(x=0)
             axis.label_outer()
-    _name_invalid(figure, rows if spec.x == "time" else [], runs, labels)
+    _name_invalid(figure, rows if over_time else [], runs, labels)
     figure.align_ylabels(rows)
     return figure
 
 
-def _panel(
-    axis: Axes, spec: FigureSpec, index: int, run: Trajectory, other: Trajectory | None
-) -> None:
+def _name_runs(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> None:
+    """Add the legend of several runs below the panels."""
+    letters = max(map(len, labels)) + 8  # of a name with its line
+    across = max(1, min(3, len(labels), int(_WIDTH * 14) // letters))
+    names = [fill(label, int(_WIDTH * 14)) for label in labels]
+    figure.legend(handles, names, loc="outside lower center", ncols=across, fontsize=8)
+
+
+def _look(curve: int, curves: int, run: int, runs: int) -> dict[str, Any]:
+    """Return color and line of one of some curves of one of some runs, distinct without color."""
+    color, line = curve if curves > 1 else run, run if runs > 1 else curve
+    return {"color": CURVES[color % len(CURVES)], "linestyle": LINES[line % len(LINES)]}
+
+
+def _panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[Trajectory]) -> None:
     names = spec.panels[index]
-    columns = [run.column(name) for name in names]
+    columns = [runs[0].column(name) for name in names]
     meanings = [f"{column.name}: {column.meaning or column.name}" for column in columns]
     legends = spec.legends[index] if spec.legends else meanings
-    for i, (column, legend) in enumerate(zip(columns, legends, strict=True)):
-        color, line = CURVES[i % len(CURVES)], LINES[i % len(LINES)]
-        over, values = _displayed(run, spec.x), _displayed(run, column.name, columns[0])
-        axis.plot(over, values, color=color, linestyle=line, label=legend)
-        bad = run.time >= run.validity[0]
-        if spec.x != "time" and bad.any():
+    for k, run in enumerate(runs):
+        for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
+            over, values = _displayed(run, spec.x), _displayed(run, name, columns[0])
+            look = _look(i, len(names), k, len(runs))
+            if k < len(runs) - 1:  # what is drawn over it stays visible
+                look |= {"linewidth": 2.2, "alpha": 0.5}
+            axis.plot(over, values, label="" if k else legend, **look)
+    if spec.x != "time":
+        for run, name in product(runs, names):
+            bad = run.time >= run.validity[0]
+            over, values = _displayed(run, spec.x), _displayed(run, name, columns[0])
             axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
-        if other is not None:
-            second = _displayed(other, column.name, columns[0])
-            axis.plot(_displayed(other, spec.x), second, **_SECOND_RUN)
+        axis.set_xlabel(f"{spec.x_label or spec.x} [{runs[0].column(spec.x).shown_unit}]")
     label = spec.labels[index] if spec.labels else ", ".join(names)
     letters = 34 if spec.equal or len(spec.panels) == 1 else 19
     axis.set_ylabel(_beside(label, columns[0].shown_unit, letters))
     if len(names) > 1:
         axis.legend()
+    _scale(axis, spec, names, runs)
+
+
+def _difference_panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[Trajectory]) -> None:
+    """Draw each further run minus the first one; of a path, both coordinates."""
+    names = spec.panels[index]
+    legends = spec.legends[index] if spec.legends else names
     if spec.x != "time":
-        axis.set_xlabel(f"{spec.x_label or spec.x} [{run.column(spec.x).shown_unit}]")
-    _scale(axis, spec, names, [run])
-
-
-def _difference(
-    axis: Axes, names: Sequence[str], legends: Sequence[str], run: Trajectory, other: Trajectory
-) -> None:
-    _differences(axis, names, legends, (run, other))
-    _difference_axis(axis, run.column(names[0]).shown_unit)
+        names, legends = (spec.x, *names), (spec.x, *legends)
+    first = runs[0].column(names[0])
+    for k, other in enumerate(runs[1:], start=1):
+        for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
+            gap = _displayed(other, name, first) - _displayed(runs[0], name, first)
+            look = _look(i, len(names), k, len(runs))
+            axis.plot(runs[0].time, gap, linewidth=0.9, label=legend if k == 1 else "", **look)
+    _difference_axis(axis, first.shown_unit)
     if len(names) > 1:
         axis.legend()
-
-
-def _differences(
-    axis: Axes,
-    names: Sequence[str],
-    legends: Sequence[str],
-    runs: tuple[Trajectory, Trajectory],
-    look: tuple[str, Any] | None = None,
-) -> None:
-    """Draw the second run minus the first one; each variable has its own look if None is given."""
-    run, other = runs
-    first = run.column(names[0])
-    for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
-        gap = _displayed(other, name, first) - _displayed(run, name, first)
-        color, line = look or (CURVES[i % len(CURVES)], LINES[i % len(LINES)])
-        axis.plot(run.time, gap, color=color, linestyle=line, linewidth=0.9, label=legend)
 
 
 def _difference_axis(axis: Axes, unit: str) -> None:
@@ -407,5 +360,8 @@ def _displayed_nominal(column: Column) -> float:
 
 
 def _run_label(run: Trajectory) -> str:
-    suffix = "" if run.complete else f" ({run.status.partition(':')[0]})"
-    return f"{run.model}, {run.stats.get('solver', '')}{suffix}"
+    return f"{run.model}, {run.stats.get('solver', '')}{_ended_early(run)}"
+
+
+def _ended_early(run: Trajectory) -> str:
+    return "" if run.complete else f" ({run.status.partition(':')[0]})"

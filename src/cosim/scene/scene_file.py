@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 from casadi_models.dae import Dae, Variable
@@ -17,7 +16,7 @@ from cosim.model.quantities import quantity
 from cosim.model.request import RunRequest
 from cosim.model.solver import LIMITS, Tolerance
 from cosim.model.values import checked, number
-from cosim.scene import shipped_scenes
+from cosim.scene import figures_file, find_scene
 from cosim.scene.scene import FigureSpec, Scene
 from cosim.toml_file import TomlFile, read_toml, text_rows, texts, typed
 
@@ -26,6 +25,7 @@ _FIGURE_KEYS = tuple(FigureSpec.__dataclass_fields__)
 
 def read_figures(file: TomlFile, dae: Dae, outputs: tuple[str, ...]) -> tuple[FigureSpec, ...]:
     """Return the figures of a scene, checked against its model and outputs."""
+    file = figures_file(file)
     tables = file.data.get("figures", [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise UsageError(f"{file.at('figures')}: write every figure as a table [[figures]]")
@@ -123,25 +123,6 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     figures = read_figures(file, dae, request.outputs or ())
     title = _text(file, "title") if "title" in file.data else ""
     return Scene(file.path.stem, request, title, figures)
-
-
-def find_scene(path: str | os.PathLike[str]) -> Path:
-    """Return the file of a scene: in the file system, else among the shipped ones.
-
-    Raises:
-        UnknownName: There is no such file, and no shipped scene of that name.
-    """
-    if not isinstance(path, str | os.PathLike):
-        raise UsageError.of_type("read_scene", path, "the name of a TOML file")
-    requested = Path(path)
-    # unlike `Path.exists`, no error for a name that is too long
-    if os.path.exists(path) or len(requested.parts) > 1:  # noqa: PTH110
-        return requested
-    shipped = {entry.name: entry for entry in shipped_scenes()}
-    if requested.name not in shipped:
-        near = UnknownName.among("the working directory or cosim", "scene", requested.name, shipped)
-        raise UnknownName(f"{near} (all: cosim list)")
-    return shipped[requested.name]
 
 
 def _model(file: TomlFile) -> Dae:

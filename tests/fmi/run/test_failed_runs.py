@@ -63,7 +63,7 @@ def test_fmu_that_repeats_a_discarded_step_for_ever_is_stopped(fmus, monkeypatch
 
     Puppet(monkeypatch, "doStep", discarded)
     monkeypatch.setattr(fmpy.fmi2.FMU2Slave, "getBooleanStatus", lambda *_: False)
-    with pytest.raises(FmuError, match="the run ended at 0 s, before the stop time 1 s"):
+    with pytest.raises(FmuError, match=r"fmi2DoStep failed with status 2 \(discard\)"):
         cosim.simulate_fmu(fmus["decay", 2], interface="CoSimulation")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from cosim.cli.tables import show_table, terminal_width
 from cosim.model.catalogue import models
-from cosim.scene import shipped_scenes
+from cosim.scene import figures_file, shipped_scenes
 from cosim.toml_file import read_toml
 
 
@@ -43,11 +43,12 @@ def _list(args: argparse.Namespace) -> None:
 def _scenes() -> Iterator[dict[str, Any]]:
     """Yield the facts of each shipped scene without loading its model."""
     for path in shipped_scenes():
-        data = read_toml(path).data
+        file = read_toml(path)
+        data = file.data
         yield {
             "scene": path.name,
             "model": data["model"],
             "outputs": len(data.get("outputs", ())) or "all",
-            "figures": len(data.get("figures", ())),
+            "figures": len(figures_file(file).data.get("figures", ())),
             "title": data["title"],
         }

@@ -9,6 +9,7 @@ from functools import cache
 import casadi as ca
 
 from casadi_models.dae import Dae
+from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import generated
 from cosim.codegen.compiler import cached_library, processor_abilities
@@ -27,17 +28,7 @@ _ARRAY = ctypes.c_void_p
 class Batch(ctypes.Structure):
     """Argument of `lanes_run`; see fmu/solvers/lanes_dop853.h."""
 
-    _fields_ = (
-        ("runs", _LONG),
-        ("points", _LONG),
-        *((name, _ARRAY) for name in ("x0", "nominal", "u", "p", "grid")),
-        ("relative", ctypes.c_double),
-        ("absolute", ctypes.c_double),
-        ("largest", ctypes.c_double),
-        *((name, _ARRAY) for name in ("out", "report", "next", "stop")),
-        ("stop_outside", _LONG),
-        ("steps", _ARRAY),
-    )
+    _fields_ = fields("solvers/lanes_dop853.h", "Batch")
 
 
 @cache
@@ -74,13 +65,7 @@ def lane_library(dae: Dae, outputs: tuple[str, ...], lanes: int) -> ctypes.CDLL:
 class Watched(ctypes.Structure):
     """Argument of `lanes_outputs`; see fmu/solvers/lanes_outputs.h."""
 
-    _fields_ = (
-        ("points", _LONG),
-        ("columns", _LONG),
-        *((name, _ARRAY) for name in ("t", "x", "u", "p")),
-        ("recorded", _LONG),
-        *((name, _ARRAY) for name in ("places", "rows", "first", "margins")),
-    )
+    _fields_ = fields("solvers/lanes_outputs.h", "Watched")
 
 
 @cached_per_thread(16)

@@ -65,8 +65,12 @@ class Rule:
         return self.at(place, found, found)
 
 
-def _rules(table: Mapping[str, Mapping[str, str]]) -> Mapping[str, Rule]:
-    return {key: Rule(**facts) for key, facts in table.items()}
+def _rules(levels: Mapping[str, Mapping[str, Mapping[str, str]]]) -> Mapping[str, Rule]:
+    return {
+        key: Rule(**{"name": key, "level": level, **facts})
+        for level, rules in levels.items()
+        for key, facts in rules.items()
+    }
 
 
 _TABLES = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.codegen.c_fields import fields
 from cosim.errors import FmuError
 from cosim.fmi.run.instance import getter_name, is_second
 
@@ -51,7 +52,6 @@ _FUNCTIONS = {
     "set_fmu_state": ("SetFMUstate", "SetFMUState"),
     "free_fmu_state": ("FreeFMUstate", "FreeFMUState"),
 }
-_LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
 def _kind(getter: str, second: bool) -> str:
@@ -67,49 +67,33 @@ def c_type(getter: str, second: bool) -> Any:
 class Functions(ctypes.Structure):
     """Addresses of an FMU's functions and of its instance."""
 
-    _fields_ = (("version", _LONG), *((n, _POINTER) for n in ("instance", *_FUNCTIONS)))
+    _fields_ = fields("master/fmu.h", "Functions")
+
+    def named(self, field: bytes) -> str:
+        """Return the name in the FMI of the function of a field; another text as it is."""
+        names = _FUNCTIONS.get(field.decode())
+        return f"fmi{self.version}{names[self.version - 2]}" if names else field.decode()
 
 
 class _Group(ctypes.Structure):
     """Variables of one kind."""
 
-    _fields_ = (
-        *((name, _LONG) for name in ("kind", "count")),
-        *((name, _POINTER) for name in ("references", "get_2", "get_3")),
-        ("function", ctypes.c_char_p),
-        ("buffer", _POINTER),
-    )
+    _fields_ = fields("master/recording.h", "Group")
 
 
 class Recording(ctypes.Structure):
     """The recorded variables, and the rows to write."""
 
-    _fields_ = (
-        ("groups", _LONG),
-        ("width", _LONG),
-        ("group", ctypes.POINTER(_Group)),
-        ("columns", _POINTER),
-        ("rows", _POINTER),
-    )
+    _fields_ = fields("master/recording.h", "Recording", group=ctypes.POINTER(_Group))
+
+
+_PARTS = {"functions": ctypes.POINTER(Functions), "recording": ctypes.POINTER(Recording)}
 
 
 class Run(ctypes.Structure):
     """A whole run: the request, then the results."""
 
-    _fields_ = (
-        ("functions", ctypes.POINTER(Functions)),
-        ("recording", ctypes.POINTER(Recording)),
-        ("times", _POINTER),
-        ("points", _LONG),
-        *((name, _DOUBLE) for name in ("start", "stop", "interval")),
-        *((name, _LONG) for name in ("any_step", "states", "indicators")),
-        *((name, _LONG) for name in ("needs_completed_step", "next_defined")),
-        *((name, _DOUBLE) for name in ("next_event", "relative_tolerance")),
-        ("nominals", _POINTER),
-        *((name, _LONG) for name in ("how", "rows", "steps", "calls", "events", "status")),
-        ("function", ctypes.c_char_p),
-        ("time", _DOUBLE),
-    )
+    _fields_ = fields("master/run.h", "Run", **_PARTS)
 
 
 class Ending(IntEnum):
@@ -183,7 +167,7 @@ class Calls:
 def _address(instance: Any, name: str) -> int | None:
     """Return where a function of an FMU's library is; None where it has none of this name."""
     function = getattr(instance.dll, name, None)
-    return None if function is None else ctypes.cast(function, _POINTER).value
+    return None if function is None else ctypes.cast(function, ctypes.c_void_p).value
 
 
 def reject_failure(run: Run, interrupts: Sequence[int], stop: float) -> None:
@@ -193,7 +177,7 @@ def reject_failure(run: Run, interrupts: Sequence[int], stop: float) -> None:
     if interrupts or run.how == Ending.INTERRUPTED:
         raise KeyboardInterrupt
     if run.how == Ending.CALL_FAILED:
-        name = run.function.decode()
+        name = run.functions.contents.named(run.function)
         if run.status < 0:
             raise FmuError(f"{name} returned {run.status}, which is no status of the FMI")
         raise FMICallException(function=name, status=run.status)

@@ -41,6 +41,13 @@ _CLOSER = "a singularity, or more steps than one call allows: closer output time
 _MOST_UPDATES = 1000  # of discrete states at one instant
 _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
+_METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
+    "getContinuousStateDerivatives": "getDerivatives",
+    "getFloat64": "getReal",
+    "getOutputDerivatives": "getRealOutputDerivatives",
+    "setFloat64": "setReal",
+    "updateDiscreteStates": "newDiscreteStates",
+}
 _OK, _FATAL = 0, 4  # a status after which no function of the FMU may be called
 
 
@@ -87,15 +94,14 @@ def begin_initialization(
     apply_start_values(instance, description, left, settable=settable_in_initialization_mode)
 
 
-def update_discrete_states(instance: Any, description: Any) -> tuple[bool, float]:
+def update_discrete_states(instance: Any) -> tuple[bool, float]:
     """Update the discrete states until they no longer change.
 
     Returns:
         Whether the FMU ends the run, and the time of its next event, s; infinity for no event.
     """
-    update = instance.newDiscreteStates if is_second(description) else instance.updateDiscreteStates
     for _ in range(_MOST_UPDATES):
-        needed, ends, _, _, defined, time = update()
+        needed, ends, _, _, defined, time = instance.updateDiscreteStates()
         if ends or not needed:
             break
     else:
@@ -103,7 +109,7 @@ def update_discrete_states(instance: Any, description: Any) -> tuple[bool, float
     return bool(ends), float(time) if defined else inf
 
 
-def enter_continuous_time(instance: Any, description: Any) -> float:
+def enter_continuous_time(instance: Any) -> float:
     """Take an FMU for model exchange through its first events to continuous-time mode.
 
     Returns:
@@ -112,7 +118,7 @@ def enter_continuous_time(instance: Any, description: Any) -> float:
     Raises:
         FmuError: It ends the run.
     """
-    ends, next_event = update_discrete_states(instance, description)
+    ends, next_event = update_discrete_states(instance)
     if ends:
         raise FmuError("Model requested termination during initial event update.")
     instance.enterContinuousTimeMode()
@@ -333,7 +339,10 @@ def _instance(folder: Path, description: Any, kind: Interface, key: int, **callb
 
 @cache
 def _checked_class(second: bool, exchange: bool) -> type:
-    """Return fmpy's class of FMUs, which rejects unknown statuses and calls nothing after Fatal."""
+    """Return fmpy's class of FMUs, which rejects unknown statuses and calls nothing after Fatal.
+
+    That of FMI 2 has the methods of FMI 3.
+    """
     from fmpy import fmi2, fmi3
     from fmpy.fmi1 import FMICallException
 
@@ -354,7 +363,24 @@ def _checked_class(second: bool, exchange: bool) -> type:
         if not getattr(self, "is_fatal", False):
             base.freeInstance(self)
 
+    def step_as_in_fmi_3(self: Any, time: float, size: float) -> tuple[bool, bool, bool, float]:
+        """Return whether an event occurred, the run ends and the FMU returned early, and when."""
+        try:
+            base.doStep(self, time, size)
+        except FMICallException as error:
+            if error.status != fmi2.fmi2Discard or not self.getBooleanStatus(fmi2.fmi2Terminated):
+                raise
+            return False, True, True, self.getRealStatus(fmi2.fmi2LastSuccessfulTime)
+        return False, False, False, time + size
+
+    def method_of_fmi_3(self: Any, name: str) -> Any:
+        if name not in _METHODS_OF_FMI_2:
+            raise AttributeError(name)
+        return getattr(self, _METHODS_OF_FMI_2[name])
+
     methods = {"_call": checked_call, "freeInstance": free}
+    if second:
+        methods |= {"doStep": step_as_in_fmi_3, "__getattr__": method_of_fmi_3}
     bases = (base,) if sys.platform == "win32" else (base, _staying_class())
     return type(name, bases, methods)  # fmpy reads the version from the name
 

@@ -226,7 +226,7 @@ class CompiledMaster:
 def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:
     """Fill in what model exchange needs; return the nominal values, which `run` points to."""
     description = request.description
-    next_event = enter_continuous_time(instance, description)
+    next_event = enter_continuous_time(instance)
     run.states = n = description.numberOfContinuousStates
     run.indicators = description.numberOfEventIndicators
     run.needs_completed_step = description.modelExchange.needsCompletedIntegratorStep

@@ -24,7 +24,6 @@ from cosim.fmi.run.instance import (
     enter_continuous_time,
     getter_name,
     initialize,
-    is_second,
     update_discrete_states,
 )
 from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
@@ -119,7 +118,7 @@ def _model_exchange(
     """Integrate with CVODE from event to event and from output time to output time."""
     description, start = request.description, request.start
     time, *targets = request.points.tolist()
-    next_event = enter_continuous_time(instance, description)
+    next_event = enter_continuous_time(instance)
     clock = _Clock(instance, request)
     solver = _solver(instance, request, clock, interrupts)
     needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
@@ -142,7 +141,7 @@ def _model_exchange(
                 step_event, ends = instance.completedIntegratorStep()
                 happens |= step_event
             if happens and not ends:
-                ends, next_event = _pass_event(instance, request, clock, solver, time)
+                ends, next_event = _pass_event(instance, clock, solver, time)
             if ends and not one_time(time, request.stop, start):
                 stats = _ended(time, recorder)
             elif goal == target and one_time(time, target, start):
@@ -153,9 +152,7 @@ def _model_exchange(
     return {**stats, "rhs_calls": solver.rhs_calls, **_note(solver.many_steps)}
 
 
-def _pass_event(
-    instance: Any, request: FmuRequest, clock: "_Clock", solver: Any, time: float
-) -> tuple[bool, float]:
+def _pass_event(instance: Any, clock: "_Clock", solver: Any, time: float) -> tuple[bool, float]:
     """Let an FMU handle an event.
 
     Returns:
@@ -163,7 +160,7 @@ def _pass_event(
     """
     instance.enterEventMode()
     clock.pass_event(time)
-    ends, next_event = update_discrete_states(instance, request.description)
+    ends, next_event = update_discrete_states(instance)
     if not ends:
         instance.enterContinuousTimeMode()
         solver.reset(time)
@@ -186,7 +183,6 @@ def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Seq
     from cosim.fmi.run.cvode import Cvode
 
     description, start = request.description, request.start
-    second = is_second(description)
     tolerance = DEFAULT_TOLERANCE if request.tolerance is None else request.tolerance
     return Cvode(
         interrupts,
@@ -194,7 +190,7 @@ def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Seq
         nz=description.numberOfEventIndicators,
         get_x=instance.getContinuousStates,
         set_x=instance.setContinuousStates,
-        get_dx=instance.getDerivatives if second else instance.getContinuousStateDerivatives,
+        get_dx=instance.getContinuousStateDerivatives,
         get_z=instance.getEventIndicators,
         get_nominals=instance.getNominalsOfContinuousStates,
         set_time=clock.set,
@@ -214,7 +210,7 @@ class _Clock:
 
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         self._set_time, self._series = instance.setTime, request.inputs
-        self._set_real, self._references = _setter(instance), request.input_references
+        self._set_real, self._references = instance.setFloat64, request.input_references
         self._events = _sample_times(self._series, request).tolist() if self._series else []
         self._piece = self._series and _after(self._series, request.start)
 
@@ -251,7 +247,7 @@ def _co_simulation(
 ) -> dict[str, Any]:
     """Step from one communication point to the next."""
     points = request.points.tolist()
-    step = _plain_step(instance, request)
+    step = _plain_step(instance)
     if request.inputs is not None:
         step = _step_with_inputs(instance, request, request.inputs, step)
     recorder.record(points[0])
@@ -272,30 +268,14 @@ def _co_simulation(
 _Step = Callable[[float, float], tuple[float, bool]]  # begin, end -> time reached, whether it ends
 
 
-def _plain_step(instance: Any, request: FmuRequest) -> _Step:
-    from fmpy.fmi1 import FMICallException
-    from fmpy.fmi2 import fmi2Discard, fmi2LastSuccessfulTime, fmi2Terminated
-
-    def step_of_fmi_2(begin: float, end: float) -> tuple[float, bool]:
-        try:
-            instance.doStep(currentCommunicationPoint=begin, communicationStepSize=end - begin)
-        except FMICallException as error:
-            if error.status != fmi2Discard:
-                raise
-            if instance.getBooleanStatus(fmi2Terminated):
-                return instance.getRealStatus(fmi2LastSuccessfulTime), True
-            return begin, False
-        return end, False
-
-    def step_of_fmi_3(begin: float, end: float) -> tuple[float, bool]:
-        _, ends, early, last = instance.doStep(
-            currentCommunicationPoint=begin, communicationStepSize=end - begin
-        )
+def _plain_step(instance: Any) -> _Step:
+    def step(begin: float, end: float) -> tuple[float, bool]:
+        _, ends, early, last = instance.doStep(begin, end - begin)
         if early and not ends:
             raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
         return last if ends else end, ends
 
-    return step_of_fmi_2 if is_second(request.description) else step_of_fmi_3
+    return step
 
 
 def _step_with_inputs(
@@ -310,7 +290,7 @@ def _step_with_inputs(
     abilities, references = request.description.coSimulation, request.input_references
     any_step = abilities.canHandleVariableCommunicationStepSize
     samples = _sample_times(series, request)
-    set_real = _setter(instance)
+    set_real = instance.setFloat64
     set_slopes = getattr(instance, "setRealInputDerivatives", None)
     slopes = set_slopes if abilities.canInterpolateInputs else None
     failures: list[Exception] = []  # of answers: ctypes drops what a callback raises
@@ -360,12 +340,6 @@ def _after(series: InputSeries, time: float) -> InputSeries:
 def _values(series: InputSeries, time: float) -> list[float]:
     values: list[float] = series.at(np.array([time]))[:, 0].tolist()
     return values
-
-
-def _setter(instance: Any) -> Callable[[Sequence[int], list[float]], None]:
-    setter: Callable[[Sequence[int], list[float]], None]
-    setter = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
-    return setter
 
 
 @contextmanager

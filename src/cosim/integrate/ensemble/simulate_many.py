@@ -1,6 +1,6 @@
 """`simulate_many`: many variants of one model, in SIMD lanes or one by one."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -14,7 +14,14 @@ from cosim.arrays import Integers, Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.pulses import pulse_within_a_step
 from cosim.codegen.runge_kutta.lanes import fits_lanes
-from cosim.errors import InitialConditionError, Interrupted, ParameterError, SolverError, UsageError
+from cosim.errors import (
+    FmuError,
+    InitialConditionError,
+    Interrupted,
+    ParameterError,
+    SolverError,
+    UsageError,
+)
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
 from cosim.integrate.ensemble.lanes import in_lanes, processors
 from cosim.integrate.families.explicit import Dop853
@@ -29,7 +36,7 @@ from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
 from cosim.model.values import assign, numbers_of
 from cosim.text import INVALID
-from cosim.trajectory import Trajectory
+from cosim.trajectory import Column, Trajectory
 
 
 def simulate_many(
@@ -91,7 +98,7 @@ def simulate_many(
                 why = "models without events, which happen at another time in each run"
             raise UsageError(f"{request.dae.full_name}: lanes are for {why}; leave lanes out")
         chosen, _ = chosen_solver(request.dae, request.solver, projected=request.policy.projects)
-        found = one_by_one(request, values)
+        found = _one_by_one(request, values)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **found.stats}
     again = partial(values_at, request, values.given, lanes) if chosen.adaptive else None
@@ -159,58 +166,85 @@ def lane_solver(request: RunRequest) -> Dop853 | None:
     return None
 
 
-def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
-    """Run every variant by `run`; see `in_lanes`.
-
-    Args:
-        request: The run; its values are ignored.
-        values: Values of every run.
-    """
+def _one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
+    """Run every variant by `run`; see `in_lanes`."""
     names = request.outputs or request.dae.observed
     dae = watching(request.dae, names)
     grid = request.times.grid(dae, len(values) * len(names))
-    grid = request.times.requested if request.times.own else grid
-    runs, interrupted = len(values), False
-    table = np.full((runs, len(grid), len(names)), np.nan)
+    return one_by_one(
+        dae.full_name,
+        request.times.requested if request.times.own else grid,
+        recorded_columns(dae, names)[0],
+        values.given,
+        len(values),
+        lambda given: run(replace(request, values=given)),
+        values.refused,
+    )
+
+
+def one_by_one(
+    model: str,
+    time: Vector,
+    columns: tuple[Column, ...],
+    given: Mapping[str, Vector],
+    runs: int,
+    simulate: Callable[[dict[str, float]], Trajectory],
+    refused: Mapping[int, str],
+) -> Ensemble:
+    """Simulate every run, whatever becomes of the others.
+
+    Args:
+        model: Its name.
+        time: Output times, s, (times,).
+        columns: The outputs.
+        given: Values by name, (runs,) each.
+        runs: Number of runs.
+        simulate: Simulates with values by name.
+        refused: Why runs are not possible, by position.
+    """
+    interrupted = False
+    table = np.full((runs, len(time), len(columns)), np.nan)
     states, reasons, invalid = [RunState.INTERRUPTED] * runs, dict[int, str](), dict[int, str]()
     counts, with_events = np.zeros((3, runs), dtype=np.int64), dict[int, Trajectory]()
     for number in range(runs):
         reasons[number] = "interrupted"
         if interrupted:
             continue
-        if number in values.refused:
-            states[number], reasons[number] = RunState.REFUSED, values.refused[number]
+        if number in refused:
+            states[number], reasons[number] = RunState.REFUSED, refused[number]
             continue
-        given = {name: float(column[number]) for name, column in values.given.items()}
         try:
-            found = run(replace(request, values=given))
+            found = simulate({name: float(column[number]) for name, column in given.items()})
             states[number] = RunState.COMPLETE
             del reasons[number]
         except SolverError as error:
+            states[number], reasons[number] = RunState.FAILED, str(error)
             if error.partial is None:
-                states[number], reasons[number] = RunState.FAILED, str(error)
                 continue
-            found, reasons[number] = cast(Trajectory, error.partial), error.partial.status
-            stopped = INVALID in error.partial.status
-            states[number] = RunState.STOPPED if stopped else RunState.FAILED
+            found = cast(Trajectory, error.partial)
+            reasons[number] = found.status
+            if INVALID in found.status:
+                states[number] = RunState.STOPPED
         except Interrupted as error:
             found, interrupted = cast(Trajectory, error.partial), True
-        except (ParameterError, InitialConditionError) as error:
-            states[number], reasons[number] = RunState.REFUSED, str(error)
+        except (FmuError, ParameterError, InitialConditionError) as error:
+            failed = isinstance(error, FmuError)
+            states[number] = RunState.FAILED if failed else RunState.REFUSED
+            reasons[number] = str(error)
             continue
-        n = shared_rows(found, grid)
+        n = shared_rows(found, time)
         table[number, :n] = found.values[:n]
-        if found.events:
+        if found.events or "stop" in found.stats:
             with_events[number] = found
         counts[:, number] = (n, *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
         if "invalid" in found.stats:
             invalid[number] = found.stats["invalid"][0]
     return Ensemble(
-        dae.full_name,
-        grid,
-        recorded_columns(dae, names)[0],
+        model,
+        time,
+        columns,
         table,
-        values.given,
+        given,
         tuple(states),
         reasons,
         invalid,

@@ -20,7 +20,7 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 import casadi_models
 from casadi_models.dae import Dae, Drawing
 from cosim.api import simulate
-from cosim.codegen.c_sources import page_source
+from cosim.codegen.c_sources import source_text
 from cosim.codegen.casadi_library import generated
 from cosim.drawing.camera import View
 from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
@@ -310,7 +310,7 @@ def live_part(dae: Dae, run: Trajectory) -> dict[str, Any]:
     values = ca.vertcat(*(symbols[name] for name in own), SX.sym("curves", len(run.names)))
     drawn = ca.Function("drawn", [values, time], [picture], {"cse": True})
     sources["drawing.c"] = generated("drawing", drawn).encode()
-    sources["page.c"] = page_source()
+    sources["page.c"] = source_text("page/page.c").encode()
     references = [variables[name]["reference"] for name in (*own, *run.names)]
     _start_settings(dae, run, variables)
     starts = sorted(variables.values(), key=lambda v: "through" not in v)  # a speed before a rate

@@ -1,10 +1,9 @@
 """`Subject`: a model or an FMU whose outputs are fitted to measurements."""
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -39,71 +38,41 @@ class Known:
     maximum: float
 
 
-class Subject(ABC):
-    """What is fitted.
-
-    Attributes:
-        name: Its name.
-        derivatives: How its derivatives are computed, for the report.
-    """
-
-    name: str
-    derivatives: str
-
-    @abstractmethod
-    def known(self, name: str) -> Known:
-        """Return what is declared of a parameter, a start value or a constant input."""
-
-    @abstractmethod
-    def column(self, name: str) -> Column:
-        """Return the variable of an output."""
-
-    @abstractmethod
-    def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
-        """Return the run with some values at measured times, s."""
-
-    @abstractmethod
-    def slopes(
-        self, values: Mapping[str, float], by: Sequence[str], names: Sequence[str], times: Vector
-    ) -> Vector:
-        """Return the derivatives of outputs by unknowns, (n, outputs, unknowns)."""
-
-
 @dataclass(frozen=True)
-class ModelSubject(Subject):
+class ModelSubject:
     """A model; its derivatives are those of the variational equations, events included."""
 
     dae: Dae
     settings: Mapping[str, Any]
-    derivatives = "variational equations"
+    derivatives: ClassVar[str] = "variational equations"  # how they are computed
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """Name of the model."""
         return self.dae.full_name
 
     def known(self, name: str) -> Known:
-        """See `Subject`."""
+        """Return what is declared of a parameter, a start value or a constant input."""
         v = settable_variable(self.dae, name)
         column = Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
         start = np.nan if v.start is None else float(v.start)
         return Known(column, start, v.minimum, v.maximum)
 
     def column(self, name: str) -> Column:
-        """See `Subject`."""
+        """Return the variable of an output."""
         checked_outputs(self.dae, [name])
         v = self.dae.watching([name]).variable(name)
         return Column(v.name, v.unit, v.display_unit, v.nominal, v.meaning)
 
     def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
-        """See `Subject`."""
+        """Return the run with some values at measured times, s."""
         keywords = {"outputs": names, "output_times": times, **self.settings}
         return run(requested(self.dae, start_values=values, **keywords))
 
     def slopes(
         self, values: Mapping[str, float], by: Sequence[str], names: Sequence[str], times: Vector
     ) -> Vector:
-        """See `Subject`."""
+        """Return the derivatives of outputs by unknowns, (n, outputs, unknowns)."""
         found = sensitivity(
             self.dae,
             outputs=names,
@@ -119,15 +88,15 @@ class ModelSubject(Subject):
 
 
 @dataclass(frozen=True)
-class FmuSubject(Subject):
+class FmuSubject:
     """An FMU; its derivatives are finite differences of its runs."""
 
     path: str
     settings: Mapping[str, Any]
-    derivatives = "finite differences of runs of the FMU"
+    derivatives: ClassVar[str] = "finite differences of runs of the FMU"
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         """Path of the FMU."""
         return self.path
 
@@ -142,7 +111,7 @@ class FmuSubject(Subject):
         return variables[name]
 
     def known(self, name: str) -> Known:
-        """See `Subject`."""
+        """Return what is declared of a parameter, a start value or a constant input."""
         variable = self._variable(name)
         low, high = (
             other if text is None else float(text)
@@ -151,11 +120,11 @@ class FmuSubject(Subject):
         return Known(self.column(name), float(variable.start or 0.0), low, high)
 
     def column(self, name: str) -> Column:
-        """See `Subject`."""
+        """Return the variable of an output."""
         return column_of(self._variable(name), self._description)
 
     def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
-        """See `Subject`."""
+        """Return the run with some values at measured times, s."""
         stop = float(times[-1])
         found = simulate_fmu(
             self.path,
@@ -171,7 +140,7 @@ class FmuSubject(Subject):
     def slopes(
         self, values: Mapping[str, float], by: Sequence[str], names: Sequence[str], times: Vector
     ) -> Vector:
-        """See `Subject`."""
+        """Return the derivatives of outputs by unknowns, (n, outputs, unknowns)."""
         columns = []
         for name in by:
             step = STEP * (abs(values[name]) or self.known(name).column.nominal)
@@ -181,6 +150,9 @@ class FmuSubject(Subject):
             )
             columns.append((after - before) / (2 * step))
         return np.stack(columns, axis=-1)
+
+
+Subject = ModelSubject | FmuSubject
 
 
 def subject_of(model: Dae | str | os.PathLike[str], settings: Mapping[str, Any]) -> Subject:

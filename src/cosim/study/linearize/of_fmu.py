@@ -54,7 +54,7 @@ def linearized_fmu(
         with instantiated(folder, description, "ModelExchange", path) as (instance, explained):
             try:
                 initialize(instance, description, values, startTime=0.0)
-                event = enter_continuous_time(instance, description)
+                event = enter_continuous_time(instance)
                 if np.isfinite(event):
                     raise FmuError(
                         f"{path} has an event at {event:g} s, which its derivatives do not "
@@ -95,8 +95,7 @@ def _values(instance: Any, variables: Sequence[Any]) -> Vector:
     references = [v.valueReference for v in variables]
     if not references:
         return np.empty(0)
-    getter = instance.getReal if hasattr(instance, "getReal") else instance.getFloat64
-    return np.array(getter(references), dtype=float)
+    return np.array(instance.getFloat64(references), dtype=float)
 
 
 def _jacobian(instance: Any, unknowns: Sequence[Any], knowns: Sequence[Any]) -> Vector:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from math import inf, isfinite, pi
+from math import inf, isfinite, lcm, pi
 from typing import NamedTuple
 
 import casadi as ca
@@ -122,12 +122,8 @@ def _common(dae: Dae, periods: Sequence[float]) -> float:
                 "period, so that there is no linear map over one; choose periods with a ratio of "
                 "small integers"
             )
-        multiple = multiple * near.denominator // _divisor(multiple, near.denominator)
+        multiple = lcm(multiple, near.denominator)
     return longest * multiple
-
-
-def _divisor(a: int, b: int) -> int:
-    return a if b == 0 else _divisor(b, a % b)
 
 
 def _in_time(dae: Dae, values: Values, laws: SX) -> list[_InTime]:

@@ -14,7 +14,7 @@ from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
 from cosim.model.catalogue import load
 from cosim.model.reduction import checked_outputs
-from cosim.model.values import assign, number
+from cosim.model.values import Values, assign, number
 from cosim.study.linearize.equilibrium import equilibrium
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.local import at_point, followed, influence, local_system
@@ -80,7 +80,28 @@ def linearized(
 
         depends, kind = influence(dae), "equilibrium"
         x, point = equilibrium(dae, x, values, motion, depends, kind, AT_REST)
+    return _linear_system(dae, names, time, x, values, point)
+
+
+def _linear_system(
+    dae: Dae,
+    names: tuple[str, ...],
+    time: float,
+    x: Vector,
+    values: Values,
+    point: str,
+    over: PeriodMap | None = None,
+) -> Linearization:
+    """Return the linear system at a state, or the map over a period from there."""
     local = local_system(dae, names, time, x, values, point)
+    if over is not None:
+        after, n = over(x), len(x)
+        local = local._replace(
+            jacobian=np.vstack((np.hstack((after.by_x, after.by_u)), local.jacobian[n:])),
+            influence=over.influence,
+            noise=ACCURACY * np.abs(after.by_x),
+            rates=(after.x - x) / over.period,
+        )
     return Linearization.from_jacobian(
         local.jacobian,
         depends=local.influence,
@@ -96,6 +117,7 @@ def linearized(
         rates=local.rates,
         nominal=np.array([v.nominal for v in dae.states]),
         point=point,
+        period=over.period if over else None,
     )
 
 
@@ -110,23 +132,4 @@ def _of_map(over: PeriodMap, names: tuple[str, ...], x: Vector, *, to_rest: bool
 
         kind, accuracy = "periodic motion", ACCURACY / period
         x, point = equilibrium(dae, x, values, motion, over.influence, kind, accuracy)
-    local = local_system(dae, names, over.begin, x, values, point)
-    after, n = over(x), len(x)
-    jacobian = np.vstack((np.hstack((after.by_x, after.by_u)), local.jacobian[n:]))
-    return Linearization.from_jacobian(
-        jacobian,
-        depends=over.influence,
-        noise=ACCURACY * np.abs(after.by_x),
-        model=dae.full_name,
-        states=tuple(v.name for v in dae.states),
-        inputs=tuple(v.name for v in dae.inputs),
-        outputs=names,
-        time=over.begin,
-        x=x,
-        u=values.u,
-        y=local.outputs,
-        rates=(after.x - x) / period,
-        nominal=np.array([v.nominal for v in dae.states]),
-        point=point,
-        period=period,
-    )
+    return _linear_system(dae, names, over.begin, x, values, point, over)

@@ -10,17 +10,16 @@ from time import perf_counter
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
-from cosim.errors import FmuError, ParameterError, UsageError
+from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.instance import by_name
 from cosim.fmi.run.opened import OpenedFmu
-from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
-from cosim.integrate.ensemble.simulate_many import runs_in_lanes, simulate_many
+from cosim.integrate.ensemble.ensemble import Ensemble
+from cosim.integrate.ensemble.simulate_many import one_by_one, runs_in_lanes, simulate_many
 from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.integrate.solvers import chosen_solver
@@ -191,50 +190,22 @@ class FmuSubject:
         self, columns: Mapping[str, Vector], settings: Mapping[str, Any], threads: int
     ) -> Ensemble:
         """Run every row, one by one."""
-        began = perf_counter()
-        runs, outputs = len(next(iter(columns.values()))), settings["outputs"]
-        states, reasons, notes = [RunState.FAILED] * runs, dict[int, str](), dict[int, str]()
-        found = dict[int, Trajectory]()
-        taken = _taken(settings)
+        began, taken, outputs = perf_counter(), _taken(settings), settings["outputs"]
         time = self._fmu.request(**taken).grid
-        for i in range(runs):
-            row = {name: float(column[i]) for name, column in columns.items()}
-            try:
-                request = self._fmu.request(start_values=row, outputs=outputs, **taken)
-                with self._one_at_a_time:
-                    run = self._fmu.run(request)
-            except ParameterError as error:
-                states[i], reasons[i] = RunState.REFUSED, str(error)
-            except FmuError as error:
-                reasons[i] = str(error)
-            else:
-                if len(run) == len(time) or "stop" in run.stats:
-                    states[i], found[i] = RunState.COMPLETE, run
-                    if "note" in run.stats:
-                        notes[i] = run.stats["note"]
-                else:
-                    reasons[i] = f"it recorded {len(run)} of {len(time)} output times"
-        values = np.full((runs, len(time), len(outputs)), np.nan)
-        counts, reached = np.zeros((2, runs), dtype=np.int64)
-        for i, run in found.items():
-            reached[i] = n = shared_rows(run, time)
-            values[i, :n] = run.values[:n]
-        return Ensemble(
-            self.name,
-            time,
-            self.columns(outputs),
-            values,
-            columns,
-            tuple(states),
-            reasons,
-            notes,
-            reached=reached,
-            steps=counts,
-            rhs_calls=counts,
-            error=np.full(runs, np.nan),
-            stats={"solver": f"fmpy {self._fmu.interface}", "wall_time": perf_counter() - began},
-            with_events={i: run for i, run in found.items() if run.events or "stop" in run.stats},
-        )
+
+        def simulate(row: dict[str, float]) -> Trajectory:
+            request = self._fmu.request(start_values=row, outputs=outputs, **taken)
+            with self._one_at_a_time:
+                run = self._fmu.run(request)
+            if len(run) != len(time) and "stop" not in run.stats:
+                raise FmuError(f"it recorded {len(run)} of {len(time)} output times")
+            note = {"invalid": (run.stats["note"],)} if "note" in run.stats else {}
+            return replace(run, stats={**run.stats, **note})
+
+        runs, own = len(next(iter(columns.values()))), self.columns(outputs)
+        found = one_by_one(self.name, time, own, columns, runs, simulate, {})
+        stats = {"solver": f"fmpy {self._fmu.interface}", "wall_time": perf_counter() - began}
+        return replace(found, stats=stats)
 
 
 Subject = ModelSubject | FmuSubject

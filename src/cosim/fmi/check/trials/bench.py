@@ -4,7 +4,7 @@ import ctypes
 import mmap
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -191,20 +191,17 @@ class Session:
         self.enter(stop_time, start_time)
         self.instance.exitInitializationMode()
         if self.kind == "ModelExchange":
-            self.next_event = enter_continuous_time(self.instance, self.bench.fmpy)
+            self.next_event = enter_continuous_time(self.instance)
 
     def values(self, variables: Sequence[Described]) -> Vector:
         """Return values of real variables, (n,)."""
         references = [int(v.reference) for v in variables]
-        second = self.bench.second
-        get = self.instance.getReal if second else self.instance.getFloat64
-        return np.array(get(references) if references else [], dtype=float)
+        found = self.instance.getFloat64(references) if references else []
+        return np.array(found, dtype=float)
 
     def put(self, variable: Described, value: float) -> None:
         """Set a real variable."""
-        second = self.bench.second
-        put = self.instance.setReal if second else self.instance.setFloat64
-        put([int(variable.reference)], [value])
+        self.instance.setFloat64([int(variable.reference)], [value])
 
     def put_all(self, variables: Sequence[Described], values: Sequence[float] | Vector) -> None:
         """Set real variables."""
@@ -231,28 +228,13 @@ class Session:
     def steps(self, size: float, most: int) -> Iterator[float]:
         """Make communication steps of one size, s; yield the time after each, their sum."""
         for _ in range(most):
-            try:
-                result = self.instance.doStep(self.time, size)
-            except Exception:
-                if self.bench.second and self._terminated():
-                    return
-                raise
-            if isinstance(result, tuple) and result[1]:  # it requests the end of the simulation
+            _, ends, *_ = self.instance.doStep(self.time, size)
+            if ends:
                 return
             self.time += size
             self.instance.logged_events.clear()  # no memory of the FMU's
             self.instance.log_texts.clear()
             yield self.time
-
-    def _terminated(self) -> bool:
-        """Return whether a step was discarded because the FMU (2.0) requests the end."""
-        from fmpy.fmi2 import fmi2Terminated
-
-        ended = ctypes.c_int(0)
-        with suppress(Exception):
-            component = self.instance.component
-            self.instance.fmi2GetBooleanStatus(component, fmi2Terminated, ctypes.byref(ended))
-        return bool(ended.value)
 
     def instantiate_bare(self, *, logger: bool) -> None:
         """Instantiate anew without the callbacks that importers need not pass, nor with a log.

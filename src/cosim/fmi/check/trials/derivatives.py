@@ -287,7 +287,7 @@ def slopes(bench: Bench, kind: str) -> Iterator[Finding]:
         session.start()
         list(session.steps(4 * size, 5))
         instance = session.instance
-        get = instance.getRealOutputDerivatives if bench.second else instance.getOutputDerivatives
+        get = instance.getOutputDerivatives
         places = [int(v.reference) for v in outputs]
         reported = np.array(get(places, [1] * len(places)))
         get(places, [int(offered)] * len(places))

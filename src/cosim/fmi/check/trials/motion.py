@@ -166,7 +166,7 @@ class _Course:
                 if step == _CHANGE and self.parameters:
                     session.instance.enterEventMode()
                     self._change(session)
-                    enter_continuous_time(session.instance, self.bench.fmpy)
+                    enter_continuous_time(session.instance)
                 for part in range(parts):
                     t, middle, end = (step + (part + c) / parts for c in (0, 0.5, 1))
                     k = slope(t, x)

@@ -92,7 +92,7 @@ class _Switching:
                 passed = session.all_of("getEventIndicators", indicators) > 0
                 if (passed != signs).any() or end >= next_event * (1 - 1e-12):
                     instance.enterEventMode()
-                    next_event = enter_continuous_time(instance, bench.fmpy)
+                    next_event = enter_continuous_time(instance)
                     passed = session.all_of("getEventIndicators", indicators) > 0
                 signs = passed
                 rows.append(session.values(self.outputs))
@@ -118,24 +118,21 @@ class _Switching:
 
     def _watch(self, instance: Any) -> None:
         """Compare the states before and after each update with what the update reports."""
-        second = self.bench.second
-        name = "newDiscreteStates" if second else "updateDiscreteStates"
-        update: Callable[[], tuple[Any, ...]] = getattr(instance, name)
+        update: Callable[[], tuple[Any, ...]] = instance.updateDiscreteStates
         references = {state.name: int(state.reference) for state, _ in self.bench.states()}
-        get = instance.getReal if second else instance.getFloat64
 
         def watched() -> tuple[Any, ...]:
             self._reject_lateness()
-            before = np.array(get(list(references.values())))
+            before = np.array(instance.getFloat64(list(references.values())))
             result = update()
-            after = np.array(get(list(references.values())))
+            after = np.array(instance.getFloat64(list(references.values())))
             if not result[3]:
                 changed = np.flatnonzero(before != after)
                 for k in changed:
                     self.silent_jumps.setdefault(list(references)[k], float(after[k] - before[k]))
             return result
 
-        setattr(instance, name, watched)
+        instance.updateDiscreteStates = watched
 
 
 def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:

@@ -1,0 +1,29 @@
+"""Structures that Python and C share have one declaration, that of the C headers."""
+
+import ctypes
+
+from cosim.codegen.c_fields import fields
+from cosim.codegen.c_sources import master_source
+from cosim.codegen.compiler import cached_library
+from cosim.coupling.co_simulation import _Part, _System
+from cosim.fmi.run.c_structures import Functions, Recording, Run
+
+
+def test_fields_are_those_of_the_header_in_their_order():
+    found = dict(fields("solvers/lanes_outputs.h", "Watched", t=ctypes.c_char_p))
+    names = "points columns t x u p recorded places rows first margins"
+    assert [*found] == names.split()
+    assert found["columns"] is ctypes.c_longlong
+    assert found["t"] is ctypes.c_char_p
+    assert found["margins"] is ctypes.c_void_p
+    assert dict(fields("master/fmu.h", "Functions"))["set_time"] is ctypes.c_void_p
+
+
+def test_structures_have_the_sizes_of_the_compiler():
+    mirrored = (Functions, Recording, Run, _Part, _System)
+    sizes = ", ".join(f"sizeof({mirror.__name__.lstrip('_')})" for mirror in mirrored)
+    text = master_source("coupling.h", "run.h")
+    text += f"SHARED const size_t *all_sizes(void) {{ static size_t a[] = {{{sizes}}}; return a; }}"
+    library = ctypes.CDLL(str(cached_library(f"sizes {text}", lambda: text)))
+    library.all_sizes.restype = ctypes.POINTER(ctypes.c_size_t * len(mirrored))
+    assert list(library.all_sizes().contents) == [ctypes.sizeof(mirror) for mirror in mirrored]
