@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from ctypes import CDLL
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +17,46 @@ def solver(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="session")
-def model(solver: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """Return the toy's folder for a solver, or with a version of FMI its library, built once.
+
+    It takes the solver as argument, as pytest may keep a fixture of one solver for the other.
+    """
+
+    @cache
+    def folder(solver: str) -> Path:
+        if harness.compiler() is None:
+            pytest.skip("needs a C compiler")
+        made = tmp_path_factory.mktemp("toy")
+        toy.write(made, toy.toy(), toy.TABLE, solver)
+        return made
+
+    @cache
+    def build(solver: str, version: int | None = None) -> Any:
+        if version is None:
+            return folder(solver)
+        return harness.library(folder(solver), version, tmp_path_factory.mktemp(f"fmi{version}"))
+
+    return build
+
+
+@pytest.fixture
+def model(solver: str, built: Callable[..., Any]) -> Path:
     """Folder with the toy's model.h and model.c."""
-    if harness.compiler() is None:
-        pytest.skip("needs a C compiler")
-    folder = tmp_path_factory.mktemp("toy")
-    toy.write(folder, toy.toy(), toy.TABLE, solver)
-    return folder
+    made: Path = built(solver)
+    return made
 
 
-@pytest.fixture(scope="session")
-def library(model: Path, tmp_path_factory: pytest.TempPathFactory) -> CDLL:
+@pytest.fixture
+def library(solver: str, built: Callable[..., Any]) -> CDLL:
     """The toy as FMI 2 library."""
-    return harness.library(model, 2, tmp_path_factory.mktemp("fmi2"))
+    return built(solver, 2)
 
 
-@pytest.fixture(scope="session")
-def library3(model: Path, tmp_path_factory: pytest.TempPathFactory) -> CDLL:
+@pytest.fixture
+def library3(solver: str, built: Callable[..., Any]) -> CDLL:
     """The toy as FMI 3 library."""
-    return harness.library(model, 3, tmp_path_factory.mktemp("fmi3"))
+    return built(solver, 3)
 
 
 def _factory(kind: type[harness.Fmu], library: CDLL) -> Iterator[Callable[..., harness.Fmu]]:
