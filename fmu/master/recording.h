@@ -10,9 +10,10 @@
 /* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/compiled_run.py. */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8 };
 
-/* Variables of one kind, and where their values are put: `buffer` holds them as they come. */
+/* Variables of one kind, `count` of them with `values` numbers, as arrays have several; `buffer`
+ * holds the numbers as they come. */
 typedef struct {
-    long long kind, count;
+    long long kind, count, values;
     const uint32_t *references;
     int (*get_2)(void *, const uint32_t *, size_t, void *);
     int (*get_3)(void *, const uint32_t *, size_t, void *, size_t);
@@ -20,7 +21,8 @@ typedef struct {
     void *buffer;
 } Group;
 
-/* A row per output time; `columns` says where in a row the values of each group belong. */
+/* A row per output time; `columns` says where in a row the values of each group belong, or below 0
+ * that they do not. */
 typedef struct {
     long long groups, width;
     const Group *group;
@@ -50,13 +52,14 @@ static inline int record(Fmu *fmu, const Recording *self, long long row) {
     const long long *column = self->columns;
     for (long long g = 0; g < self->groups; ++g) {
         const Group *group = self->group + g;
-        const size_t n = (size_t)group->count;
+        const size_t n = (size_t)group->count, values = (size_t)group->values;
         void *const instance = fmu->call->instance;
-        const int status = group->get_2
-                               ? group->get_2(instance, group->references, n, group->buffer)
-                               : group->get_3(instance, group->references, n, group->buffer, n);
+        const int status =
+            group->get_2 ? group->get_2(instance, group->references, n, group->buffer)
+                         : group->get_3(instance, group->references, n, group->buffer, values);
         if (failed(fmu, group->function, status)) return 1;
-        for (long long i = 0; i < group->count; ++i) out[*column++] = number(group, i);
+        for (long long i = 0; i < group->values; ++i, ++column)
+            if (*column >= 0) out[*column] = number(group, i);
     }
     return 0;
 }

@@ -9,6 +9,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError
+from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.instance import getter_name, is_second
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
@@ -51,6 +52,7 @@ _FUNCTIONS = {
     "set_fmu_state": ("SetFMUstate", "SetFMUState"),
     "free_fmu_state": ("FreeFMUstate", "FreeFMUState"),
 }
+_NO_COLUMN = -1  # of an element that is not recorded
 _LONG, _DOUBLE, _POINTER = ctypes.c_longlong, ctypes.c_double, ctypes.c_void_p
 
 
@@ -74,7 +76,7 @@ class _Group(ctypes.Structure):
     """Variables of one kind."""
 
     _fields_ = (
-        *((name, _LONG) for name in ("kind", "count")),
+        *((name, _LONG) for name in ("kind", "count", "values")),
         *((name, _POINTER) for name in ("references", "get_2", "get_3")),
         ("function", ctypes.c_char_p),
         ("buffer", _POINTER),
@@ -128,26 +130,30 @@ class Recorded:
         for place, variable in enumerate(variables):
             found.setdefault(getter_name(variable, description), []).append(place)
         self._held: list[Any] = []
-        groups = [
-            self._group(instance, getter, [variables[i].valueReference for i in places], second)
-            for getter, places in found.items()
-        ]
+        layouts = {
+            getter: Layout.of([variables[i] for i in places]) for getter, places in found.items()
+        }
+        groups = [self._group(instance, *item, second) for item in layouts.items()]
         self._groups = (_Group * len(groups))(*groups)
-        self._columns = np.concatenate([[], *found.values()]).astype(np.int64)
+        columns = [np.full(layout.values, _NO_COLUMN) for layout in layouts.values()]
+        for own, places, layout in zip(columns, found.values(), layouts.values(), strict=True):
+            own[layout.places] = places
+        self._columns = np.concatenate([[], *columns]).astype(np.int64)
         self.structure = Recording(
             len(groups), len(variables), self._groups, self._columns.ctypes.data
         )
 
-    def _group(self, instance: Any, getter: str, references: list[int], second: bool) -> _Group:
+    def _group(self, instance: Any, getter: str, layout: Layout, second: bool) -> _Group:
         kind = _kind(getter, second)
         name = f"fmi{2 if second else 3}Get{getter}"
-        addresses = (ctypes.c_uint32 * len(references))(*references)
-        buffer = (KINDS[kind] * len(references))()
+        addresses = (ctypes.c_uint32 * len(layout.references))(*layout.references)
+        buffer = (KINDS[kind] * layout.values)()
         self._held += [addresses, buffer]
         address = _address(instance, name)
         return _Group(
             list(KINDS).index(kind),
-            len(references),
+            len(layout.references),
+            layout.values,
             ctypes.addressof(addresses),
             address if second else None,
             None if second else address,
@@ -168,11 +174,11 @@ class Calls:
             if (name := names[version - 2]) is not None
         }
         self.functions = Functions(version=version, instance=instance.component, **found)
-        self._recorded: dict[tuple[int, ...], Recorded] = {}
+        self._recorded: dict[tuple[Any, ...], Recorded] = {}
 
     def recording(self, variables: Sequence[Any], rows: Vector) -> Recording:
         """Return what records variables into rows, (times, variables)."""
-        key = tuple(map(id, variables))  # which live as long as their description
+        key = tuple(variables)
         if key not in self._recorded:
             self._recorded = {key: Recorded(self._instance, self._description, variables)}
         structure = self._recorded[key].structure

@@ -38,12 +38,14 @@ def simulate_fmu(
         start_time, stop_time, output_interval: s; the FMU's default experiment when None. The
             last output is at `stop_time` in any case.
         relative_tolerance: Error per step; the FMU's default experiment when None.
-        start_values: Start values, parameters and constant inputs by name, in the FMU's units.
+        start_values: Start values, parameters and constant inputs by name, in the FMU's units;
+            elements of arrays have the names `u[1]` or `A[1,2]`.
         inputs: What `read_inputs` returns; or by name a number, a formula of time ("2*sin(3*t)"),
             a function of time, samples at the output times (n,), or an `InputSeries`; in the FMU's
             units. Within a step of an FMU that integrates itself, inputs are constant, linear
             or cubic.
-        outputs: Names to record; the FMU's outputs when None.
+        outputs: Names to record; the FMU's outputs when None. That of an array stands for its
+            elements.
         master: What drives the FMU. "fmpy" is a loop in Python over fmpy's objects with CVODE,
             which takes more than fmpy's 500 steps between two outputs if it has to
             (`stats["note"]` reports it). "c" is compiled code, 10 to 100 times as fast: one call
